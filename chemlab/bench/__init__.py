@@ -1,0 +1,1 @@
+"""Benches and instruments: actions, observation channels, rewards. One implementation serves every environment."""

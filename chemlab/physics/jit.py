@@ -1,0 +1,41 @@
+"""The one way a chemlab function is compiled."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+__all__ = ["kernel"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@functools.lru_cache(maxsize=1)
+def _fingerprint() -> str:
+    """Hash of every source file kernels are written in."""
+    root = Path(__file__).resolve().parent.parent
+    files = [root / "shelf.py", *sorted((root / "physics").glob("*.py"))]
+    files += [*sorted((root / "bench").glob("*.py")), *sorted((root / "laboratory").glob("*.py"))]
+    digest = hashlib.blake2b(digest_size=16)
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` with numba on first use, cached on disk, releasing the GIL.
+
+    With ``NUMBA_DISABLE_JIT=1`` the plain Python function runs instead, slowly, for debugging.
+    """
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    # numba invalidates a cached kernel by its own file's time stamp alone: a kernel that inlines an edited
+    # function from another file would go on running the old code. One stamp over all sources mends that.
+    cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
+        cache_file._source_stamp = _fingerprint()
+    return compiled  # type: ignore[no-any-return]  # numba's dispatcher stands in for the function

@@ -1,0 +1,150 @@
+"""Reactions: mass action with Arrhenius constants, Dormand-Prince 5(4) with adaptive steps (PHYSICS section 1).
+
+The unknowns are the extents of the reactions and not the concentrations, so atoms are conserved to rounding
+whatever the integrator's error; a step that would make an amount negative is cut in half.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..shelf import AMOUNTS, FloatArray, Network
+from .jit import kernel
+
+__all__ = ["GAS_CONSTANT", "react", "react_work_size"]
+
+GAS_CONSTANT = 8.31446261815324
+"""J/mol/K (CODATA 2018, exact)."""
+
+_A21 = 1 / 5
+_A31, _A32 = 3 / 40, 9 / 40
+_A41, _A42, _A43 = 44 / 45, -56 / 15, 32 / 9
+_A51, _A52, _A53, _A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
+_A61, _A62, _A63, _A64, _A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
+_B1, _B3, _B4, _B5, _B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+# Fifth-order minus fourth-order weights: the error estimate.
+_E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
+
+_SMALLEST_STEP = 1e-12
+_WORK_ROWS = 13
+
+
+def react_work_size(network: Network) -> tuple[int, int]:
+    """Shape of the scratch array :func:`react` needs."""
+    return _WORK_ROWS, max(network.stoichiometry.shape[0], network.species.shape[0], 1)
+
+
+@kernel
+def _rates(constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray) -> None:
+    n_reactions, n_species = network.stoichiometry.shape
+    for j in range(n_species):
+        value = start[j]
+        for r in range(n_reactions):
+            value += network.stoichiometry[r, j] * extent[r]
+        conc[j] = max(value, 0.0)
+    for r in range(n_reactions):
+        rate = constants[r]
+        for j in range(n_species):
+            order = network.orders[r, j]
+            if order == 1.0:
+                rate *= conc[j]
+            elif order == 2.0:
+                rate *= conc[j] * conc[j]
+            elif order != 0.0:
+                rate *= conc[j] ** order
+        out[r] = rate
+
+
+@kernel
+def react(row: FloatArray, network: Network, volume: float, temperature: float, dt: float, rtol: float, atol: float, work: FloatArray) -> int:
+    """Let the contents of one vessel react for ``dt`` at constant temperature and volume.
+
+    Args:
+        row: vessel row; its amounts (mol) change in place.
+        network: the reactions.
+        volume: liquid volume, L; nothing happens without liquid.
+        temperature: K.
+        dt: time, in the unit of the rate constants.
+        rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
+        work: scratch of shape :func:`react_work_size`.
+
+    Returns:
+        Number of steps taken, rejected ones included.
+    """
+    n_reactions, n_species = network.stoichiometry.shape
+    if n_reactions == 0 or volume <= 0.0 or dt <= 0.0:
+        return 0
+    constants, start, extent, trial, conc, now = work[0], work[1], work[2], work[3], work[4], work[5]
+    k1, k2, k3, k4, k5, k6, k7 = work[6], work[7], work[8], work[9], work[10], work[11], work[12]
+    for r in range(n_reactions):
+        constants[r] = network.pre_exponential[r] * np.exp(-network.activation_energy[r] / (GAS_CONSTANT * temperature))
+        extent[r] = 0.0
+    for j in range(n_species):
+        start[j] = row[AMOUNTS + network.species[j]] / volume
+        now[j] = start[j]
+    _rates(constants, network, start, extent, conc, k1)
+    running = False
+    for r in range(n_reactions):
+        running = running or k1[r] > 0.0
+    if not running:
+        return 0
+    done, h, steps = 0.0, dt, 0
+    while done < dt:
+        steps += 1
+        h = min(h, dt - done)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * _A21 * k1[r]
+        _rates(constants, network, start, trial, conc, k2)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * (_A31 * k1[r] + _A32 * k2[r])
+        _rates(constants, network, start, trial, conc, k3)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * (_A41 * k1[r] + _A42 * k2[r] + _A43 * k3[r])
+        _rates(constants, network, start, trial, conc, k4)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * (_A51 * k1[r] + _A52 * k2[r] + _A53 * k3[r] + _A54 * k4[r])
+        _rates(constants, network, start, trial, conc, k5)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * (_A61 * k1[r] + _A62 * k2[r] + _A63 * k3[r] + _A64 * k4[r] + _A65 * k5[r])
+        _rates(constants, network, start, trial, conc, k6)
+        for r in range(n_reactions):
+            trial[r] = extent[r] + h * (_B1 * k1[r] + _B3 * k3[r] + _B4 * k4[r] + _B5 * k5[r] + _B6 * k6[r])
+        _rates(constants, network, start, trial, conc, k7)
+        error = 0.0
+        lowest = 0.0
+        for j in range(n_species):
+            value, defect = start[j], 0.0
+            for r in range(n_reactions):
+                nu = network.stoichiometry[r, j]
+                value += nu * trial[r]
+                defect += nu * (_E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r])
+            scale = atol + rtol * max(abs(now[j]), abs(value))
+            error += (h * defect / scale) ** 2
+            # Rounding in the sums above may leave -1e-17 where the exact result is 0.
+            lowest = min(lowest, value + 1e-15 * (start[j] + 1.0))
+        error = np.sqrt(error / n_species)
+        if error > 1.0 and h > _SMALLEST_STEP * dt:
+            h *= max(0.2, 0.9 * error**-0.2)
+            continue
+        if lowest < 0.0 and h > _SMALLEST_STEP * dt:
+            h *= 0.5
+            continue
+        if lowest < 0.0:
+            # A reactant ends inside the smallest step: it is used up here, and nothing more can react with it.
+            break
+        done += h
+        for r in range(n_reactions):
+            extent[r] = trial[r]
+            k1[r] = k7[r]
+        for j in range(n_species):
+            now[j] = max(start[j], 0.0)
+            for r in range(n_reactions):
+                now[j] += network.stoichiometry[r, j] * extent[r]
+        h *= 5.0 if error < 1e-4 else min(5.0, 0.9 * error**-0.2)
+    for j in range(n_species):
+        change = 0.0
+        for r in range(n_reactions):
+            change += network.stoichiometry[r, j] * extent[r]
+        column = AMOUNTS + network.species[j]
+        row[column] = max(row[column] + volume * change, 0.0)
+    return steps

@@ -1,0 +1,302 @@
+"""Layers: how the fluids of a vessel stand above each other, and the camera that looks at them (PHYSICS section 2).
+
+Every fluid layer is a Gaussian with a mean set by the densities and a variance all share, so the relative heights
+at height x are a softmax over layers of (mu_i x / sigma^2 + beta_i). The betas are chosen so that the profile
+conserves volume: each pixel's shares add up to one, each layer's pixels to its share of the vessel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..shelf import (
+    AMOUNTS,
+    CAPACITY,
+    CLOCK,
+    CLOCK_SETTLED,
+    PRESENT,
+    ROLE_ION,
+    ROLE_SOLID,
+    T_MIX,
+    Chemistry,
+    FloatArray,
+    IntArray,
+    StreamArray,
+)
+from .jit import kernel
+from .transfer import TRACE_MOL
+
+__all__ = ["SOLIDS", "camera", "layer_volumes", "profile"]
+
+SOLIDS = -2
+"""What a profile's columns say where they stand for the solids at the bottom."""
+
+_STEEPEST = 600.0
+"""Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
+_TOLERANCE = 1e-12
+_MOST_ITERATIONS = 60
+_LONGEST_STEP = 4.0
+
+
+@kernel
+def layer_volumes(row: FloatArray, chem: Chemistry, layers: IntArray, volumes: FloatArray) -> int:
+    """Volumes of solids, fluid layers and air, densest fluid first.
+
+    Args:
+        row: vessel row.
+        chem: material constants.
+        layers: [C + 1] out: number of columns, then SOLIDS and a material index each (air last).
+        volumes: [C] out: litres, of at most the vessel's capacity in total.
+
+    Returns:
+        Number of columns.
+    """
+    n, n_solvents, n_dissolved = chem.role.shape[0], chem.solvents.shape[0], chem.dissolved.shape[0]
+    layers[1], volumes[0] = SOLIDS, 0.0
+    count = 1
+    for layer in range(n_solvents):
+        i = chem.solvents[layer]
+        if row[AMOUNTS + i] > TRACE_MOL:
+            litres = row[AMOUNTS + i] * chem.molar_volume[i]
+            for k in range(n_dissolved):
+                litres += row[AMOUNTS + n + k * n_solvents + layer] * chem.molar_volume[chem.dissolved[k]]
+            layers[1 + count], volumes[count] = i, litres
+            count += 1
+    no_solvent = count == 1
+    for i in range(n):
+        moles = row[AMOUNTS + i]
+        if chem.role[i] == ROLE_SOLID or (no_solvent and chem.role[i] == ROLE_ION):
+            volumes[0] += moles * chem.molar_volume[i]
+    if no_solvent:
+        for k in range(n_dissolved):
+            i = chem.dissolved[k]
+            if chem.role[i] != ROLE_ION and row[AMOUNTS + i] > TRACE_MOL:
+                layers[1 + count], volumes[count] = i, row[AMOUNTS + i] * chem.molar_volume[i]
+                count += 1
+    for a in range(2, count):  # insertion sort, densest first
+        b = a
+        while b > 1 and chem.density[layers[1 + b]] > chem.density[layers[b]]:
+            layers[1 + b], layers[b] = layers[b], layers[1 + b]
+            volumes[b], volumes[b - 1] = volumes[b - 1], volumes[b]
+            b -= 1
+    filled = 0.0
+    for c in range(count):
+        filled += volumes[c]
+    layers[1 + count], volumes[count] = chem.air, max(row[CAPACITY] - filled, 0.0)
+    layers[0] = count + 1
+    return count + 1
+
+
+@kernel
+def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> None:
+    """The fully settled profile: each layer fills its own interval of heights."""
+    pixels = out.shape[1]
+    out[:count] = 0.0
+    low = 0.0
+    for c in range(count):
+        high = low + volumes[c] / total * pixels
+        if c == count - 1:
+            high = float(pixels)
+        first, last = int(low), min(int(math.ceil(high)), pixels)
+        for p in range(first, last):
+            out[c, p] = max(min(high, p + 1.0) - max(low, float(p)), 0.0)
+        low = high
+
+
+@kernel
+def _solve(matrix: FloatArray, rhs: FloatArray, size: int) -> None:
+    """Cholesky solution of a small positive-definite system, in place; ``rhs`` becomes the solution."""
+    for i in range(size):
+        for j in range(i + 1):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                matrix[i, i] = math.sqrt(max(value, 1e-300))
+            else:
+                matrix[i, j] = value / matrix[j, j]
+    for i in range(size):
+        for k in range(i):
+            rhs[i] -= matrix[i, k] * rhs[k]
+        rhs[i] /= matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            rhs[i] -= matrix[k, i] * rhs[k]
+        rhs[i] /= matrix[i, i]
+
+
+@kernel
+def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray, work: FloatArray) -> int:
+    """Share of every layer in every pixel of a vessel.
+
+    Args:
+        row: vessel row; its CLOCK says how far the layers have separated.
+        chem: material constants.
+        layers: [C + 1] out: number of columns, then what each stands for (SOLIDS or a material; air last).
+        out: [C, pixels] out: shares; columns in use sum to one over each pixel, and each to its layer's
+            share of the vessel times the number of pixels (1e-9). Pixels from the bottom up.
+        work: scratch of at least [C + 6, C].
+
+    Returns:
+        Number of columns in use; 0 where no vessel stands.
+    """
+    if row[PRESENT] <= 0.0:
+        layers[0] = 0
+        return 0
+    volumes = work[0]
+    count = layer_volumes(row, chem, layers, volumes)
+    pixels = out.shape[1]
+    total = 0.0
+    for c in range(count):
+        total += volumes[c]
+    fluids = count - 1
+    since_mixed = row[CLOCK] - T_MIX
+    if row[CLOCK] >= CLOCK_SETTLED - 1e-9 or fluids == 1 or total - volumes[0] <= 0.0:
+        _stack(volumes, count, total, out)
+        return count
+    solids = volumes[0] / total * pixels
+    if since_mixed <= 1e-9:
+        fluid = total - volumes[0]
+        for p in range(pixels):
+            share = max(min(solids - p, 1.0), 0.0)
+            out[0, p] = share
+            for c in range(1, count):
+                out[c, p] = (1.0 - share) * volumes[c] / fluid
+        return count
+    # Consecutive fluids i, i + 1: log ratio of shares = slope_i x + offset_i, x in vessel heights.
+    slope, offset, gradient, shares, target = work[1], work[2], work[3], work[4], work[5]
+    hessian = work[6:]
+    kappa = fluids * since_mixed * math.sqrt(2.0 * math.pi) * math.exp(row[CLOCK])
+    low = volumes[0] / total
+    for i in range(fluids):
+        target[i] = volumes[1 + i] / total * pixels
+    for i in range(fluids - 1):
+        lighter = chem.density[layers[1 + 1 + i]] - chem.density[layers[1 + 2 + i]]
+        slope[i] = min(kappa * lighter, _STEEPEST)
+        # The two layers alone, in the heights they occupy: there the boundary has a closed form.
+        height = (target[i] + target[i + 1]) / pixels
+        below = target[i] / max(target[i] + target[i + 1], 1e-300)
+        s, first = slope[i] * height, slope[i] * height * below
+        if s < 1e-6:
+            ratio = math.log(max(1.0 - below, 1e-300) / max(below, 1e-300))
+        else:
+            ratio = math.log(max(-math.expm1(-(s - first)), 1e-300) / max(-math.expm1(-first), 1e-300)) - first
+        # log((1 - e^-(s-first)) / (e^first - 1)) is the offset that splits [0, height] at the right volume.
+        offset[i] = ratio - slope[i] * low
+        low += target[i] / pixels
+    for _ in range(_MOST_ITERATIONS):
+        for i in range(fluids):
+            gradient[i] = -target[i]
+            for j in range(fluids):
+                hessian[i, j] = 0.0
+        for p in range(pixels):
+            solid = max(min(solids - p, 1.0), 0.0)
+            weight = 1.0 - solid
+            out[0, p] = solid
+            x = (p + 0.5) / pixels
+            level, highest = 0.0, 0.0
+            shares[0] = 0.0
+            for i in range(fluids - 1):
+                level += slope[i] * x + offset[i]
+                shares[i + 1] = level
+                highest = max(highest, level)
+            norm = 0.0
+            for i in range(fluids):
+                gap = shares[i] - highest
+                shares[i] = math.exp(gap) if gap > -45.0 else 0.0
+                norm += shares[i]
+            for i in range(fluids):
+                shares[i] /= norm
+                out[1 + i, p] = weight * shares[i]
+                gradient[i] += weight * shares[i]
+            for i in range(1, fluids):
+                if shares[i] == 0.0:
+                    continue
+                hessian[i, i] += weight * shares[i]
+                for j in range(1, i + 1):
+                    hessian[i, j] -= weight * shares[i] * shares[j]
+        worst = 0.0
+        for i in range(fluids):
+            worst = max(worst, abs(gradient[i]))
+        if worst < _TOLERANCE * pixels:
+            break
+        for i in range(1, fluids):
+            hessian[i, i] += 1e-13
+        # beta_0 = 0: the system is over betas 1.., shifted by one in the scratch.
+        for i in range(1, fluids):
+            gradient[i - 1] = gradient[i]
+            for j in range(1, i + 1):
+                hessian[i - 1, j - 1] = hessian[i, j]
+        _solve(hessian, gradient, fluids - 1)
+        before = 0.0
+        for i in range(fluids - 1):
+            change = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
+            offset[i] += change - before
+            before = change
+    return count
+
+
+@kernel
+def random_bits(state: StreamArray) -> int:
+    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel
+def uniform(state: StreamArray) -> float:
+    """Next number in [0, 1) of the stream."""
+    return (random_bits(state) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@kernel
+def camera(row: FloatArray, shares: FloatArray, layers: IntArray, chem: Chemistry, stream: StreamArray, out: FloatArray) -> None:
+    """A picture of the vessel: one layer drawn per pixel from the profile, shown as its grey value.
+
+    Args:
+        row: vessel row (which solids there are).
+        shares: [C, pixels] the vessel's profile.
+        layers: [C + 1] the profile's columns.
+        chem: material constants.
+        stream: random stream, advanced by one number a pixel.
+        out: [pixels] grey values, bottom first; 0 where no vessel stands.
+    """
+    count = layers[0]
+    for p in range(out.shape[0]):
+        draw = uniform(stream)
+        if count == 0:
+            out[p] = 0.0
+            continue
+        reached = 0.0
+        chosen = count - 1
+        for c in range(count):
+            if draw < reached + shares[c, p]:
+                chosen = c
+                break
+            reached += shares[c, p]
+        if chosen == 0:
+            out[p] = _solid_shade(row, chem, (draw - reached) / shares[0, p])
+        else:
+            out[p] = chem.shade[layers[1 + chosen]]
+
+
+@kernel
+def _solid_shade(row: FloatArray, chem: Chemistry, draw: float) -> float:
+    """Grey value of one of the solids, drawn by volume."""
+    total = 0.0
+    for i in range(chem.role.shape[0]):
+        if chem.role[i] == ROLE_SOLID:
+            total += row[AMOUNTS + i] * chem.molar_volume[i]
+    reached, shade = 0.0, 0.0
+    for i in range(chem.role.shape[0]):
+        if chem.role[i] == ROLE_SOLID and row[AMOUNTS + i] > 0.0:
+            shade = chem.shade[i]
+            reached += row[AMOUNTS + i] * chem.molar_volume[i]
+            if draw * total < reached:
+                break
+    return shade

@@ -1,0 +1,127 @@
+"""Where solutes are: the paper's partition between solvents, made to conserve each solute (PHYSICS section 3)."""
+
+from __future__ import annotations
+
+import math
+
+from ..shelf import AMOUNTS, CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX, Chemistry, FloatArray
+from .jit import kernel
+from .transfer import TRACE_MOL
+
+__all__ = ["equilibrium", "partition", "set_dissolved_total", "turn_clock"]
+
+_DECAY = 30.0
+"""The paper's rate at which the mixed distribution gives way to the polarity-driven one."""
+
+
+@kernel
+def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, share: FloatArray) -> int:
+    """S*(clock) / [S]: the share of a solute that each solvent tends to hold; the shares add up to one.
+
+    Args:
+        row: vessel row (how much of each solvent there is; solvents count by volume).
+        chem: material constants.
+        material: the solute.
+        clock: settling clock.
+        share: [L] out.
+
+    Returns:
+        Number of solvents present; with none, every share is 0.
+    """
+    n_solvents = chem.solvents.shape[0]
+    present = 0
+    litres, distances, weighted = 0.0, 0.0, 0.0
+    for layer in range(n_solvents):
+        i = chem.solvents[layer]
+        share[layer] = 0.0
+        if row[AMOUNTS + i] > TRACE_MOL:
+            present += 1
+            volume = row[AMOUNTS + i] * chem.molar_volume[i]
+            distance = abs(chem.polarity[material] - chem.polarity[i])
+            litres += volume
+            distances += distance
+            weighted += volume * distance
+    if present == 0:
+        return 0
+    alpha = math.exp(_DECAY * (T_MIX - clock))
+    # One solvent, or solvents that are all exactly as polar as the solute: nothing to tell them apart by.
+    norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
+    for layer in range(n_solvents):
+        i = chem.solvents[layer]
+        if row[AMOUNTS + i] > TRACE_MOL:
+            volume = row[AMOUNTS + i] * chem.molar_volume[i]
+            preference = 1.0
+            if present > 1 and norm > 0.0:
+                preference = (1.0 - abs(chem.polarity[material] - chem.polarity[i]) / distances) / norm
+            share[layer] = volume / litres * (alpha + (1.0 - alpha) * preference)
+    return present
+
+
+@kernel
+def set_dissolved_total(row: FloatArray, chem: Chemistry, k: int, total: float, share: FloatArray) -> None:
+    """Set the total of dissolvable material ``k`` (mol): what leaves leaves every solvent alike, what is new
+    dissolves where the solute tends to be. ``share`` is [L] scratch."""
+    n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
+    material = chem.dissolved[k]
+    before = row[AMOUNTS + material]
+    row[AMOUNTS + material] = total
+    first = AMOUNTS + n + k * n_solvents
+    if total <= before:
+        scale = total / before if before > 0.0 else 0.0
+        for layer in range(n_solvents):
+            row[first + layer] *= scale
+    else:
+        equilibrium(row, chem, material, row[CLOCK_WAS], share)
+        for layer in range(n_solvents):
+            row[first + layer] += (total - before) * share[layer]
+
+
+@kernel
+def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
+    """Bring the dissolved amounts from CLOCK_WAS to CLOCK: the paper's three-case update.
+
+    Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Then amounts are clipped
+    at 0 and scaled to the solute's total, so none is negative and none is lost.
+
+    Args:
+        row: vessel row, changed in place.
+        chem: material constants.
+        work: [2, L] or larger scratch.
+    """
+    n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
+    clock, was = row[CLOCK], row[CLOCK_WAS]
+    now, then = work[0], work[1]
+    keep = 1.0
+    if clock < was:
+        keep = (clock - T_MIX) / (was - T_MIX)
+    for k in range(chem.dissolved.shape[0]):
+        material = chem.dissolved[k]
+        total = row[AMOUNTS + material]
+        first = AMOUNTS + n + k * n_solvents
+        if total <= 0.0:
+            for layer in range(n_solvents):
+                row[first + layer] = 0.0
+            continue
+        present = equilibrium(row, chem, material, clock, now)
+        if present < 2:
+            for layer in range(n_solvents):
+                row[first + layer] = total * now[layer]
+            continue
+        equilibrium(row, chem, material, was, then)
+        found = 0.0
+        for layer in range(n_solvents):
+            if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:
+                amount = total * now[layer] + keep * (row[first + layer] - total * then[layer])
+                row[first + layer] = max(amount, 0.0)
+                found += row[first + layer]
+            else:
+                row[first + layer] = 0.0
+        for layer in range(n_solvents):
+            row[first + layer] = row[first + layer] * (total / found) if found > 0.0 else total * now[layer]
+    row[CLOCK_WAS] = clock
+
+
+@kernel
+def turn_clock(row: FloatArray, by: float) -> None:
+    """Let the vessel settle (``by`` > 0) or mix it (< 0), within [T_MIX, CLOCK_SETTLED]."""
+    row[CLOCK] = max(min(row[CLOCK] + by, CLOCK_SETTLED), T_MIX)

@@ -1,0 +1,107 @@
+"""Dissolution, precipitation and reactions that go to completion at once: every vessel, on every bench (PHYSICS section 5)."""
+
+from __future__ import annotations
+
+import math
+
+from ..shelf import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLUTE, Chemistry, FloatArray
+from .events import METAL_IN_WATER
+from .jit import kernel
+from .partition import set_dissolved_total
+
+__all__ = ["react_violently", "settle_phases", "settle_salts"]
+
+
+@kernel
+def _set_amount(row: FloatArray, chem: Chemistry, material: int, total: float, share: FloatArray) -> None:
+    if chem.role[material] == ROLE_ION or chem.role[material] == ROLE_SOLUTE:
+        for k in range(chem.dissolved.shape[0]):
+            if chem.dissolved[k] == material:
+                set_dissolved_total(row, chem, k, total, share)
+    else:
+        row[AMOUNTS + material] = total
+
+
+@kernel
+def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: FloatArray) -> float:
+    """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``.
+
+    Returns:
+        mol of the first reactant (the metal) that reacted.
+    """
+    n = chem.role.shape[0]
+    reacted = 0.0
+    for v in range(chem.violent.shape[0]):
+        extent, limiting = math.inf, -1
+        for i in range(n):
+            if chem.violent[v, i] < 0.0 and row[AMOUNTS + i] / -chem.violent[v, i] < extent:
+                extent, limiting = row[AMOUNTS + i] / -chem.violent[v, i], i
+        if limiting < 0 or extent <= 0.0:
+            continue
+        first = True
+        for i in range(n):
+            change = chem.violent[v, i] * extent
+            if change == 0.0:
+                continue
+            if change < 0.0 and first:
+                reacted += -change
+                first = False
+            if chem.role[i] == ROLE_GAS:
+                waste[i] += change
+            elif i == limiting:
+                _set_amount(row, chem, i, 0.0, share)
+            else:
+                _set_amount(row, chem, i, max(row[AMOUNTS + i] + change, 0.0), share)
+    return reacted
+
+
+@kernel
+def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
+    """Take every salt to the equilibrium [salt][solvent] = [cation][anion], all solvents counted.
+
+    Salts that share a cation have one quadratic in common: with c mol of it in solution, S mol of solvent, A mol of
+    their anions and C mol of the cation (dissolved and solid), c^2 + (S + A - C) c - C S = 0, and every salt has
+    the same share c / (S + c) undissolved. The liquid's volume cancels.
+    """
+    n_salts = chem.salts.shape[0]
+    solvent = 0.0
+    for layer in range(chem.solvents.shape[0]):
+        solvent += row[AMOUNTS + chem.solvents[layer]]
+    start = 0
+    while start < n_salts:
+        cation = chem.salts[start, 1]
+        stop = start
+        cations, anions = row[AMOUNTS + cation], 0.0
+        while stop < n_salts and chem.salts[stop, 1] == cation:
+            solid = row[AMOUNTS + chem.salts[stop, 0]]
+            cations += solid
+            anions += solid + row[AMOUNTS + chem.salts[stop, 2]]
+            stop += 1
+        if cations > 0.0 and anions > 0.0:
+            b = solvent + anions - cations
+            root = math.sqrt(b * b + 4.0 * cations * solvent)
+            free = 2.0 * cations * solvent / (b + root) if b > 0.0 else 0.5 * (root - b)
+            solids = max(min(cations - free, min(cations, anions)), 0.0)
+            for s in range(start, stop):
+                solid, anion = chem.salts[s, 0], chem.salts[s, 2]
+                both = row[AMOUNTS + solid] + row[AMOUNTS + anion]
+                precipitate = both * (solids / anions)
+                row[AMOUNTS + solid] = precipitate
+                _set_amount(row, chem, anion, both - precipitate, share)
+            _set_amount(row, chem, cation, cations - solids, share)
+        start = stop
+
+
+@kernel
+def settle_phases(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+    """What happens by itself in any vessel, after any operation: violent reactions, then salts.
+
+    Args:
+        row: vessel row, changed in place.
+        chem: material constants.
+        waste: [M] mol, receives vented gases.
+        events: safety events row; METAL_IN_WATER grows by the mol of metal that reacted.
+        share: [L] scratch.
+    """
+    events[METAL_IN_WATER] += react_violently(row, chem, waste, share)
+    settle_salts(row, chem, share)

@@ -1,0 +1,349 @@
+"""Scenarios: everything a laboratory is set up with, as one typed, frozen value loaded from TOML.
+
+All numbers a researcher might vary (stock, vessels, action tables, prices, limits, reward mix) live in
+the file; types and bounds live here. A bench's own settings are checked by that bench's options model.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.resources
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+
+from .materials import DataError, Material, load_materials, read_toml, shipped_materials, validated
+from .reactions import ReactionFamily, load_reactions
+
+__all__ = [
+    "SAFETY_EVENTS",
+    "BenchSpec",
+    "Companion",
+    "CostSpec",
+    "InstrumentSpec",
+    "LimitSpec",
+    "RewardSpec",
+    "SafetySpec",
+    "Scenario",
+    "ShelfSpec",
+    "StartSpec",
+    "VesselSpec",
+    "load_scenario",
+    "scenario_names",
+]
+
+SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "dry_heating", "metal_in_water_mol")
+"""Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
+times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
+
+_FROZEN = ConfigDict(frozen=True, extra="forbid")
+
+
+class VesselSpec(BaseModel):
+    """A vessel that stands on the shelf when an episode begins."""
+
+    model_config = _FROZEN
+
+    capacity_l: float = Field(gt=0.0, le=100.0)
+    contents: dict[str, float] = Field(default_factory=dict)
+    """Moles of each material."""
+
+
+class ShelfSpec(BaseModel):
+    """The shared shelf: a number of slots and what stands in the first of them."""
+
+    model_config = _FROZEN
+
+    slots: int = Field(ge=1, le=64)
+    vessel: tuple[VesselSpec, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> ShelfSpec:
+        if len(self.vessel) > self.slots:
+            raise ValueError(f"vessel: {len(self.vessel)} vessels do not fit on {self.slots} slots")
+        return self
+
+
+class Companion(BaseModel):
+    """A further material of a starting state: ``if_goal`` replaces ``material`` where that is the goal itself."""
+
+    model_config = _FROZEN
+
+    material: str
+    mol: float = Field(gt=0.0)
+    probability: float = Field(default=1.0, ge=0.0, le=1.0)
+    if_goal: str
+
+
+class StartSpec(BaseModel):
+    """The paper's fixed starting state of a single-bench episode."""
+
+    model_config = _FROZEN
+
+    capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
+    contents: dict[str, float] = Field(default_factory=dict)
+    goal_mol: float = Field(default=0.0, ge=0.0)
+    companion: Companion | None = None
+
+
+class BenchSpec(BaseModel):
+    """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
+
+    Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    kind: str = Field(min_length=1)
+    """``reaction``, ``extraction``, ``distillation``, or ``package.module:ClassName`` for a bench of your own."""
+    count: int = Field(default=1, ge=1, le=16)
+    step_limit: int = Field(ge=1, le=10_000)
+    start: StartSpec = StartSpec()
+
+
+class InstrumentSpec(BaseModel):
+    """An entry of the characterization bench."""
+
+    model_config = _FROZEN
+
+    kind: str
+    """``uv_vis``, ``layer_camera``, ``balance`` or ``gas_chromatograph``."""
+    price: float = Field(default=0.0, ge=0.0)
+    """Cost of one use, in units of the score."""
+    sample_fraction: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """Fraction of the vessel's contents that one use consumes (it goes to waste)."""
+    noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of Gaussian noise on every value of the (0 to 1) reading."""
+
+
+class LimitSpec(BaseModel):
+    """Outer limits; reaching one truncates the episode."""
+
+    model_config = _FROZEN
+
+    manager_actions: int = Field(ge=1, le=100_000)
+    ticks: int = Field(ge=1, le=1_000_000)
+    budget: float = Field(default=1.0, gt=0.0)
+    """What the manager may spend on measuring, in units of the score; dearer measurements are masked."""
+
+
+class CostSpec(BaseModel):
+    """Prices in units of the score (1 = the theoretical maximum of the product, pure)."""
+
+    model_config = _FROZEN
+
+    stock_per_mol: dict[str, float] = Field(default_factory=dict)
+    waste_per_l: float = Field(default=0.0, ge=0.0)
+    tick: float = Field(default=0.0, ge=0.0)
+    illegal_action: float = Field(default=0.0, ge=0.0)
+
+
+class SafetySpec(BaseModel):
+    """Weights of safety events in ``info["cost"]``, and what a unit of that cost takes off the reward."""
+
+    model_config = _FROZEN
+
+    weights: dict[str, float]
+    reward_price: float = Field(default=0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _known(self) -> SafetySpec:
+        for key, value in self.weights.items():
+            if key not in SAFETY_EVENTS:
+                raise ValueError(f"weights.{key}: unknown safety event; known: {', '.join(SAFETY_EVENTS)}")
+            if value < 0.0:
+                raise ValueError(f"weights.{key} = {value} must be at least 0")
+        return self
+
+
+class RewardSpec(BaseModel):
+    """Each agent's reward = local * own + team * the manager's result."""
+
+    model_config = _FROZEN
+
+    bench_local: float = 1.0
+    bench_team: float = 0.0
+    manager_local: float = 1.0
+    manager_team: float = 0.0
+
+
+class Scenario(BaseModel):
+    """A laboratory as data; see the files under ``scenarios/`` for commented examples.
+
+    ``materials`` and ``family`` are resolved at load: only what can occur in this scenario is kept.
+    """
+
+    model_config = _FROZEN
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    title: str
+    summary: str
+    reactions: str
+    material_files: tuple[str, ...] = ()
+    goals: tuple[str, ...] = Field(min_length=1)
+    """Materials an experiment may be run for, in the order of every one-hot goal."""
+    lab_goals: tuple[str, ...] = Field(min_length=1)
+    """The manager's goal is drawn from these, uniformly, each episode."""
+    theoretical_maximum_mol: dict[str, float]
+    """Most moles of each laboratory goal that stock and shelf allow."""
+    ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
+    ambient_pressure_kpa: float = Field(default=101.325, gt=0.0, le=1000.0)
+    stock: dict[str, float] = Field(default_factory=dict)
+    """Moles in the reagent and solvent bottles, shared by all benches."""
+    shelf: ShelfSpec
+    benches: dict[str, BenchSpec] = Field(min_length=1)
+    instruments: dict[str, InstrumentSpec] = Field(default_factory=dict)
+    limits: LimitSpec
+    costs: CostSpec = CostSpec()
+    safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
+    rewards: RewardSpec = RewardSpec()
+
+    _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
+    _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
+    _origin: str = PrivateAttr(default="(scenario built in code)")
+
+    @property
+    def materials(self) -> dict[str, Material]:
+        """Materials that can occur here, by id, in the order of every amounts array."""
+        return self._materials
+
+    @property
+    def family(self) -> ReactionFamily:
+        """Reactions, salts and violent reactions that can happen here."""
+        return self._family
+
+    @property
+    def origin(self) -> str:
+        """The file this scenario came from, for error messages."""
+        return self._origin
+
+    def bench_agents(self) -> list[str]:
+        """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
+        return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
+
+    def __hash__(self) -> int:
+        return hash((self.name, self._origin))
+
+
+def _scenario_folder() -> Path:
+    try:
+        found = importlib.resources.files("chemlab.scenarios")
+        folder = Path(str(found))
+        if folder.is_dir() and any(folder.glob("*.toml")):
+            return folder
+    except ModuleNotFoundError:
+        pass  # a checkout that is on sys.path but not installed: the files lie beside the package
+    return Path(__file__).resolve().parent.parent / "scenarios"
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios that come with chemlab."""
+    return sorted(path.stem for path in _scenario_folder().glob("*.toml"))
+
+
+def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
+    """(key, material) for every material a scenario file names, in order."""
+    found = [("stock", name) for name in spec.stock]
+    for i, vessel in enumerate(spec.shelf.vessel):
+        found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
+    for key, bench in spec.benches.items():
+        found += [(f"benches.{key}.start.contents", name) for name in bench.start.contents]
+        if bench.start.companion is not None:
+            companion = bench.start.companion
+            found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
+    found += [("goals", name) for name in spec.goals]
+    found += [("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol]
+    return found
+
+
+def _check_amounts(spec: Scenario, where: str) -> None:
+    for key, amounts in [("stock", spec.stock), ("costs.stock_per_mol", spec.costs.stock_per_mol)] + [
+        (f"shelf.vessel.{i}.contents", vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)
+    ] + [(f"benches.{key}.start.contents", bench.start.contents) for key, bench in spec.benches.items()]:
+        for name, amount in amounts.items():
+            if not 0.0 <= amount <= 1e4:
+                raise DataError(f"{where}: {key}.{name}: must be between 0 and 10000, given {amount}")
+    for goal in spec.lab_goals:
+        if goal not in spec.goals:
+            raise DataError(f"{where}: lab_goals: {goal!r} is not one of goals ({', '.join(spec.goals)})")
+        if spec.theoretical_maximum_mol.get(goal, 0.0) <= 0.0:
+            raise DataError(f"{where}: theoretical_maximum_mol.{goal}: must be given and above 0")
+    if len(set(spec.goals)) != len(spec.goals):
+        raise DataError(f"{where}: goals: a goal is listed twice")
+
+
+def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], ReactionFamily]:
+    """Close ``present`` under the family's reactions; drop what can never happen here."""
+    order = list(dict.fromkeys(present))
+    while True:
+        known = set(order)
+        new: list[str] = []
+        for step in (*family.reaction, *family.violent):
+            if set(step.reactants) <= known:
+                new += [name for name in step.products if name not in known]
+        for salt in family.salt:
+            if salt.solid in known or {salt.cation, salt.anion} <= known:
+                new += [name for name in (salt.solid, salt.cation, salt.anion) if name not in known]
+        if not new:
+            break
+        order += list(dict.fromkeys(new))
+    kept = ReactionFamily(
+        name=family.name,
+        summary=family.summary,
+        reaction=tuple(step for step in family.reaction if set(step.reactants) <= known),
+        salt=tuple(salt for salt in family.salt if salt.solid in known),
+        violent=tuple(step for step in family.violent if set(step.reactants) <= known),
+    )
+    return order, kept
+
+
+def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
+    """Load and check a scenario.
+
+    Args:
+        scenario: a shipped name (see :func:`scenario_names`), a path to a TOML file, the parsed content
+            of one as a mapping, or a loaded scenario (returned as it is).
+
+    Raises:
+        DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
+            message names the file, the key, the value and the bound.
+    """
+    if isinstance(scenario, Scenario):
+        return scenario
+    if isinstance(scenario, Mapping):
+        return _resolve(dict(scenario), "(scenario given as a mapping)", Path.cwd())
+    if isinstance(scenario, str) and scenario in scenario_names():
+        return _load_file(_scenario_folder() / f"{scenario}.toml")
+    path = Path(scenario)
+    if path.suffix != ".toml":
+        raise DataError(
+            f"scenario: unknown name {str(scenario)!r}; shipped: {', '.join(scenario_names())}; "
+            "or give a path to a .toml file"
+        )
+    return _resolve(read_toml(path), str(path), path.parent)
+
+
+@functools.lru_cache(maxsize=32)
+def _load_file(path: Path) -> Scenario:
+    return _resolve(read_toml(path), str(path), path.parent)
+
+
+def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
+    spec: Scenario = validated(Scenario, values, where)
+    known = dict(shipped_materials())
+    for name, material in load_materials([folder / file for file in spec.material_files]).items():
+        if name in known:
+            raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
+        known[name] = material
+    family = load_reactions(spec.reactions, known, folder)
+    for key, name in _mentioned(spec):
+        if name not in known:
+            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
+    _check_amounts(spec, where)
+    order, kept = _reachable(family, [name for key, name in _mentioned(spec) if key != "costs.stock_per_mol"])
+    spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
+    spec._family = kept
+    spec._origin = where
+    return spec
