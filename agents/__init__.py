@@ -1,0 +1,1 @@
+"""Agents for chemlab: scripted policies for every role, and what is needed to run and evaluate policies."""

@@ -1,0 +1,1 @@
+"""Scripted policies: what an undergraduate chemist would do, from observations, masks and the public scenario alone."""

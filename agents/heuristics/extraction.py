@@ -1,0 +1,106 @@
+"""Scripted policy of the extraction bench: decant off metal, or wash, settle, drain, repeat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.bench.base import CAMERA_PIXELS, MaskArray, ObservationArray
+from chemlab.bench.extraction import ExtractionBench
+from chemlab.shelf import IntArray
+
+__all__ = ["ExtractionHeuristic"]
+
+_WASHES = 3
+_WASH_L = 0.1
+_SAME = 1e-3
+"""Grey values closer than this are the same material."""
+
+DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
+
+
+class ExtractionHeuristic:
+    """If metal lies at the bottom, drains the solids off and ends: water must not meet it, and it now stands in B1. Else
+    washes with the first solvent: add, mix, settle, drain the lower layer into B1, three times.
+
+    Args:
+        bench: the bench it is for.
+    """
+
+    def __init__(self, bench: ExtractionBench) -> None:
+        materials = bench.scenario.materials
+        violent = {name for step in bench.scenario.family.violent for name in step.reactants}
+        self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent]
+        self._solids = [m.shade for m in materials.values() if m.role == "solid"]
+        processes = bench.options.process
+        first = next(i for i, process in enumerate(processes) if process.kind == "add")
+        self._wash_shade = materials[processes[first].material].shade
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+        drain = next(i for i, p in enumerate(processes) if p.kind == "drain" and (p.vessel, p.target) == ("EV", "B1"))
+        mix = next(i for i, process in enumerate(processes) if process.kind == "mix")
+        settle = next(i for i, process in enumerate(processes) if process.kind == "settle")
+        # (magnitude, action), largest first: what fits of it is taken.
+        self._drains = sorted(
+            ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
+        )
+        litres = processes[first].magnitudes
+        self._add = int(starts[first]) + int(np.argmin([abs(m - _WASH_L) for m in litres]))
+        self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
+        self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
+        self._end = bench.end_action
+        self._phase: dict[int, int] = {}
+        self._washes: dict[int, int] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policy.Policy`."""
+        assert mask is not None, "the extraction bench has discrete actions"
+        return np.array(
+            [self._decide(o[:CAMERA_PIXELS], m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
+            dtype=np.int64,
+        )
+
+    def _pixels(self, picture: ObservationArray, shades: list[float]) -> int:
+        """How many pixels show one of the materials."""
+        return sum(int((np.abs(picture - shade) < _SAME).sum()) for shade in shades)
+
+    def _drain(self, pixels: int) -> int:
+        percent = 100.0 * pixels / CAMERA_PIXELS
+        return next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), self._drains[-1][1])
+
+    def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        if step == 0:
+            self._phase[member] = DECANT if self._pixels(picture, self._metals) else ADD
+            self._washes[member] = 0
+        phase = self._phase[member]
+        if phase == DECANT:
+            solid = self._pixels(picture, self._solids)
+            if solid:
+                return self._drain(solid)
+            # What is less than a pixel may hide: one pixel of liquid more takes it along.
+            self._phase[member] = DONE
+            return self._drains[-1][1]
+        if phase == ADD and (self._washes[member] >= _WASHES or not mask[self._add]):
+            phase = DONE
+        if phase == ADD:
+            self._phase[member] = MIX
+            return self._add
+        if phase == MIX:
+            self._phase[member] = SETTLE
+            return self._mix
+        if phase == SETTLE:
+            self._phase[member] = DRAIN
+            return self._settle
+        if phase == DRAIN:
+            lower = self._pixels(picture, [self._wash_shade])
+            if lower:
+                return self._drain(lower)
+            self._phase[member] = ADD
+            self._washes[member] += 1
+            return self._decide(picture, mask, step, member)
+        return self._end
+
+

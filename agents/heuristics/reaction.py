@@ -1,0 +1,65 @@
+"""Scripted policy of the reaction bench: warm up, add what the goal needs and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.bench.base import MaskArray, ObservationArray, channel_slices
+from chemlab.bench.reaction import ReactionBench
+from chemlab.shelf import IntArray
+
+__all__ = ["ReactionHeuristic"]
+
+_SAFE_PRESSURE = 0.68
+"""Of the gauge (the valve opens at 0.8): above this the piston moves out."""
+_HOLD_BACK = 0.4
+"""Share of the experiment for which one reagent of an unwanted side reaction is held back."""
+
+
+class ReactionHeuristic:
+    """Adds at once all of every reagent on the way to the goal, hot, and in excess where one is (sodium).
+
+    Where the goal's own reagents would also make a penalized by-product, one of them waits until the others have
+    become intermediates (goal I of the fictitious reactions: C waits).
+
+    Args:
+        bench: the bench it is for.
+    """
+
+    def __init__(self, bench: ReactionBench) -> None:
+        self._slices = channel_slices(bench.channels)
+        reagents = bench.reagent_names
+        family = bench.scenario.family
+        penalized = set(bench.options.penalty)
+        self._need = np.zeros((len(bench.goals.names), len(reagents)))
+        self._late = np.zeros_like(self._need, dtype=bool)
+        self._hold_until = round(_HOLD_BACK * bench.spec.step_limit)
+        for g, goal in enumerate(bench.goals.names):
+            wanted, seen = {goal}, set[str]()
+            while wanted - seen:
+                name = (wanted - seen).pop()
+                seen.add(name)
+                for step in family.reaction:
+                    if name in step.products:
+                        wanted |= set(step.reactants)
+            self._need[g] = [name in wanted for name in reagents]
+            for step in family.reaction:
+                side = set(step.products) & (penalized - {goal})
+                culprits = [i for i, name in enumerate(reagents) if name in step.reactants and self._need[g, i]]
+                if side and len(culprits) == len(step.reactants):
+                    self._late[g, culprits[-1]] = True
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policy.Policy`."""
+        goal = observation[:, self._slices["goal"]].argmax(axis=1)
+        pressure = observation[:, self._slices["pressure"]][:, 0]
+        adding = np.where(self._late[goal] & (step < self._hold_until)[:, None], 0.0, self._need[goal])
+        close = pressure > _SAFE_PRESSURE
+        warm = np.where(close, 0.5, 1.0)
+        piston = np.where(close, 1.0, 0.5)
+        return np.column_stack((warm, piston, adding))

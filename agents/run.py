@@ -1,0 +1,117 @@
+"""Play episodes of a laboratory with one policy per agent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.manager import COST_ITEMS
+from chemlab.scenario import SAFETY_EVENTS
+
+from .policy import Policy
+
+__all__ = ["EpisodeResult", "Turn", "play_episode"]
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One agent's turn, as it has just been played."""
+
+    agent: str
+    step: int
+    action: Any
+    meaning: str
+    reward: float
+    info: Mapping[str, Any]
+
+
+@dataclass
+class EpisodeResult:
+    """What an episode came to; :meth:`as_dict` is what ``chemlab run --json`` prints.
+
+    ``score`` is the manager's result: product by amount and purity, minus costs.
+    """
+
+    scenario: str
+    policy: str
+    seed: int
+    goal: str = ""
+    submitted_mol: float = 0.0
+    purity: float = 0.0
+    score: float = 0.0
+    manager_actions: int = 0
+    ticks: int = 0
+    rewards: dict[str, float] = field(default_factory=dict)
+    costs: dict[str, float] = field(default_factory=dict)
+    safety_events: dict[str, float] = field(default_factory=dict)
+    terminated: bool = False
+    truncated: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as plain Python values."""
+        return dict(vars(self))
+
+
+def _describe(env: raw_env, agent: int, action: Any) -> str:
+    labs = env.laboratories
+    if agent == 0:
+        return labs.actions.action_meanings[int(action)]
+    bench = labs.benches[agent - 1]
+    if np.ndim(action) == 0:
+        return bench.action_meanings[int(action)]
+    return ", ".join(f"{value:.2f}" for value in action)
+
+
+def play_episode(
+    env: raw_env,
+    policies: Mapping[str, Policy],
+    seed: int,
+    policy_name: str = "",
+    watch: Callable[[Turn], None] | None = None,
+    options: dict[str, Any] | None = None,
+) -> EpisodeResult:
+    """Play one episode.
+
+    Args:
+        env: the laboratory, without wrappers.
+        policies: a policy for every agent.
+        seed: the episode's seed.
+        policy_name: what to call the policies in the result.
+        watch: called after every turn.
+        options: passed to ``env.reset``.
+
+    Returns:
+        The episode's result.
+    """
+    env.reset(seed=seed, options=options)
+    labs, members = env.laboratories, env.laboratories.members
+    result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
+    result.goal = env.scenario.goals[labs.desk.goal[0]]
+    while labs.desk.status[0] == 0:
+        agent = env.agent_selection
+        number = env.possible_agents.index(agent)
+        observation, _, _, _, info = env.last()
+        assert observation is not None
+        mask = info.get("action_mask")
+        step = int(labs.desk.actions[0] if number == 0 else labs.stations[number - 1].steps[0])
+        action = policies[agent].act(
+            observation[None], None if mask is None else mask[None], np.array([step]), members
+        )[0]
+        env.step(action)
+        for name, reward in env.rewards.items():
+            result.rewards[name] += reward
+        if watch is not None:
+            watch(Turn(agent, step, action, _describe(env, number, action), env.rewards[agent], env.infos[agent]))
+    result.submitted_mol, result.purity = (float(value) for value in labs.desk.submitted[0])
+    result.score = float(labs.result(members)[0])
+    result.manager_actions, result.ticks = int(labs.desk.actions[0]), int(labs.desk.ticks[0])
+    result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.desk.charges[0], strict=True)}
+    totals = zip(SAFETY_EVENTS, labs.safety_totals[0], strict=True)
+    result.safety_events = {kind: float(value) for kind, value in totals if value > 0.0}
+    result.terminated = bool(env.terminations[env.possible_agents[0]])
+    result.truncated = bool(env.truncations[env.possible_agents[0]])
+    return result
