@@ -26,8 +26,8 @@ class Policy(Protocol):
         Args:
             observation: [B, size].
             mask: [B, actions] legal actions, or None where actions are continuous.
-            step: [B] how many turns the agent has had in this experiment (the manager: in this episode). At 0 a policy with
-                a memory forgets.
+            step: [B] how many turns the agent has had in this experiment (the manager: in this episode). At 0 a
+                policy with a memory forgets.
             members: [B] which member of the batch each row is, for policies with a memory.
 
         Returns:
@@ -107,7 +107,9 @@ def bench_heuristic(bench: Bench) -> Policy:
         "distillation": DistillationHeuristic,
     }
     if bench.spec.kind not in known:
-        raise ValueError(f"bench {bench.key!r}: no scripted policy for kind {bench.spec.kind!r}; known: {', '.join(known)}")
+        raise ValueError(
+            f"bench {bench.key!r}: no scripted policy for kind {bench.spec.kind!r}; known: {', '.join(known)}"
+        )
     policy: Policy = known[bench.spec.kind](bench)
     return policy
 
@@ -117,5 +119,3 @@ def manager_heuristic(scenario: Scenario, laboratories: Laboratories) -> Policy:
     from .heuristics.manager import ManagerHeuristic
 
     return ManagerHeuristic(scenario, laboratories.channels, laboratories.actions, laboratories.instruments)
-
-

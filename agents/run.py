@@ -22,6 +22,7 @@ class Turn:
     """One agent's turn, as it has just been played."""
 
     agent: str
+    tick: int
     step: int
     action: Any
     meaning: str
@@ -97,6 +98,7 @@ def play_episode(
         observation, _, _, _, info = env.last()
         assert observation is not None
         mask = info.get("action_mask")
+        tick = int(labs.desk.ticks[0])
         step = int(labs.desk.actions[0] if number == 0 else labs.stations[number - 1].steps[0])
         action = policies[agent].act(
             observation[None], None if mask is None else mask[None], np.array([step]), members
@@ -105,7 +107,7 @@ def play_episode(
         for name, reward in env.rewards.items():
             result.rewards[name] += reward
         if watch is not None:
-            watch(Turn(agent, step, action, _describe(env, number, action), env.rewards[agent], env.infos[agent]))
+            watch(Turn(agent, tick, step, action, _describe(env, number, action), env.rewards[agent], env.infos[agent]))
     result.submitted_mol, result.purity = (float(value) for value in labs.desk.submitted[0])
     result.score = float(labs.result(members)[0])
     result.manager_actions, result.ticks = int(labs.desk.actions[0]), int(labs.desk.ticks[0])

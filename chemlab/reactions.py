@@ -20,24 +20,33 @@ _BALANCE_TOLERANCE = 1e-9
 _FROZEN = ConfigDict(frozen=True, extra="forbid")
 
 
-class Reaction(BaseModel):
-    """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit."""
+class _Balanced(BaseModel):
+    """What every kind of reaction has."""
 
     model_config = _FROZEN
 
     reactants: dict[str, float]
     products: dict[str, float]
+    source: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _has_both_sides(self) -> _Balanced:
+        for side, counts in (("reactants", self.reactants), ("products", self.products)):
+            if not counts or min(counts.values()) <= 0.0:
+                raise ValueError(f"{side} must give a positive coefficient for at least one material")
+        return self
+
+
+class Reaction(_Balanced):
+    """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit."""
+
     orders: dict[str, float] = Field(default_factory=dict)
     """Order in each reactant; empty means the reactant's own coefficient (mass action)."""
     pre_exponential: float = Field(gt=0.0)
     activation_energy_j_mol: float = Field(ge=0.0, le=500_000.0)
-    source: str = Field(min_length=1)
 
     @model_validator(mode="after")
     def _sound(self) -> Reaction:
-        for side, counts in (("reactants", self.reactants), ("products", self.products)):
-            if not counts or min(counts.values()) <= 0.0:
-                raise ValueError(f"{side} must give a positive coefficient for at least one material")
         for key, order in self.orders.items():
             if key not in self.reactants:
                 raise ValueError(f"orders.{key}: not a reactant of this reaction")
@@ -61,14 +70,8 @@ class Salt(BaseModel):
     source: str = Field(min_length=1)
 
 
-class Violent(BaseModel):
+class Violent(_Balanced):
     """A reaction that goes to completion the moment its reactants meet; running it is a safety event."""
-
-    model_config = _FROZEN
-
-    reactants: dict[str, float]
-    products: dict[str, float]
-    source: str = Field(min_length=1)
 
 
 class ReactionFamily(BaseModel):
@@ -112,7 +115,9 @@ def load_reactions(name: str, materials: Mapping[str, Material], folder: Path | 
     elif name.endswith(".toml"):
         path = Path(name) if folder is None else folder / name
     else:
-        raise DataError(f"reactions: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file")
+        raise DataError(
+            f"reactions: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
+        )
     family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
     unknown = sorted(family.materials() - set(materials))
     if unknown:
@@ -125,7 +130,9 @@ def load_reactions(name: str, materials: Mapping[str, Material], folder: Path | 
         for element in sorted(set(before) | set(after)):
             left, right = before.get(element, 0.0), after.get(element, 0.0)
             if abs(left - right) > _BALANCE_TOLERANCE * max(1.0, abs(left)):
-                raise DataError(f"{path}: {where}: not balanced: {element} {left:g} on the left, {right:g} on the right")
+                raise DataError(
+                    f"{path}: {where}: not balanced: {element} {left:g} on the left, {right:g} on the right"
+                )
     anions = [salt.anion for salt in family.salt]
     if len(set(anions)) != len(anions):
         # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.

@@ -259,9 +259,11 @@ def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
 
 
 def _check_amounts(spec: Scenario, where: str) -> None:
-    for key, amounts in [("stock", spec.stock), ("costs.stock_per_mol", spec.costs.stock_per_mol)] + [
-        (f"shelf.vessel.{i}.contents", vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)
-    ] + [(f"benches.{key}.start.contents", bench.start.contents) for key, bench in spec.benches.items()]:
+    for key, amounts in (
+        [("stock", spec.stock), ("costs.stock_per_mol", spec.costs.stock_per_mol)]
+        + [(f"shelf.vessel.{i}.contents", vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)]
+        + [(f"benches.{key}.start.contents", bench.start.contents) for key, bench in spec.benches.items()]
+    ):
         for name, amount in amounts.items():
             if not 0.0 <= amount <= 1e4:
                 raise DataError(f"{where}: {key}.{name}: must be between 0 and 10000, given {amount}")

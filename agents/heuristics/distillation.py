@@ -121,6 +121,8 @@ class DistillationHeuristic:
                 return self._swap
             phase = COLLECT
         if phase == COLLECT and kelvin < self._boils_at[goal] + 1.0:
-            return self._heat(max(_CAUTION * _KJ_PER_L * (litres - 0.02), _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin)))
+            return self._heat(
+                max(_CAUTION * _KJ_PER_L * (litres - 0.02), _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
+            )
         self._phase[member] = DONE
         return self._end

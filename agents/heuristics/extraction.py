@@ -13,8 +13,8 @@ from chemlab.shelf import IntArray
 
 __all__ = ["ExtractionHeuristic"]
 
-_WASHES = 3
-_WASH_L = 0.1
+_WASHES = 4
+_WASH_L = 0.05
 _SAME = 1e-3
 """Grey values closer than this are the same material."""
 
@@ -22,8 +22,10 @@ DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
 
 class ExtractionHeuristic:
-    """If metal lies at the bottom, drains the solids off and ends: water must not meet it, and it now stands in B1. Else
-    washes with the first solvent: add, mix, settle, drain the lower layer into B1, three times.
+    """If metal lies at the bottom, drains the solids off and ends: water must not meet it, and it now stands in B1.
+    Else
+    washes with the first solvent: add, mix, settle, drain the lower layer into B1, several times: little and often
+    takes out more than much at once.
 
     Args:
         bench: the bench it is for.
@@ -59,7 +61,10 @@ class ExtractionHeuristic:
         """See :class:`chemlab.agents.policy.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
         return np.array(
-            [self._decide(o[:CAMERA_PIXELS], m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
+            [
+                self._decide(o[:CAMERA_PIXELS], m, int(s), int(i))
+                for o, m, s, i in zip(observation, mask, step, members, strict=True)
+            ],
             dtype=np.int64,
         )
 
@@ -102,5 +107,3 @@ class ExtractionHeuristic:
             self._washes[member] += 1
             return self._decide(picture, mask, step, member)
         return self._end
-
-

@@ -34,7 +34,8 @@ class _Notes:
 
 
 class ManagerHeuristic:
-    """React; decant the leftover metal and throw it away; wash; distil; weigh and analyse what comes out; submit the best.
+    """React; decant the leftover metal and throw it away; wash; distil; weigh and analyse what comes out; submit the
+    best.
 
     Uses only the benches the scenario has. It knows the recipe and the public scenario, and of the vessels what
     the manager observes: where they were last, how full they are, and readings once it has paid for them.
@@ -125,15 +126,24 @@ class ManagerHeuristic:
         notes.stage += 1
         notes.running = bench
         notes.distillations += bench == self._dit
-        notes.measured.clear()
+        self._forget_readings(notes)
         return action
+
+    @staticmethod
+    def _forget_readings(notes: _Notes) -> None:
+        """The vessel goes to a bench and will come back as another; readings of the others stay good."""
+        notes.measured = {(slot, instrument) for slot, instrument in notes.measured if slot != notes.slot}
 
     def _fallback(self, notes: _Notes, mask: MaskArray) -> int:
         """Make room by discarding what is not being worked on; without any, submit what there is."""
         for slot in reversed(range(self._actions.slots)):
             if slot != notes.slot and mask[self._actions.encode("discard", slot)]:
                 return self._actions.encode("discard", slot)
-        return self._actions.encode("submit", notes.slot) if mask[self._actions.encode("submit", notes.slot)] else int(mask.argmax())
+        return (
+            self._actions.encode("submit", notes.slot)
+            if mask[self._actions.encode("submit", notes.slot)]
+            else int(mask.argmax())
+        )
 
     def _finish(self, observation: ObservationArray, mask: MaskArray, notes: _Notes, goal: str) -> int:
         last = self._dit or self._ext or self._rxn
@@ -142,7 +152,7 @@ class ManagerHeuristic:
             return self._fallback(notes, mask)
         for slot in candidates:
             for instrument in (self._gc, self._balance):
-                if instrument is None or len(candidates) == 1 and notes.distillations >= _MOST_DISTILLATIONS:
+                if instrument is None or (len(candidates) == 1 and notes.distillations >= _MOST_DISTILLATIONS):
                     continue
                 action = self._actions.encode("measure", slot, instrument)
                 if (slot, instrument) not in notes.measured and mask[action]:
@@ -156,7 +166,7 @@ class ManagerHeuristic:
             if mask[again]:
                 notes.slot, notes.running = slot, self._dit
                 notes.distillations += 1
-                notes.measured.clear()
+                self._forget_readings(notes)
                 return again
         return self._actions.encode("submit", slot)
 
@@ -165,7 +175,9 @@ class ManagerHeuristic:
         if self._gc is None:
             return self._value(observation, f"slot_{slot}_fill"), 1.0
         fractions = observation[self._slices[f"slot_{slot}_{self._gc}"]].astype(np.float64)
-        residue = self._scenario.materials[goal if goal in self._salts else next(iter(self._salts), goal)].molar_mass_g_mol
+        residue = self._scenario.materials[
+            goal if goal in self._salts else next(iter(self._salts), goal)
+        ].molar_mass_g_mol
         gram_per_mol = float(fractions[:-1] @ self._molar_mass + fractions[-1] * residue)
         if self._balance is None:
             grams = 1000.0 * self._value(observation, f"slot_{slot}_fill")

@@ -116,11 +116,12 @@ class Goals:
 
 @kernel
 def goal_amount(row: FloatArray, part: IntArray) -> float:
-    """mol of the goal in a vessel; of a salt, dissolved pairs of ions count as salt. ``part`` is a row of Goals.parts."""
+    """mol of the goal in a vessel; of a salt, dissolved pairs of ions count as salt. ``part`` is a row of
+    Goals.parts."""
     amount = row[AMOUNTS + part[0]]
     if part[1] >= 0:
         amount += min(row[AMOUNTS + part[1]], row[AMOUNTS + part[2]])
-    return amount
+    return float(amount)
 
 
 @kernel
@@ -134,7 +135,13 @@ def weighted_amount(row: FloatArray, weights: FloatArray) -> float:
 
 @kernel
 def _purity_scores(
-    members: IntArray, places: IntArray, goal: IntArray, rows: FloatArray, parts: IntArray, counts: FloatArray, out: FloatArray
+    members: IntArray,
+    places: IntArray,
+    goal: IntArray,
+    rows: FloatArray,
+    parts: IntArray,
+    counts: FloatArray,
+    out: FloatArray,
 ) -> None:
     for b in range(members.shape[0]):
         m = members[b]
@@ -147,7 +154,15 @@ def _purity_scores(
 
 
 @kernel
-def _provide(members: IntArray, places: IntArray, rows: FloatArray, chem: Chemistry, capacity: float, waste: FloatArray, events: FloatArray) -> None:
+def _provide(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    chem: Chemistry,
+    capacity: float,
+    waste: FloatArray,
+    events: FloatArray,
+) -> None:
     """Clean vessels for every position but the first, and the first one brought to its phase equilibrium."""
     work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
@@ -246,6 +261,8 @@ class Bench(ABC):
     """Pydantic model of the scenario keys that are this bench's own."""
     positions: ClassVar[tuple[str, ...]] = ("main",)
     """Names of the vessels it works on, the one that is brought first."""
+    score_meaning: ClassVar[str] = "score"
+    """What an experiment's score is, for people."""
     camera: ClassVar[bool] = False
     """Whether it looks at its vessels with a layer camera."""
     reagents: int = 0
@@ -301,7 +318,7 @@ class Bench(ABC):
         self.prepare(shelf, station, members)
         station.baseline[members] = self.measure(shelf, station, members)
 
-    def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
+    def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:  # noqa: B027 - may stay empty
         """Bench-specific part of :meth:`begin`."""
 
     def finish(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
@@ -311,7 +328,7 @@ class Bench(ABC):
         self.release(shelf, station, members)
         return score
 
-    def release(self, shelf: Shelf, station: Station, members: IntArray) -> None:
+    def release(self, shelf: Shelf, station: Station, members: IntArray) -> None:  # noqa: B027 - may stay empty
         """Bench-specific part of :meth:`finish`: leave the vessels as the shelf may have them."""
 
     @abstractmethod

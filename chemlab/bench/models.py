@@ -37,12 +37,14 @@ class SeparationModel(Protocol):
     def profile(self, volume_l: FloatArray, density_kg_l: FloatArray, clock: float, pixels: int) -> FloatArray:
         """Share [C, pixels] of each layer in each pixel, bottom first.
 
-        ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they lie lowest), the fluid layers,
-        densest first, and air. Each pixel's shares add up to 1, each layer's pixels to its share of the volume.
+        ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they lie lowest), the fluid
+        layers, densest first, and air. Each pixel's shares add up to 1, each layer's pixels to its share of the volume.
         """
 
 
-def checked_reaction(model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float) -> FloatArray:
+def checked_reaction(
+    model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float
+) -> FloatArray:
     """Call a user's reaction model and refuse a result that is no amounts array.
 
     Raises:

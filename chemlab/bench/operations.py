@@ -36,7 +36,7 @@ from ..shelf import (
 from .base import CAMERA_PIXELS, Bench, BoolArray, Channel, MaskArray, ObservationArray, Station, check_discrete
 from .models import SeparationModel
 
-__all__ = ["OperationBench", "OperationOptions", "Process"]
+__all__ = ["OperationBench", "OperationOptions", "Process", "separate"]
 
 DRAIN, MIX, POUR, ADD, SETTLE, HEAT, END = range(7)
 _KINDS = {"drain": DRAIN, "mix": MIX, "pour": POUR, "add": ADD, "settle": SETTLE, "heat": HEAT}
@@ -57,7 +57,8 @@ class Process(BaseModel):
     material: str | None = None
     """What ``add`` adds, from stock."""
     magnitudes: tuple[float, ...] = Field(min_length=1)
-    """drain: percent of the vessel's height; mix, settle: settling clock; pour: fraction; add: L; heat: kJ (< 0 cools)."""
+    """drain: percent of the vessel's height; mix, settle: settling clock; pour: fraction; add: L; heat: kJ (< 0
+    cools)."""
 
 
 class OperationOptions(BaseModel):
@@ -75,17 +76,33 @@ class OperationOptions(BaseModel):
 
 
 @kernel
-def _legal(table: FloatArray, action: int, m: int, places: IntArray, rows: FloatArray, stock: FloatArray, chem: Chemistry) -> bool:
+def _legal(
+    table: FloatArray, action: int, m: int, places: IntArray, rows: FloatArray, stock: FloatArray, chem: Chemistry
+) -> bool:
     kind = int(table[action, 0])
     if kind == ADD:
-        return stock[m, int(table[action, 3])] > TRACE_MOL
-    if kind == SETTLE or kind == HEAT or kind == END:
+        return bool(stock[m, int(table[action, 3])] > TRACE_MOL)
+    if kind in (SETTLE, HEAT, END):
         return True
     return volume(rows[places[m, int(table[action, 1])]], chem) > 0.0
 
 
 @kernel
-def _operate(table: FloatArray, action: int, m: int, knobs: FloatArray, places: IntArray, rows: FloatArray, stock: FloatArray, waste: FloatArray, events: FloatArray, layers: IntArray, profiles: FloatArray, chem: Chemistry, share: FloatArray) -> None:
+def _operate(
+    table: FloatArray,
+    action: int,
+    m: int,
+    knobs: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    layers: IntArray,
+    profiles: FloatArray,
+    chem: Chemistry,
+    share: FloatArray,
+) -> None:
     """Carry out one operation on amounts, temperatures and clocks. knobs: hottest, coolest, settling per step."""
     kind, magnitude = int(table[action, 0]), table[action, 4]
     p, t = int(table[action, 1]), int(table[action, 2])
@@ -111,7 +128,24 @@ def _operate(table: FloatArray, action: int, m: int, knobs: FloatArray, places: 
 
 
 @kernel
-def _operations(members: IntArray, actions: IntArray, table: FloatArray, knobs: FloatArray, places: IntArray, rows: FloatArray, stock: FloatArray, waste: FloatArray, events: FloatArray, layers: IntArray, profiles: FloatArray, steps: IntArray, ended: BoolArray, illegal: BoolArray, limit: int, chem: Chemistry) -> None:
+def _operations(
+    members: IntArray,
+    actions: IntArray,
+    table: FloatArray,
+    knobs: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    layers: IntArray,
+    profiles: FloatArray,
+    steps: IntArray,
+    ended: BoolArray,
+    illegal: BoolArray,
+    limit: int,
+    chem: Chemistry,
+) -> None:
     share = np.empty(max(profiles.shape[2], chem.solvents.shape[0] + 1))
     for b in range(members.shape[0]):
         m = members[b]
@@ -127,7 +161,9 @@ def _operations(members: IntArray, actions: IntArray, table: FloatArray, knobs: 
 
 
 @kernel
-def _separate(members: IntArray, places: IntArray, rows: FloatArray, layers: IntArray, profiles: FloatArray, chem: Chemistry) -> None:
+def separate(
+    members: IntArray, places: IntArray, rows: FloatArray, layers: IntArray, profiles: FloatArray, chem: Chemistry
+) -> None:
     """Bring dissolved amounts and layer profiles up to date."""
     columns = profiles.shape[2]
     work = np.empty((columns + 7, columns + 1))
@@ -141,7 +177,16 @@ def _separate(members: IntArray, places: IntArray, rows: FloatArray, layers: Int
 
 
 @kernel
-def _look(members: IntArray, places: IntArray, rows: FloatArray, layers: IntArray, profiles: FloatArray, stream: StreamArray, image: FloatArray, chem: Chemistry) -> None:
+def _look(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    layers: IntArray,
+    profiles: FloatArray,
+    stream: StreamArray,
+    image: FloatArray,
+    chem: Chemistry,
+) -> None:
     for b in range(members.shape[0]):
         m = members[b]
         for p in range(places.shape[1]):
@@ -149,7 +194,17 @@ def _look(members: IntArray, places: IntArray, rows: FloatArray, layers: IntArra
 
 
 @kernel
-def _observe(members: IntArray, places: IntArray, rows: FloatArray, busy: BoolArray, goal: IntArray, image: FloatArray, gauges: FloatArray, chem: Chemistry, out: ObservationArray) -> None:
+def _observe(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    busy: BoolArray,
+    goal: IntArray,
+    image: FloatArray,
+    gauges: FloatArray,
+    chem: Chemistry,
+    out: ObservationArray,
+) -> None:
     """gauges: [3, 2] low and high of T (K), V (L), P (kPa); empty where the bench shows none."""
     positions, pixels = image.shape[1], image.shape[2]
     for b in range(members.shape[0]):
@@ -177,7 +232,16 @@ def _observe(members: IntArray, places: IntArray, rows: FloatArray, busy: BoolAr
 
 
 @kernel
-def _mask(members: IntArray, table: FloatArray, places: IntArray, rows: FloatArray, busy: BoolArray, stock: FloatArray, chem: Chemistry, out: MaskArray) -> None:
+def _mask(
+    members: IntArray,
+    table: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    busy: BoolArray,
+    stock: FloatArray,
+    chem: Chemistry,
+    out: MaskArray,
+) -> None:
     for b in range(members.shape[0]):
         m = members[b]
         for a in range(table.shape[0]):
@@ -206,7 +270,8 @@ class OperationBench(Bench):
         self._knobs = np.array([options.hottest_k, options.coolest_k, options.settle_per_step])
         self.gauges = self._gauges()
         shown = tuple(
-            Channel(f"layers_{name}", CAMERA_PIXELS, "grey", 0.0, 1.0, f"layers of {name}, bottom first") for name in self.positions
+            Channel(f"layers_{name}", CAMERA_PIXELS, "grey", 0.0, 1.0, f"layers of {name}, bottom first")
+            for name in self.positions
         )
         names = (("temperature", "K"), ("volume", "L"), ("pressure", "kPa")) if len(self.gauges) else ()
         gauges = tuple(
@@ -225,7 +290,9 @@ class OperationBench(Bench):
         for i, process in enumerate(processes):
             where = f"{self.scenario.origin}: benches.{self.key}.process.{i}"
             if process.kind not in self.process_kinds:
-                raise DataError(f"{where}: kind: this bench can {', '.join(self.process_kinds)}, given {process.kind!r}")
+                raise DataError(
+                    f"{where}: kind: this bench can {', '.join(self.process_kinds)}, given {process.kind!r}"
+                )
             for position in (process.vessel, process.target):
                 if position is not None and position not in self.positions:
                     raise DataError(f"{where}: unknown vessel {position!r}; this bench has {', '.join(self.positions)}")
@@ -270,15 +337,29 @@ class OperationBench(Bench):
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         s = station
         _operations(
-            members, actions, self.table, self._knobs, s.places, shelf.rows, shelf.stock, shelf.waste, s.events,
-            s.layers, s.profile, s.steps, s.ended, s.illegal, self.spec.step_limit, self.chemistry,
-        )  # fmt: skip
+            members,
+            actions,
+            self.table,
+            self._knobs,
+            s.places,
+            shelf.rows,
+            shelf.stock,
+            shelf.waste,
+            s.events,
+            s.layers,
+            s.profile,
+            s.steps,
+            s.ended,
+            s.illegal,
+            self.spec.step_limit,
+            self.chemistry,
+        )
         self._show(shelf, station, members)
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         s = station
         if self.separation_model is None:
-            _separate(members, s.places, shelf.rows, s.layers, s.profile, self.chemistry)
+            separate(members, s.places, shelf.rows, s.layers, s.profile, self.chemistry)
         else:
             for m in members:
                 for p in range(s.places.shape[1]):
@@ -298,8 +379,10 @@ class OperationBench(Bench):
             result = model.partition(dissolved.copy(), total, solvent_volume, float(row[CLOCK_WAS]), float(row[CLOCK]))
             result = np.asarray(result, dtype=np.float64)
             if result.shape != dissolved.shape or not np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9):
-                raise ValueError(f"separation model {model!r}: dissolved amounts must be [K, L] = {dissolved.shape} "
-                                 f"and add up to the totals {total!r}, given {result!r}")  # fmt: skip
+                raise ValueError(
+                    f"separation model {model!r}: dissolved amounts must be [K, L] = {dissolved.shape} "
+                    f"and add up to the totals {total!r}, given {result!r}"
+                )
             dissolved[...] = np.maximum(result, 0.0)
         row[CLOCK_WAS] = row[CLOCK]
         volumes = np.zeros(shares.shape[0])
@@ -308,8 +391,10 @@ class OperationBench(Bench):
         picture = np.asarray(model.profile(volumes[:count], density, float(row[CLOCK]), shares.shape[1]))
         expected = volumes[:count] / volumes[:count].sum() * shares.shape[1]
         if picture.shape != (count, shares.shape[1]) or not np.allclose(picture.sum(axis=1), expected, atol=1e-6):
-            raise ValueError(f"separation model {model!r}: a profile must be {(count, shares.shape[1])} and conserve the "
-                             f"layers' volumes, given {picture!r}")  # fmt: skip
+            raise ValueError(
+                f"separation model {model!r}: a profile must be {(count, shares.shape[1])} and conserve "
+                f"the layers' volumes, given {picture!r}"
+            )
         shares[:count] = picture
 
     def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
@@ -322,5 +407,3 @@ class OperationBench(Bench):
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return np.array([check_discrete(agent, action, len(self.table))])
-
-

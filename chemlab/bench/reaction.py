@@ -22,13 +22,36 @@ from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal, vent
 from ..physics.transfer import add, liquid_volume, volume
 from ..scenario import Scenario
-from ..shelf import AIR, AMOUNTS, CAPACITY, CLOCK, T_MIX, TEMPERATURE, WAVELENGTHS_NM
-from ..shelf import Chemistry, FloatArray, IntArray, Layout, Network, Shelf, build_network
-from .base import Bench, BoolArray, Channel, MaskArray, ObservationArray, Station, check_box
-from .base import goal_amount, weighted_amount
+from ..shelf import (
+    AIR,
+    AMOUNTS,
+    CAPACITY,
+    CLOCK,
+    T_MIX,
+    TEMPERATURE,
+    WAVELENGTHS_NM,
+    Chemistry,
+    FloatArray,
+    IntArray,
+    Layout,
+    Network,
+    Shelf,
+    build_network,
+)
+from .base import (
+    Bench,
+    BoolArray,
+    Channel,
+    MaskArray,
+    ObservationArray,
+    Station,
+    check_box,
+    goal_amount,
+    weighted_amount,
+)
 from .models import ReactionModel, checked_reaction
 
-__all__ = ["ReactionBench", "ReactionOptions", "Span"]
+__all__ = ["ReactionBench", "ReactionOptions", "Span", "act"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid")
 _FULLEST = 0.98
@@ -72,8 +95,20 @@ class ReactionOptions(BaseModel):
 
 
 @kernel
-def _load(m: int, action: FloatArray, row: FloatArray, knobs: FloatArray, reagents: IntArray, supply: FloatArray, stock: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry) -> None:
-    """Move the piston, add reagents, set the temperature. knobs: T low, high, step; V low, high, step; rated; dt; rtol; atol."""
+def _load(
+    m: int,
+    action: FloatArray,
+    row: FloatArray,
+    knobs: FloatArray,
+    reagents: IntArray,
+    supply: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    chem: Chemistry,
+) -> None:
+    """Move the piston, add reagents, set the temperature. knobs: T low, high, step; V low, high, step; rated; dt;
+    rtol; atol."""
     n = reagents.shape[0]
     temperature = row[TEMPERATURE] + (2.0 * action[0] - 1.0) * knobs[2]
     arriving = 0.0
@@ -90,7 +125,9 @@ def _load(m: int, action: FloatArray, row: FloatArray, knobs: FloatArray, reagen
 
 
 @kernel
-def _settle(m: int, row: FloatArray, knobs: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry, work: FloatArray) -> None:
+def _settle(
+    m: int, row: FloatArray, knobs: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry, work: FloatArray
+) -> None:
     """After the reaction: phases, stirred contents, relief valve."""
     settle_phases(row, chem, waste[m], events[m], work[0])
     row[CLOCK] = T_MIX
@@ -99,7 +136,19 @@ def _settle(m: int, row: FloatArray, knobs: FloatArray, waste: FloatArray, event
 
 
 @kernel
-def _before(members: IntArray, actions: FloatArray, places: IntArray, rows: FloatArray, knobs: FloatArray, reagents: IntArray, supply: FloatArray, stock: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry) -> None:
+def _before(
+    members: IntArray,
+    actions: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    knobs: FloatArray,
+    reagents: IntArray,
+    supply: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    chem: Chemistry,
+) -> None:
     for b in range(members.shape[0]):
         m = members[b]
         events[m, :] = 0.0
@@ -107,7 +156,18 @@ def _before(members: IntArray, actions: FloatArray, places: IntArray, rows: Floa
 
 
 @kernel
-def _after(members: IntArray, places: IntArray, rows: FloatArray, knobs: FloatArray, waste: FloatArray, events: FloatArray, steps: IntArray, ended: BoolArray, limit: int, chem: Chemistry) -> None:
+def _after(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    knobs: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    steps: IntArray,
+    ended: BoolArray,
+    limit: int,
+    chem: Chemistry,
+) -> None:
     work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
         m = members[b]
@@ -117,7 +177,24 @@ def _after(members: IntArray, places: IntArray, rows: FloatArray, knobs: FloatAr
 
 
 @kernel
-def _act(members: IntArray, actions: FloatArray, places: IntArray, rows: FloatArray, knobs: FloatArray, reagents: IntArray, supply: FloatArray, stock: FloatArray, waste: FloatArray, events: FloatArray, steps: IntArray, ended: BoolArray, limit: int, chem: Chemistry, network: Network, scratch: FloatArray) -> None:
+def act(
+    members: IntArray,
+    actions: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    knobs: FloatArray,
+    reagents: IntArray,
+    supply: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    steps: IntArray,
+    ended: BoolArray,
+    limit: int,
+    chem: Chemistry,
+    network: Network,
+    scratch: FloatArray,
+) -> None:
     work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
         m = members[b]
@@ -131,7 +208,21 @@ def _act(members: IntArray, actions: FloatArray, places: IntArray, rows: FloatAr
 
 
 @kernel
-def _observe(members: IntArray, places: IntArray, rows: FloatArray, busy: BoolArray, goal: IntArray, supply: FloatArray, stock: FloatArray, reagents: IntArray, full: FloatArray, knobs: FloatArray, scale: float, chem: Chemistry, out: ObservationArray) -> None:
+def _observe(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    busy: BoolArray,
+    goal: IntArray,
+    supply: FloatArray,
+    stock: FloatArray,
+    reagents: IntArray,
+    full: FloatArray,
+    knobs: FloatArray,
+    scale: float,
+    chem: Chemistry,
+    out: ObservationArray,
+) -> None:
     size = chem.basis.shape[1]
     light = np.empty(size)
     for b in range(members.shape[0]):
@@ -153,7 +244,15 @@ def _observe(members: IntArray, places: IntArray, rows: FloatArray, busy: BoolAr
 
 
 @kernel
-def _measure(members: IntArray, places: IntArray, rows: FloatArray, goal: IntArray, parts: IntArray, penalty: FloatArray, out: FloatArray) -> None:
+def _measure(
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    goal: IntArray,
+    parts: IntArray,
+    penalty: FloatArray,
+    out: FloatArray,
+) -> None:
     for b in range(members.shape[0]):
         m = members[b]
         row = rows[places[m, 0]]
@@ -181,6 +280,7 @@ class ReactionBench(Bench):
     """
 
     options_model = ReactionOptions
+    score_meaning = "mol of the goal produced"
 
     def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
         super().__init__(key, scenario, layout, chemistry)
@@ -194,7 +294,18 @@ class ReactionBench(Bench):
         self._full = np.array(list(options.reagents.values()))
         t, v = options.temperature_k, options.volume_l
         self._knobs = np.array(
-            [t.low, t.high, t.step, v.low, v.high, v.step, options.rated_pressure_kpa, options.tick, options.rtol, options.atol]
+            [
+                t.low,
+                t.high,
+                t.step,
+                v.low,
+                v.high,
+                v.step,
+                options.rated_pressure_kpa,
+                options.tick,
+                options.rtol,
+                options.atol,
+            ]
         )
         self._pressure_scale = 1.25 * options.rated_pressure_kpa
         self._scratch = np.zeros(react_work_size(self.network))
@@ -243,7 +354,7 @@ class ReactionBench(Bench):
         s, chem, limit = station, self.chemistry, self.spec.step_limit
         args = (s.places, shelf.rows, self._knobs, self._reagent_index, s.supply, shelf.stock, shelf.waste, s.events)
         if self.reaction_model is None:
-            _act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch)
+            act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch)
             return
         _before(members, actions, *args, chem)
         for place in station.places[members, 0]:
@@ -257,9 +368,20 @@ class ReactionBench(Bench):
     def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
         s = station
         _observe(
-            members, s.places, shelf.rows, s.busy, s.goal, s.supply, shelf.stock, self._reagent_index, self._full,
-            self._knobs, self._pressure_scale, self.chemistry, out,
-        )  # fmt: skip
+            members,
+            s.places,
+            shelf.rows,
+            s.busy,
+            s.goal,
+            s.supply,
+            shelf.stock,
+            self._reagent_index,
+            self._full,
+            self._knobs,
+            self._pressure_scale,
+            self.chemistry,
+            out,
+        )
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
         """Continuous actions have no mask."""

@@ -10,22 +10,24 @@
 
 ### Turn order
 The manager has the turn at the start, whenever an experiment has just ended, and after each of its own actions except
-`wait`. `wait` hands over: ticks run, in each of which every busy bench has one turn in a fixed order, until at least one
-experiment ends. Idle benches have no turn.
+`wait`. `wait` hands over: ticks run, in each of which every busy bench has one turn in a fixed order, until at least
+one experiment ends. Idle benches have no turn.
 
 ### Rewards
-A bench earns the score of its experiment when it ends (see its class for the formula). The manager earns, at `submit`, mol of the
-laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum, minus all costs; without a
-submission, minus all costs when the episode is truncated. The scenario mixes the two (`[rewards]`).
+A bench earns the score of its experiment when it ends (see its class for the formula). The manager earns, at
+`submit`, mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum,
+minus all costs; without a submission, minus all costs when the episode is truncated. The scenario mixes the two
+(`[rewards]`).
 
 ### Infos
-`action_mask` (int8, on the agent's turn), `cost` (weighted safety events of its last action), `events` (the same by kind),
-`illegal_action` (its last action was masked and did nothing), `score` (of the experiment its last turn ended, else absent);
-for the manager also `costs` (what it has been charged so far, by item, in units of the score).
+`action_mask` (int8, on the agent's turn), `cost` (weighted safety events of its last action), `events` (the same by
+kind), `illegal_action` (its last action was masked and did nothing), `score` (of the experiment its last turn ended,
+else absent); for the manager also `costs` (what it has been charged so far, by item, in units of the score).
 
 ### Arguments
-`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi` or None), `reaction_model` and
-`separation_model` (physics of your own). `reset(seed, options={"goal": name})` asks for a goal instead of drawing it.
+`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi` or None),
+`reaction_model` and `separation_model` (physics of your own). `reset(seed, options={"goal": name})` asks for a goal
+instead of drawing it.
 
 ### Version history
 - v0: first version.
@@ -58,7 +60,7 @@ def env(
     return OrderEnforcingWrapper(raw_env(scenario, **kwargs))
 
 
-class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):  # noqa: N801 - PettingZoo's name for it
+class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):
     """The laboratory without wrappers; it checks every action itself.
 
     Args:
@@ -87,16 +89,16 @@ class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):  # noqa: N801 - Pettin
     ) -> None:
         super().__init__()
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}")
+            raise ValueError(
+                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
+            )
         self.render_mode = render_mode
         self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model)
         self.scenario = self.laboratories.scenario
         self.possible_agents = list(self.laboratories.agents)
         self.agents: list[str] = []
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
-        self.observation_spaces = {
-            agent: self.laboratories.observation_space(i) for agent, i in self._number.items()
-        }
+        self.observation_spaces = {agent: self.laboratories.observation_space(i) for agent, i in self._number.items()}
         self.action_spaces = {agent: self.laboratories.action_space(i) for agent, i in self._number.items()}
         size = sum(int(space.shape[0]) for space in self.observation_spaces.values() if space.shape)
         self.state_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
@@ -105,7 +107,7 @@ class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):  # noqa: N801 - Pettin
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
         """The agent's observation space (always the same object)."""
-        return self.observation_spaces[agent]  # type: ignore[return-value]
+        return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
         """The agent's action space (always the same object)."""
@@ -192,7 +194,7 @@ class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):  # noqa: N801 - Pettin
 
     def observe(self, agent: str) -> npt.NDArray[np.float32]:
         """What the agent sees now; a bench without an experiment sees zeros."""
-        return self.laboratories.observe(self._number[agent], self._members)[0]
+        return np.asarray(self.laboratories.observe(self._number[agent], self._members)[0])
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Legal actions of the selected agent, as sb3-contrib's MaskablePPO asks for them.
@@ -203,7 +205,7 @@ class raw_env(AECEnv[str, npt.NDArray[np.float32], Any]):  # noqa: N801 - Pettin
         mask = self.laboratories.mask(self._number[self.agent_selection], self._members)
         if mask is None:
             raise ValueError(f"{self.agent_selection}: continuous actions have no mask")
-        return mask[0].astype(np.bool_)
+        return np.asarray(mask[0], dtype=np.bool_)
 
     def state(self) -> npt.NDArray[np.float32]:
         """All agents' observations in one vector, agents in order."""

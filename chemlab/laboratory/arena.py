@@ -1,4 +1,5 @@
-"""Many experiments on one kind of bench, without the laboratory around it: what single-bench environments are views of."""
+"""Many experiments on one kind of bench, without the laboratory around it: what single-bench environments are views
+of."""
 
 from __future__ import annotations
 
@@ -51,7 +52,9 @@ class BenchArena:
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
         positions = len(self.bench.positions)
         self.shelf = Shelf.empty(self.scenario, members, positions)
-        self.station = Station.empty(f"{bench}_0", self.bench, np.arange(members * positions).reshape(members, positions))
+        self.station = Station.empty(
+            f"{bench}_0", self.bench, np.arange(members * positions).reshape(members, positions)
+        )
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in layout.materials])

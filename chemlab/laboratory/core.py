@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from ..bench import operations, reaction
 from ..bench.base import (
     Bench,
     Channel,
@@ -23,6 +24,7 @@ from ..bench.base import (
 from ..bench.instruments import InstrumentTable
 from ..bench.models import ReactionModel, SeparationModel
 from ..physics.events import EVENT_KINDS
+from ..physics.jit import is_compiled
 from ..physics.layers import uniform
 from ..scenario import SAFETY_EVENTS, Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf
@@ -44,9 +46,14 @@ from .manager import (
     return_vessels,
 )
 
-__all__ = ["MANAGER_AGENT", "Laboratories"]
+__all__ = ["MANAGER_AGENT", "Laboratories", "needs_compiling"]
 
 MANAGER_AGENT = "manager_0"
+
+
+def needs_compiling() -> bool:
+    """Whether a laboratory's kernels are not in the disk cache yet, so that the first steps take half a minute."""
+    return not is_compiled(manager_act, manager_observe, operations.separate, reaction.act)
 
 
 class Laboratories:
@@ -179,10 +186,23 @@ class Laboratories:
         self.shelf.waste[members] = 0.0
         desk = self.desk
         for array, value in (
-            (desk.reserved, -1), (desk.last_bench, 0), (desk.last_role, 0), (desk.reading, 0.0), (desk.age, -1), (desk.origin, 0),
-            (desk.actions, 0), (desk.ticks, 0), (desk.cursor, MANAGER), (desk.finished, False), (desk.status, RUNNING),
-            (desk.charges, 0.0), (desk.submitted, 0.0), (desk.illegal, False), (desk.begun, -1), (desk.recalled, -1),
-        ):  # fmt: skip
+            (desk.reserved, -1),
+            (desk.last_bench, 0),
+            (desk.last_role, 0),
+            (desk.reading, 0.0),
+            (desk.age, -1),
+            (desk.origin, 0),
+            (desk.actions, 0),
+            (desk.ticks, 0),
+            (desk.cursor, MANAGER),
+            (desk.finished, False),
+            (desk.status, RUNNING),
+            (desk.charges, 0.0),
+            (desk.submitted, 0.0),
+            (desk.illegal, False),
+            (desk.begun, -1),
+            (desk.recalled, -1),
+        ):
             array[members] = value
         for m in members:
             draw = uniform(desk.stream[m])  # drawn even where the goal is given, so the rest of the episode is the same
@@ -199,7 +219,9 @@ class Laboratories:
     def goal_index(self, goal: str) -> int:
         """Index of a laboratory goal; ``ValueError`` names the goals there are."""
         if goal not in self.scenario.lab_goals:
-            raise ValueError(f"goal: {self.scenario.name} asks for {', '.join(self.scenario.lab_goals)}, given {goal!r}")
+            raise ValueError(
+                f"goal: {self.scenario.name} asks for {', '.join(self.scenario.lab_goals)}, given {goal!r}"
+            )
         return self.scenario.goals.index(goal)
 
     # -- turns ------------------------------------------------------------------------------------------------
@@ -236,9 +258,19 @@ class Laboratories:
     def _act_manager(self, members: IntArray, actions: IntArray) -> None:
         desk, shelf = self.desk, self.shelf
         manager_act(
-            members, actions, self.busy, desk, self.rules, shelf.rows, self.vessels_per_laboratory, shelf.waste,
-            shelf.chemistry, self._layers, self._shares, self._work,
-        )  # fmt: skip
+            members,
+            actions,
+            self.busy,
+            desk,
+            self.rules,
+            shelf.rows,
+            self.vessels_per_laboratory,
+            shelf.waste,
+            shelf.chemistry,
+            self._layers,
+            self._shares,
+            self._work,
+        )
         begun, recalled = desk.begun[members], desk.recalled[members]
         if begun.max(initial=-1) >= 0:
             for b, station in enumerate(self.stations):
@@ -285,7 +317,15 @@ class Laboratories:
         self.scores[members, b + 1] = score
         self.rewards[members, b + 1] += self.scenario.rewards.bench_local * score
         return_vessels(
-            members, b, self.desk, self.rules, shelf.rows, self.vessels_per_laboratory, shelf.waste, station.events, shelf.chemistry
+            members,
+            b,
+            self.desk,
+            self.rules,
+            shelf.rows,
+            self.vessels_per_laboratory,
+            shelf.waste,
+            station.events,
+            shelf.chemistry,
         )
 
     def _settle_accounts(self, members: IntArray) -> None:
@@ -319,9 +359,19 @@ class Laboratories:
         shelf = self.shelf
         if agent == 0:
             manager_observe(
-                members, self.busy, self._goals, self._steps, self.desk, self.rules, shelf.rows, self.vessels_per_laboratory,
-                shelf.stock, self.roles, shelf.chemistry, out,
-            )  # fmt: skip
+                members,
+                self.busy,
+                self._goals,
+                self._steps,
+                self.desk,
+                self.rules,
+                shelf.rows,
+                self.vessels_per_laboratory,
+                shelf.stock,
+                self.roles,
+                shelf.chemistry,
+                out,
+            )
         else:
             self.benches[agent - 1].observe(shelf, self.stations[agent - 1], members, out)
         return out
@@ -366,5 +416,3 @@ class Laboratories:
         """Put back a :meth:`snapshot`; everything then goes on exactly as it did."""
         for array, saved in zip(self._arrays(), snapshot, strict=True):
             array[...] = saved
-
-

@@ -1,4 +1,5 @@
-"""The manager's side of a laboratory: one flat table of actions, what they do to the arrays, and what the manager sees."""
+"""The manager's side of a laboratory: one flat table of actions, what they do to the arrays, and what the manager
+sees."""
 
 from __future__ import annotations
 
@@ -89,9 +90,7 @@ class ManagerActions:
         rows += [(SUBMIT, s, -1, -1) for s in range(slots)]
         rows += [(RECALL, b, -1, -1) for b in range(len(stations))]
         rows += [(WAIT, -1, -1, -1)]
-        return cls(
-            tuple(stations), slots, scenario.goals, tuple(scenario.instruments), np.array(rows, dtype=np.int64)
-        )
+        return cls(tuple(stations), slots, scenario.goals, tuple(scenario.instruments), np.array(rows, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.table)
@@ -100,7 +99,8 @@ class ManagerActions:
         """Number of an action.
 
         Args:
-            kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit`` (slot),
+            kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit``
+                (slot),
                 ``recall`` (bench agent) or ``wait``.
             arguments: bench agents, goals and instruments by name, slots by number.
 
@@ -279,18 +279,29 @@ def _count_slots(n: int, base: int, desk: Desk, rules: Rules, rows: FloatArray) 
 
 
 @kernel
-def _allowed(n: int, a: int, base: int, slots: tuple[int, int], any_busy: bool, busy: BoolArray, desk: Desk, rules: Rules, rows: FloatArray) -> bool:
+def _allowed(
+    n: int,
+    a: int,
+    base: int,
+    slots: tuple[int, int],
+    any_busy: bool,
+    busy: BoolArray,
+    desk: Desk,
+    rules: Rules,
+    rows: FloatArray,
+) -> bool:
     kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
     if kind == START:
         return not busy[x, n] and rows[base + y, PRESENT] > 0.0 and slots[0] >= rules.positions[x] - 1
     if kind == MEASURE:
-        return rows[base + x, PRESENT] > 0.0 and desk.charges[n, 0] + rules.price[y] <= rules.budget + 1e-12
+        affordable = desk.charges[n, 0] + rules.price[y] <= rules.budget + 1e-12
+        return bool(rows[base + x, PRESENT] > 0.0 and affordable)
     if kind == DISCARD:  # the last vessel stays: without one there would be nothing left to do
-        return rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy)
+        return bool(rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        return rows[base + x, PRESENT] > 0.0
+        return bool(rows[base + x, PRESENT] > 0.0)
     if kind == RECALL:
-        return busy[x, n]
+        return bool(busy[x, n])
     return any_busy
 
 
@@ -303,7 +314,9 @@ def _any_busy(n: int, busy: BoolArray) -> bool:
 
 
 @kernel
-def manager_mask(members: IntArray, busy: BoolArray, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int, out: MaskArray) -> None:
+def manager_mask(
+    members: IntArray, busy: BoolArray, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int, out: MaskArray
+) -> None:
     """Write the manager's legal actions into ``out`` [B, A]."""
     for i in range(members.shape[0]):
         n = members[i]
@@ -333,9 +346,19 @@ def _forget(n: int, s: int, desk: Desk) -> None:
 
 @kernel
 def manager_act(
-    members: IntArray, actions: IntArray, busy: BoolArray, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int,
-    waste: FloatArray, chem: Chemistry, layers: IntArray, shares: FloatArray, work: FloatArray,
-) -> None:  # fmt: skip
+    members: IntArray,
+    actions: IntArray,
+    busy: BoolArray,
+    desk: Desk,
+    rules: Rules,
+    rows: FloatArray,
+    per_lab: int,
+    waste: FloatArray,
+    chem: Chemistry,
+    layers: IntArray,
+    shares: FloatArray,
+    work: FloatArray,
+) -> None:
     """Carry out one manager action in each laboratory of ``members``; see the desk's flags for what it led to."""
     for i in range(members.shape[0]):
         n, a = members[i], actions[i]
@@ -362,9 +385,20 @@ def manager_act(
         elif kind == MEASURE:
             start, stop = rules.reading_start[y], rules.reading_start[y + 1]
             read_instrument(
-                rules.instrument_kind[y], rows[base + x], rules.sample[y], rules.noise[y], rules.analytes, rules.molar_mass,
-                chem, desk.stream[n], waste[n], layers, shares, work, desk.reading[n, x, start:stop],
-            )  # fmt: skip
+                rules.instrument_kind[y],
+                rows[base + x],
+                rules.sample[y],
+                rules.noise[y],
+                rules.analytes,
+                rules.molar_mass,
+                chem,
+                desk.stream[n],
+                waste[n],
+                layers,
+                shares,
+                work,
+                desk.reading[n, x, start:stop],
+            )
             desk.age[n, x, y] = 0
             desk.charges[n, 0] += rules.price[y]
         elif kind == DISCARD:
@@ -399,9 +433,16 @@ def close_actions(members: IntArray, desk: Desk, rules: Rules) -> None:
 
 @kernel
 def return_vessels(
-    members: IntArray, b: int, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int, waste: FloatArray, events: FloatArray,
+    members: IntArray,
+    b: int,
+    desk: Desk,
+    rules: Rules,
+    rows: FloatArray,
+    per_lab: int,
+    waste: FloatArray,
+    events: FloatArray,
     chem: Chemistry,
-) -> None:  # fmt: skip
+) -> None:
     """Bring what station ``b`` worked on back to the shelf: the main vessel to where it came from, the others to the
     slots reserved for them; empty ones are washed and gone."""
     work = np.empty((2, max(chem.solvents.shape[0], 1)))
@@ -475,7 +516,9 @@ def itemize(members: IntArray, desk: Desk, rules: Rules, stock: FloatArray, wast
         desk.charges[n, 2] = litres * rules.waste_per_l
 
 
-def manager_channels(scenario: Scenario, instruments: InstrumentTable, roles: int, largest_capacity: float) -> list[Channel]:
+def manager_channels(
+    scenario: Scenario, instruments: InstrumentTable, roles: int, largest_capacity: float
+) -> list[Channel]:
     """What the manager sees, in order."""
     channels = []
     for s in range(scenario.shelf.slots):
@@ -485,18 +528,26 @@ def manager_channels(scenario: Scenario, instruments: InstrumentTable, roles: in
             Channel(f"slot_{s}_fill", 1, "fraction", 0.0, 1.0, "how full it is"),
             Channel(f"slot_{s}_temperature", 1, "K", _COLDEST_K, _HOTTEST_K, "its temperature"),
             Channel(f"slot_{s}_capacity", 1, "L", 0.0, largest_capacity, "its capacity"),
-            Channel(f"slot_{s}_last_bench", 1 + len(scenario.benches), "one-hot", 0.0, 1.0, f"last at: none, {benches}"),
+            Channel(
+                f"slot_{s}_last_bench", 1 + len(scenario.benches), "one-hot", 0.0, 1.0, f"last at: none, {benches}"
+            ),
             Channel(f"slot_{s}_last_role", roles, "one-hot", 0.0, 1.0, "as: main vessel, B1, B2"),
         ]
         for channel in instruments.channels:
             meaning = f"last reading: {channel.meaning}"
-            channels.append(Channel(f"slot_{s}_{channel.name}", channel.size, channel.unit, channel.low, channel.high, meaning))
+            channels.append(
+                Channel(f"slot_{s}_{channel.name}", channel.size, channel.unit, channel.low, channel.high, meaning)
+            )
             limit = float(scenario.limits.ticks)
-            channels.append(Channel(f"slot_{s}_{channel.name}_age", 1, "ticks", 0.0, limit, "its age; 1 = never measured"))
+            channels.append(
+                Channel(f"slot_{s}_{channel.name}_age", 1, "ticks", 0.0, limit, "its age; 1 = never measured")
+            )
     for agent in scenario.bench_agents():
         channels += [
             Channel(f"{agent}_busy", 1, "0 or 1", 0.0, 1.0, "whether an experiment is running"),
-            Channel(f"{agent}_goal", len(scenario.goals), "one-hot", 0.0, 1.0, "its goal: " + ", ".join(scenario.goals)),
+            Channel(
+                f"{agent}_goal", len(scenario.goals), "one-hot", 0.0, 1.0, "its goal: " + ", ".join(scenario.goals)
+            ),
             Channel(f"{agent}_steps_left", 1, "fraction", 0.0, 1.0, "of its step limit"),
         ]
     channels += [
@@ -511,9 +562,19 @@ def manager_channels(scenario: Scenario, instruments: InstrumentTable, roles: in
 
 @kernel
 def manager_observe(
-    members: IntArray, busy: BoolArray, goals: IntArray, steps: IntArray, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int,
-    stock: FloatArray, roles: int, chem: Chemistry, out: ObservationArray,
-) -> None:  # fmt: skip
+    members: IntArray,
+    busy: BoolArray,
+    goals: IntArray,
+    steps: IntArray,
+    desk: Desk,
+    rules: Rules,
+    rows: FloatArray,
+    per_lab: int,
+    stock: FloatArray,
+    roles: int,
+    chem: Chemistry,
+    out: ObservationArray,
+) -> None:
     """Write what the manager sees into ``out`` [B, observation size]: outsides of vessels, readings, benches, stock."""
     n_goals, n_instruments = rules.parts.shape[0], desk.age.shape[2]
     for i in range(members.shape[0]):
@@ -553,5 +614,3 @@ def manager_observe(
         out[i, at] = max(1.0 - desk.charges[n, 0] / rules.budget, 0.0)
         out[i, at + 1] = max(1.0 - desk.actions[n] / rules.action_limit, 0.0)
         out[i, at + 2] = max(1.0 - desk.ticks[n] / rules.tick_limit, 0.0)
-
-

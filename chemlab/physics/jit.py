@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numba
 
-__all__ = ["kernel"]
+__all__ = ["is_compiled", "kernel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -38,4 +38,14 @@ def kernel(function: F) -> F:
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _fingerprint()
-    return compiled  # type: ignore[no-any-return]  # numba's dispatcher stands in for the function
+    return compiled  # type: ignore[return-value]  # numba's dispatcher stands in for the function
+
+
+def is_compiled(*kernels: Callable[..., Any]) -> bool:
+    """Whether each kernel can be loaded from the disk cache (or needs no compiling), so that nobody has to wait for
+    it."""
+    for function in kernels:
+        cache_file = getattr(getattr(function, "_cache", None), "_cache_file", None)
+        if cache_file is not None and not cache_file._load_index():
+            return False
+    return True

@@ -35,7 +35,9 @@ def react_work_size(network: Network) -> tuple[int, int]:
 
 
 @kernel
-def _rates(constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray) -> None:
+def _rates(
+    constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
+) -> None:
     n_reactions, n_species = network.stoichiometry.shape
     for j in range(n_species):
         value = start[j]
@@ -56,7 +58,16 @@ def _rates(constants: FloatArray, network: Network, start: FloatArray, extent: F
 
 
 @kernel
-def react(row: FloatArray, network: Network, volume: float, temperature: float, dt: float, rtol: float, atol: float, work: FloatArray) -> int:
+def react(
+    row: FloatArray,
+    network: Network,
+    volume: float,
+    temperature: float,
+    dt: float,
+    rtol: float,
+    atol: float,
+    work: FloatArray,
+) -> int:
     """Let the contents of one vessel react for ``dt`` at constant temperature and volume.
 
     Args:

@@ -99,7 +99,7 @@ def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> No
         high = low + volumes[c] / total * pixels
         if c == count - 1:
             high = float(pixels)
-        first, last = int(low), min(int(math.ceil(high)), pixels)
+        first, last = int(low), min(math.ceil(high), pixels)
         for p in range(first, last):
             out[c, p] = max(min(high, p + 1.0) - max(low, float(p)), 0.0)
         low = high
@@ -239,13 +239,14 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
 
 
 @kernel
-def random_bits(state: StreamArray) -> int:
+def random_bits(state: StreamArray) -> np.uint64:
     """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
+    bits: np.uint64 = z ^ (z >> np.uint64(31))
+    return bits
 
 
 @kernel
@@ -255,7 +256,9 @@ def uniform(state: StreamArray) -> float:
 
 
 @kernel
-def camera(row: FloatArray, shares: FloatArray, layers: IntArray, chem: Chemistry, stream: StreamArray, out: FloatArray) -> None:
+def camera(
+    row: FloatArray, shares: FloatArray, layers: IntArray, chem: Chemistry, stream: StreamArray, out: FloatArray
+) -> None:
     """A picture of the vessel: one layer drawn per pixel from the profile, shown as its grey value.
 
     Args:

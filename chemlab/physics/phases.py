@@ -1,4 +1,5 @@
-"""Dissolution, precipitation and reactions that go to completion at once: every vessel, on every bench (PHYSICS section 5)."""
+"""Dissolution, precipitation and reactions that go to completion at once: every vessel, on every bench (PHYSICS
+section 5)."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ __all__ = ["air_in_open_vessel", "heat", "pressure", "seal", "vapor_pressure", "
 def air_in_open_vessel(row: FloatArray, chem: Chemistry) -> float:
     """mol of ambient-pressure air above the contents of an open vessel, at the vessel's temperature."""
     headspace = max(row[CAPACITY] - volume(row, chem), 0.0)
-    return chem.ambient_pressure * headspace / (GAS_CONSTANT * row[TEMPERATURE])
+    return float(chem.ambient_pressure * headspace / (GAS_CONSTANT * row[TEMPERATURE]))
 
 
 @kernel
@@ -54,7 +54,7 @@ def pressure(row: FloatArray, chem: Chemistry) -> float:
     """Pressure in a sealed vessel, kPa: its air in the headspace, plus vapour."""
     # A brim-full vessel has no headspace to divide by; one part in a thousand stands for the gap at the lid.
     headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
-    return row[AIR] * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem)
+    return float(row[AIR] * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem))
 
 
 @kernel
@@ -181,5 +181,3 @@ def heat(
     left -= capacity * (target - row[TEMPERATURE])
     row[TEMPERATURE] = target
     return joules - left, condenser
-
-

@@ -114,7 +114,9 @@ def _spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArr
 
 
 @kernel
-def pour(source: FloatArray, target: FloatArray, fraction: float, chem: Chemistry, waste: FloatArray, events: FloatArray) -> None:
+def pour(
+    source: FloatArray, target: FloatArray, fraction: float, chem: Chemistry, waste: FloatArray, events: FloatArray
+) -> None:
     """Pour ``fraction`` (0 to 1) of everything in ``source`` into ``target``; what does not fit spills."""
     n = chem.role.shape[0]
     before = volume(target, chem)
@@ -136,7 +138,15 @@ def pour(source: FloatArray, target: FloatArray, fraction: float, chem: Chemistr
 
 
 @kernel
-def add(row: FloatArray, material: int, mol: float, temperature: float, chem: Chemistry, waste: FloatArray, events: FloatArray) -> None:
+def add(
+    row: FloatArray,
+    material: int,
+    mol: float,
+    temperature: float,
+    chem: Chemistry,
+    waste: FloatArray,
+    events: FloatArray,
+) -> None:
     """Add ``mol`` of a pure material at ``temperature`` (K); what does not fit spills."""
     if mol <= 0.0:
         return
@@ -227,7 +237,7 @@ def drain(
 @kernel
 def row_has(row: FloatArray, material: int) -> bool:
     """Whether more than a trace of ``material`` is in the vessel."""
-    return row[AMOUNTS + material] > TRACE_MOL
+    return bool(row[AMOUNTS + material] > TRACE_MOL)
 
 
 @kernel

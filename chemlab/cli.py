@@ -1,0 +1,328 @@
+"""The ``chemlab`` command."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from . import __version__
+from .materials import DataError
+from .scenario import Scenario, load_scenario, scenario_names
+
+if TYPE_CHECKING:
+    from .agents.run import EpisodeResult, Turn
+    from .laboratory.aec import raw_env
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="A multi-agent chemistry laboratory for reinforcement-learning research.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+# Text for people goes where it can be read without spoiling what a program reads from standard output.
+_out = Console(highlight=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+_MARKS = ("<!-- results: begin -->", "<!-- results: end -->")
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
+]
+PolicyOption = Annotated[str, typer.Option(help="Who plays every role: heuristic or random.")]
+EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
+
+
+@contextmanager
+def _readable_errors() -> Iterator[None]:
+    """What the user got wrong is one message and exit code 2, not a traceback."""
+    try:
+        yield
+    except (DataError, ValueError) as error:
+        _err.print(f"[red]error[/red]: {error}", markup=True)
+        raise typer.Exit(2) from error
+
+
+@app.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.command("list")
+def list_scenarios(as_json: JsonOption = False) -> None:
+    """List the scenarios that come with chemlab."""
+    scenarios = [load_scenario(name) for name in scenario_names()]
+    if as_json:
+        rows = [
+            {
+                "name": s.name,
+                "title": s.title,
+                "summary": s.summary,
+                "agents": ["manager_0", *s.bench_agents()],
+                "goals": list(s.lab_goals),
+                "file": s.origin,
+            }
+            for s in scenarios
+        ]
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    table = Table(title="Scenarios (play one with: chemlab run NAME)", box=SIMPLE)
+    table.add_column("name", no_wrap=True)
+    table.add_column("benches", no_wrap=True)
+    table.add_column("goals", justify="right")
+    table.add_column("summary")
+    for s in scenarios:
+        table.add_row(s.name, " ".join(s.benches), str(len(s.lab_goals)), s.summary)
+    Console().print(table)
+
+
+def _prepare(scenario: str, quiet: bool) -> tuple[Scenario, raw_env]:
+    """Load the scenario, say so, and build its laboratory; tell people when kernels have to be compiled first."""
+    spec = load_scenario(scenario)
+    if not quiet:
+        _out.print(f"[bold]{spec.name}[/bold]: {spec.summary}")
+    from .laboratory.aec import raw_env
+    from .laboratory.core import needs_compiling
+
+    if needs_compiling():
+        _err.print("compiling kernels for this machine; later starts load them from the cache (half a minute) ...")
+    return spec, raw_env(spec)
+
+
+def _play(env: raw_env, policy: str, seeds: Iterable[int], watch: Any = None) -> Iterator[EpisodeResult]:
+    from .agents.policy import make_policies
+    from .agents.run import play_episode
+
+    for seed in seeds:
+        policies = make_policies(policy, env.laboratories, seed)
+        yield play_episode(env, policies, seed, policy, watch)
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument,
+    policy: PolicyOption = "heuristic",
+    episodes: EpisodesOption = 1,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Play episodes: a live account of what each agent does and what comes of it, then the results."""
+    with _readable_errors():
+        _, env = _prepare(scenario, quiet=as_json)
+        seeds = range(seed, seed + episodes)
+        if as_json:
+            for result in _play(env, policy, seeds):
+                typer.echo(json.dumps(result.as_dict()))
+            return
+        account = _Account(env)
+        results = []
+        for number, result in enumerate(_play(env, policy, seeds, account), start=1):
+            results.append(result)
+            account.close(result, number, episodes)
+        _out.print(_result_table(results))
+
+
+class _Account:
+    """Tells an episode turn by turn: manager decisions and outcomes in full, equal bench actions folded."""
+
+    def __init__(self, env: raw_env) -> None:
+        self._env = env
+        self._last: tuple[str, str] | None = None
+        self._times = 0
+        self._since = 0
+
+    def __call__(self, turn: Turn) -> None:
+        if (turn.agent, turn.meaning) == self._last:
+            self._times += 1
+        else:
+            self._flush()
+            self._last, self._times, self._since = (turn.agent, turn.meaning), 1, turn.tick
+        notes = []
+        if turn.info.get("illegal_action"):
+            notes.append("[yellow]not possible now: the turn is lost[/yellow]")
+        notes += [f"[red]safety: {kind} {amount:.3g}[/red]" for kind, amount in turn.info.get("events", {}).items()]
+        score = turn.info.get("score") if turn.agent != "manager_0" else None
+        outcome = self._outcome(turn, score)
+        if notes or outcome:
+            self._flush("; ".join([*notes, *([outcome] if outcome else [])]))
+
+    def _outcome(self, turn: Turn, score: float | None) -> str:
+        labs = self._env.laboratories
+        if score is not None:
+            bench = labs.benches[labs.bench_agents.index(turn.agent)]
+            return f"[green]experiment over: {score:+.3f} {bench.score_meaning}[/green]"
+        if turn.agent != "manager_0":
+            return ""
+        kind, *arguments = labs.actions.decode(int(turn.action))
+        if kind == "start":
+            labs = self._env.laboratories
+            station = labs.bench_agents.index(str(arguments[0]))
+            vessel = labs.shelf.vessel(0, int(labs.rules.first[station]))
+            return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {labs.benches[station].score_meaning}"
+        if kind == "measure":
+            return self._reading(int(arguments[0]), str(arguments[1]))
+        return ""
+
+    def _reading(self, slot: int, instrument: str) -> str:
+        """The reading the manager has just paid for, in words."""
+        labs = self._env.laboratories
+        table = labs.instruments
+        i = table.names.index(instrument)
+        values = labs.desk.reading[0, slot, table.start[i] : table.start[i + 1]]
+        channel = table.channels[i]
+        price = f"price {table.price[i]:g}"
+        if channel.size == 1:
+            return f"{values[0] * channel.high:.3f} {channel.unit}; {price}"
+        if channel.unit == "mole fraction":
+            names = [*(labs.shelf.layout.materials[a] for a in table.analytes), "residue"]
+            parts = [f"{name} {value:.1%}" for name, value in zip(names, values, strict=True) if value >= 5e-4]
+            return f"{', '.join(parts) or 'empty'}; {price}"
+        return f"{channel.size} values of {channel.unit}; {price}"
+
+    def _flush(self, note: str = "") -> None:
+        if self._last is None:
+            return
+        agent, meaning = self._last
+        times = f" x{self._times}" if self._times > 1 else ""
+        manager = agent == "manager_0"
+        what = f"[bold]{meaning}[/bold]" if manager else self._phrase(agent, meaning)
+        _out.print(
+            f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"
+        )
+        self._last, self._times = None, 0
+
+    def _phrase(self, agent: str, meaning: str) -> str:
+        """Continuous actions by name; discrete ones are words already."""
+        labs = self._env.laboratories
+        bench = labs.benches[labs.bench_agents.index(agent)]
+        names = getattr(bench, "reagent_names", None)
+        if names is None:
+            return meaning
+        values = [float(value) for value in meaning.split(", ")]
+        words = []
+        for label, value in zip(("temperature", "volume"), values, strict=False):
+            if abs(value - 0.5) > 5e-3:
+                words.append(f"{label} {'up' if value > 0.5 else 'down'} {abs(2.0 * value - 1.0):.0%}")
+        words += [
+            f"add {value:.0%} of the {name} left" for name, value in zip(names, values[2:], strict=True) if value > 5e-3
+        ]
+        return ", ".join(words) or "hold"
+
+    def close(self, result: EpisodeResult, number: int, episodes: int) -> None:
+        """The episode's end, in words."""
+        self._flush()
+        costs = ", ".join(f"{item} {value:.4f}" for item, value in result.costs.items() if value > 0.0)
+        end = (
+            f"submitted {result.submitted_mol:.3f} mol {result.goal} at purity {result.purity:.3f}"
+            if result.terminated
+            else "ran out of actions or ticks; nothing submitted"
+        )
+        _out.print(
+            f"episode {number}/{episodes} (seed {result.seed}): {end}; costs: {costs or 'none'}; "
+            f"[bold]score {result.score:.3f}[/bold]\n"
+        )
+
+
+def _result_table(results: list[EpisodeResult]) -> Table:
+    table = Table(title="Results (mol of the goal submitted; actions of the manager)", box=SIMPLE)
+    for name in ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events"):
+        table.add_column(name, justify="left" if name in ("goal", "safety events") else "right", overflow="fold")
+    for r in results:
+        events = ", ".join(f"{kind} {value:.3g}" for kind, value in r.safety_events.items()) or "none"
+        numbers = (f"{r.submitted_mol:.3f}", f"{r.purity:.3f}", f"{sum(r.costs.values()):.4f}", f"{r.score:.3f}")
+        table.add_row(str(r.seed), r.goal, *numbers, str(r.manager_actions), str(r.ticks), events)
+    return table
+
+
+@app.command()
+def compare(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(help="Scenarios; default: all that come with chemlab.")
+    ] = None,
+    policy: Annotated[list[str] | None, typer.Option(help="Policies to compare; repeat the option.")] = None,
+    episodes: EpisodesOption = 100,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+    update: Annotated[Path | None, typer.Option(help="Replace the results table in this Markdown file.")] = None,
+) -> None:
+    """Compare policies over many episodes with the same seeds; also regenerates README's table."""
+    from rich.progress import Progress
+
+    policies = policy or ["heuristic", "random"]
+    rows: list[dict[str, Any]] = []
+    with _readable_errors(), Progress(console=_err, transient=True) as progress:
+        names = scenarios or scenario_names()
+        task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
+        for name in names:
+            spec, env = _prepare(name, quiet=True)
+            for played in policies:
+                results = []
+                for result in _play(env, played, range(seed, seed + episodes)):
+                    results.append(result)
+                    progress.advance(task)
+                rows.append(_summary(spec, played, results))
+        lines = _markdown(rows)
+        if update is not None:
+            _replace_table(update, lines)
+    typer.echo(json.dumps(rows) if as_json else "\n".join(lines))
+
+
+def _summary(spec: Scenario, policy: str, results: list[EpisodeResult]) -> dict[str, Any]:
+    count = len(results)
+    return {
+        "scenario": spec.name,
+        "policy": policy,
+        "episodes": count,
+        "submitted_mol": sum(r.submitted_mol for r in results) / count,
+        "purity": sum(r.purity for r in results) / count,
+        "score": sum(r.score for r in results) / count,
+        "manager_actions": sum(r.manager_actions for r in results) / count,
+        "ticks": sum(r.ticks for r in results) / count,
+        "unsafe_episodes": sum(bool(set(r.safety_events) - {"boiled_dry", "dry_heating"}) for r in results) / count,
+    }
+
+
+def _markdown(rows: list[dict[str, Any]]) -> list[str]:
+    lines = [
+        "| scenario | policy | submitted (mol) | purity | score | manager actions | ticks | spill, vent, metal fire |",
+        "|---|---|--:|--:|--:|--:|--:|--:|",
+    ]
+    for r in rows:
+        lines.append(
+            f"| `{r['scenario']}` | {r['policy']} | {r['submitted_mol']:.3f} | {r['purity']:.3f} | {r['score']:.3f} "
+            f"| {r['manager_actions']:.1f} | {r['ticks']:.1f} | {r['unsafe_episodes']:.0%} of episodes |"
+        )
+    return lines
+
+
+def _replace_table(path: Path, lines: list[str]) -> None:
+    """Put the table between the marks of a Markdown file, by way of a temporary file so that a crash loses nothing."""
+    text = path.read_text(encoding="utf-8")
+    begin, end = (text.find(mark) for mark in _MARKS)
+    if begin < 0 or end < begin:
+        raise ValueError(f"{path}: needs the marks {_MARKS[0]} and {_MARKS[1]} around the table")
+    new = text[: begin + len(_MARKS[0])] + "\n" + "\n".join(lines) + "\n" + text[end:]
+    handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=path.name, suffix=".tmp")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(new)
+    Path(temporary).replace(path)
+
+
+def main() -> None:
+    """Entry point of the ``chemlab`` command."""
+    app()
