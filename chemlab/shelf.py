@@ -83,6 +83,8 @@ class Chemistry(NamedTuple):
     """[L] material index of each solvent"""
     dissolved: IntArray
     """[K] material index of each dissolvable material (liquid solutes and ions)"""
+    dissolved_at: IntArray
+    """[M] where a material stands among the dissolvable ones, -1 if it is none"""
     volatile: IntArray
     """Material indices of all liquids, lowest boiling point first."""
     salts: IntArray
@@ -106,12 +108,40 @@ class Network(NamedTuple):
     """[S] material indices"""
     stoichiometry: FloatArray
     """[R, S] products minus reactants"""
-    orders: FloatArray
-    """[R, S]"""
     pre_exponential: FloatArray
     """[R] per time unit, (L/mol)^(order - 1)"""
     activation_energy: FloatArray
     """[R] J/mol"""
+    factors: IntArray
+    """[R, F] species whose concentrations multiply to the rate, one entry per whole order, then -1"""
+    changes: IntArray
+    """[R, C] species a reaction changes, then -1"""
+    fractions: FloatArray
+    """[R, S] what is left of each order above its whole part; [0, 0] where all orders are whole"""
+
+    @classmethod
+    def of(
+        cls,
+        species: IntArray,
+        stoichiometry: FloatArray,
+        orders: FloatArray,
+        pre_exponential: FloatArray,
+        activation_energy: FloatArray,
+    ) -> Network:
+        """A network from its stoichiometry [R, S], orders [R, S] and Arrhenius constants [R]."""
+        whole = np.floor(orders).astype(np.int64)
+        factors = np.full((len(orders), max(int(whole.sum(axis=1).max(initial=0)), 1)), -1, dtype=np.int64)
+        for r, row in enumerate(whole):
+            chosen = np.repeat(np.arange(len(row)), row)
+            factors[r, : len(chosen)] = chosen
+        changed = [np.flatnonzero(row) for row in stoichiometry]
+        changes = np.full((len(orders), max((len(c) for c in changed), default=1)), -1, dtype=np.int64)
+        for r, c in enumerate(changed):
+            changes[r, : len(c)] = c
+        fractions = orders - whole
+        if not fractions.any():
+            fractions = np.zeros((0, 0))
+        return cls(species, stoichiometry, pre_exponential, activation_energy, factors, changes, fractions)
 
 
 @dataclass(frozen=True)
@@ -173,6 +203,7 @@ def build_chemistry(scenario: Scenario) -> tuple[Layout, Chemistry]:
         role=role,
         solvents=solvents.astype(np.int64),
         dissolved=dissolved.astype(np.int64),
+        dissolved_at=np.array([list(dissolved).index(i) if i in dissolved else -1 for i in range(len(names))]),
         volatile=liquids[np.argsort(boiling[liquids], kind="stable")].astype(np.int64),
         salts=np.array(salts, dtype=np.int64).reshape(len(salts), 3),
         violent=violent,
@@ -198,7 +229,7 @@ def build_network(scenario: Scenario) -> Network:
         for name, number in step.reactants.items():
             stoichiometry[r, taking_part.index(name)] -= number
             orders[r, taking_part.index(name)] = step.orders[name]
-    return Network(
+    return Network.of(
         species=np.array([names.index(name) for name in taking_part], dtype=np.int64),
         stoichiometry=stoichiometry,
         orders=orders,

@@ -15,12 +15,12 @@ from pydantic import BaseModel
 
 from ..materials import DataError, validated
 from ..physics.events import EVENT_KINDS
-from ..physics.jit import kernel
+from ..physics.jit import helper, kernel
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
 from ..physics.transfer import place
 from ..scenario import BenchSpec, Scenario
-from ..shelf import AMOUNTS, Chemistry, FloatArray, IntArray, Layout, Shelf, StreamArray
+from ..shelf import AMOUNTS, WAVELENGTHS_NM, Chemistry, FloatArray, IntArray, Layout, Shelf, StreamArray
 
 if TYPE_CHECKING:
     from .models import ReactionModel, SeparationModel
@@ -114,7 +114,7 @@ class Goals:
         return cls(tuple(scenario.goals), parts, solute, absolute)
 
 
-@kernel
+@helper
 def goal_amount(row: FloatArray, part: IntArray) -> float:
     """mol of the goal in a vessel; of a salt, dissolved pairs of ions count as salt. ``part`` is a row of
     Goals.parts."""
@@ -124,7 +124,7 @@ def goal_amount(row: FloatArray, part: IntArray) -> float:
     return float(amount)
 
 
-@kernel
+@helper
 def weighted_amount(row: FloatArray, weights: FloatArray) -> float:
     """Sum of weight x mol over the materials."""
     total = 0.0
@@ -162,9 +162,9 @@ def _provide(
     capacity: float,
     waste: FloatArray,
     events: FloatArray,
+    work: FloatArray,
 ) -> None:
     """Clean vessels for every position but the first, and the first one brought to its phase equilibrium."""
-    work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
         m = members[b]
         main = rows[places[m, 0]]
@@ -190,6 +190,7 @@ class Station:
         events: [N, E] safety events of the last action.
         stream: [N, 1] random stream of the bench's own draws (camera).
         supply: [N, R] mol each reagent the experiment may still take.
+        changed: [N, P] whether the last action changed a vessel, so that its layers have to be worked out again.
         layers: [N, P, C + 1] and profile: [N, P, C, pixels], the layers of its vessels.
         image: [N, P, pixels] what the camera saw last.
     """
@@ -205,6 +206,7 @@ class Station:
     events: FloatArray
     stream: StreamArray
     supply: FloatArray
+    changed: BoolArray
     layers: IntArray
     profile: FloatArray
     image: FloatArray
@@ -226,6 +228,7 @@ class Station:
             events=np.zeros((n, EVENT_KINDS)),
             stream=np.zeros((n, 1), dtype=np.uint64),
             supply=np.zeros((n, bench.reagents)),
+            changed=np.ones((n, positions), dtype=np.bool_),
             layers=np.zeros((n, positions, columns + 1), dtype=np.int64),
             profile=np.zeros((n, positions, columns, CAMERA_PIXELS)),
             image=np.zeros((n, positions, CAMERA_PIXELS if bench.camera else 0)),
@@ -243,6 +246,7 @@ class Station:
             self.events,
             self.stream,
             self.supply,
+            self.changed,
             self.layers,
             self.profile,
             self.image,
@@ -275,6 +279,9 @@ class Bench(ABC):
         self.layout = layout
         self.chemistry = chemistry
         self.goals = Goals.of(scenario)
+        columns = layout.fluid_columns
+        self.work = np.zeros((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))))
+        """Scratch of the bench's kernels, which allocate nothing."""
         self.options: Any = validated(
             self.options_model, self.spec.model_extra or {}, f"{scenario.origin}: benches.{key}"
         )
@@ -313,7 +320,14 @@ class Bench(ABC):
         station.illegal[members] = False
         station.events[members] = 0.0
         _provide(
-            members, station.places, shelf.rows, self.chemistry, self.auxiliary_capacity_l, shelf.waste, station.events
+            members,
+            station.places,
+            shelf.rows,
+            self.chemistry,
+            self.auxiliary_capacity_l,
+            shelf.waste,
+            station.events,
+            self.work,
         )
         self.prepare(shelf, station, members)
         station.baseline[members] = self.measure(shelf, station, members)

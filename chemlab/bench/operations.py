@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..materials import DataError
-from ..physics.jit import kernel
+from ..physics.jit import helper, kernel
 from ..physics.layers import SOLIDS, camera, layer_volumes, profile
 from ..physics.partition import partition, turn_clock
 from ..physics.phases import settle_phases
@@ -75,7 +75,7 @@ class OperationOptions(BaseModel):
     coolest_k: float = Field(default=273.15, gt=0.0)
 
 
-@kernel
+@helper
 def _legal(
     table: FloatArray, action: int, m: int, places: IntArray, rows: FloatArray, stock: FloatArray, chem: Chemistry
 ) -> bool:
@@ -100,6 +100,7 @@ def _operate(
     events: FloatArray,
     layers: IntArray,
     profiles: FloatArray,
+    changed: BoolArray,
     chem: Chemistry,
     share: FloatArray,
 ) -> None:
@@ -121,10 +122,14 @@ def _operate(
         add(row, material, mol, chem.ambient_temperature, chem, waste[m], events[m])
     elif kind == HEAT:
         heat(row, target, 1000.0 * magnitude, knobs[0], knobs[1], chem, waste[m], events[m])
+    for q in range(places.shape[1]):
+        changed[m, q] = kind != SETTLE and q in (p, t)
     elapsed = knobs[2] + (magnitude if kind == SETTLE else 0.0)
     if elapsed > 0.0:
         for q in range(places.shape[1]):
+            before = rows[places[m, q], CLOCK]
             turn_clock(rows[places[m, q]], elapsed)
+            changed[m, q] = changed[m, q] or rows[places[m, q], CLOCK] != before
 
 
 @kernel
@@ -140,40 +145,51 @@ def _operations(
     events: FloatArray,
     layers: IntArray,
     profiles: FloatArray,
+    changed: BoolArray,
     steps: IntArray,
     ended: BoolArray,
     illegal: BoolArray,
     limit: int,
     chem: Chemistry,
+    work: FloatArray,
 ) -> None:
-    share = np.empty(max(profiles.shape[2], chem.solvents.shape[0] + 1))
+    share = work[0]
     for b in range(members.shape[0]):
         m = members[b]
         events[m, :] = 0.0
         illegal[m] = not _legal(table, actions[b], m, places, rows, stock, chem)
         ended[m] = int(table[actions[b], 0]) == END
         if not illegal[m] and not ended[m]:
-            _operate(table, actions[b], m, knobs, places, rows, stock, waste, events, layers, profiles, chem, share)
+            _operate(
+                table, actions[b], m, knobs, places, rows, stock, waste, events, layers, profiles, changed, chem, share
+            )
             for p in range(places.shape[1]):
-                settle_phases(rows[places[m, p]], chem, waste[m], events[m], share)
+                if changed[m, p]:
+                    settle_phases(rows[places[m, p]], chem, waste[m], events[m], share)
         steps[m] += 1
         ended[m] = ended[m] or steps[m] >= limit
 
 
 @kernel
 def separate(
-    members: IntArray, places: IntArray, rows: FloatArray, layers: IntArray, profiles: FloatArray, chem: Chemistry
+    members: IntArray,
+    places: IntArray,
+    rows: FloatArray,
+    layers: IntArray,
+    profiles: FloatArray,
+    changed: BoolArray,
+    chem: Chemistry,
+    work: FloatArray,
 ) -> None:
-    """Bring dissolved amounts and layer profiles up to date."""
-    columns = profiles.shape[2]
-    work = np.empty((columns + 7, columns + 1))
-    scratch = np.empty((2, max(chem.solvents.shape[0], 1)))
+    """Bring dissolved amounts and layer profiles of the vessels that have changed up to date."""
     for b in range(members.shape[0]):
         m = members[b]
         for p in range(places.shape[1]):
-            row = rows[places[m, p]]
-            partition(row, chem, scratch)
-            profile(row, chem, layers[m, p], profiles[m, p], work)
+            if changed[m, p]:
+                row = rows[places[m, p]]
+                partition(row, chem, work)
+                profile(row, chem, layers[m, p], profiles[m, p], work)
+                changed[m, p] = False
 
 
 @kernel
@@ -244,9 +260,18 @@ def _mask(
 ) -> None:
     for b in range(members.shape[0]):
         m = members[b]
+        before, legal = -1, False
         for a in range(table.shape[0]):
-            kind = int(table[a, 0])
-            out[b, a] = kind == END or (busy[m] and _legal(table, a, m, places, rows, stock, chem))
+            # Magnitudes of one process stand together and are legal or not together.
+            if (
+                before < 0
+                or table[a, 0] != table[before, 0]
+                or table[a, 1] != table[before, 1]
+                or table[a, 3] != table[before, 3]
+            ):
+                legal = int(table[a, 0]) == END or (busy[m] and _legal(table, a, m, places, rows, stock, chem))
+                before = a
+            out[b, a] = legal
 
 
 class OperationBench(Bench):
@@ -332,6 +357,7 @@ class OperationBench(Bench):
         return len(self.table) - 1
 
     def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
+        station.changed[members] = True
         self._show(shelf, station, members)
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
@@ -348,18 +374,20 @@ class OperationBench(Bench):
             s.events,
             s.layers,
             s.profile,
+            s.changed,
             s.steps,
             s.ended,
             s.illegal,
             self.spec.step_limit,
             self.chemistry,
+            self.work,
         )
         self._show(shelf, station, members)
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         s = station
         if self.separation_model is None:
-            separate(members, s.places, shelf.rows, s.layers, s.profile, self.chemistry)
+            separate(members, s.places, shelf.rows, s.layers, s.profile, s.changed, self.chemistry, self.work)
         else:
             for m in members:
                 for p in range(s.places.shape[1]):

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..physics.jit import kernel
+from ..physics.jit import helper, kernel
 from ..physics.kinetics import react, react_work_size
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
 from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal, vent
-from ..physics.transfer import add, liquid_volume, volume
+from ..physics.transfer import liquid_volume, spill, volume
 from ..scenario import Scenario
 from ..shelf import (
     AIR,
@@ -94,7 +94,7 @@ class ReactionOptions(BaseModel):
     """Score lost per mol of a by-product, unless it is the goal itself."""
 
 
-@kernel
+@helper
 def _load(
     m: int,
     action: FloatArray,
@@ -107,7 +107,9 @@ def _load(
     events: FloatArray,
     chem: Chemistry,
 ) -> None:
-    """Move the piston, add reagents, set the temperature. knobs: T low, high, step; V low, high, step; rated; dt;
+    """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat).
+
+    knobs: T low, high, step; V low, high, step; rated; dt;
     rtol; atol."""
     n = reagents.shape[0]
     temperature = row[TEMPERATURE] + (2.0 * action[0] - 1.0) * knobs[2]
@@ -120,11 +122,12 @@ def _load(
         mol = action[2 + i] * min(supply[m, i], stock[m, reagents[i]])
         supply[m, i] -= mol
         stock[m, reagents[i]] -= mol
-        add(row, reagents[i], mol, row[TEMPERATURE], chem, waste[m], events[m])
+        row[AMOUNTS + reagents[i]] += mol
+    spill(row, chem, waste[m], events[m])
     row[TEMPERATURE] = min(max(temperature, knobs[0]), knobs[1])
 
 
-@kernel
+@helper
 def _settle(
     m: int, row: FloatArray, knobs: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry, work: FloatArray
 ) -> None:
@@ -167,8 +170,8 @@ def _after(
     ended: BoolArray,
     limit: int,
     chem: Chemistry,
+    work: FloatArray,
 ) -> None:
-    work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
         m = members[b]
         _settle(m, rows[places[m, 0]], knobs, waste, events, chem, work)
@@ -194,8 +197,8 @@ def act(
     chem: Chemistry,
     network: Network,
     scratch: FloatArray,
+    work: FloatArray,
 ) -> None:
-    work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for b in range(members.shape[0]):
         m = members[b]
         row = rows[places[m, 0]]
@@ -221,10 +224,11 @@ def _observe(
     knobs: FloatArray,
     scale: float,
     chem: Chemistry,
+    work: FloatArray,
     out: ObservationArray,
 ) -> None:
     size = chem.basis.shape[1]
-    light = np.empty(size)
+    light = work[0, :size]
     for b in range(members.shape[0]):
         m = members[b]
         out[b, :] = 0.0
@@ -354,7 +358,7 @@ class ReactionBench(Bench):
         s, chem, limit = station, self.chemistry, self.spec.step_limit
         args = (s.places, shelf.rows, self._knobs, self._reagent_index, s.supply, shelf.stock, shelf.waste, s.events)
         if self.reaction_model is None:
-            act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch)
+            act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch, self.work)
             return
         _before(members, actions, *args, chem)
         for place in station.places[members, 0]:
@@ -363,7 +367,9 @@ class ReactionBench(Bench):
             amounts[:] = checked_reaction(
                 self.reaction_model, amounts, float(row[TEMPERATURE]), liquid_volume(row, chem), self.options.tick
             )
-        _after(members, s.places, shelf.rows, self._knobs, shelf.waste, s.events, s.steps, s.ended, limit, chem)
+        _after(
+            members, s.places, shelf.rows, self._knobs, shelf.waste, s.events, s.steps, s.ended, limit, chem, self.work
+        )
 
     def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
         s = station
@@ -380,6 +386,7 @@ class ReactionBench(Bench):
             self._knobs,
             self._pressure_scale,
             self.chemistry,
+            self.work,
             out,
         )
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ..bench import operations, reaction
 from ..bench.base import (
+    CAMERA_PIXELS,
     Bench,
     Channel,
     Goals,
@@ -122,8 +123,8 @@ class Laboratories:
         self._maximum = np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals])
         columns = self.shelf.layout.fluid_columns
         self._layers = np.zeros(columns + 1, dtype=np.int64)
-        self._shares = np.zeros((columns, 100))
-        self._work = np.zeros((columns + 7, columns + 1))
+        self._shares = np.zeros((columns, CAMERA_PIXELS))
+        self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
         self.members: IntArray = np.arange(n)
 
@@ -326,6 +327,7 @@ class Laboratories:
             shelf.waste,
             station.events,
             shelf.chemistry,
+            self._work,
         )
 
     def _settle_accounts(self, members: IntArray) -> None:

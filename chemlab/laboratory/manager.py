@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bench.base import BoolArray, Channel, MaskArray, ObservationArray, goal_amount, weighted_amount
 from ..bench.instruments import InstrumentTable, read_instrument
-from ..physics.jit import kernel
+from ..physics.jit import helper, kernel
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
 from ..physics.transfer import clear, remove_fraction, volume
@@ -266,7 +266,7 @@ class Rules(NamedTuple):
     largest_capacity: float
 
 
-@kernel
+@helper
 def _count_slots(n: int, base: int, desk: Desk, rules: Rules, rows: FloatArray) -> tuple[int, int]:
     """(free slots, occupied slots); a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
@@ -278,7 +278,7 @@ def _count_slots(n: int, base: int, desk: Desk, rules: Rules, rows: FloatArray) 
     return free, occupied
 
 
-@kernel
+@helper
 def _allowed(
     n: int,
     a: int,
@@ -305,7 +305,7 @@ def _allowed(
     return any_busy
 
 
-@kernel
+@helper
 def _any_busy(n: int, busy: BoolArray) -> bool:
     found = False
     for b in range(busy.shape[0]):
@@ -335,7 +335,7 @@ def rest_on_shelf(row: FloatArray, chem: Chemistry, waste: FloatArray, events: F
     partition(row, chem, work)
 
 
-@kernel
+@helper
 def _forget(n: int, s: int, desk: Desk) -> None:
     """The slot holds another vessel, or none: its history and readings are gone."""
     desk.last_bench[n, s] = 0
@@ -442,10 +442,10 @@ def return_vessels(
     waste: FloatArray,
     events: FloatArray,
     chem: Chemistry,
+    work: FloatArray,
 ) -> None:
     """Bring what station ``b`` worked on back to the shelf: the main vessel to where it came from, the others to the
     slots reserved for them; empty ones are washed and gone."""
-    work = np.empty((2, max(chem.solvents.shape[0], 1)))
     for i in range(members.shape[0]):
         n = members[i]
         base = n * per_lab

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numba
 
-__all__ = ["is_compiled", "kernel"]
+__all__ = ["helper", "is_compiled", "kernel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -27,18 +27,26 @@ def _fingerprint() -> str:
     return digest.hexdigest()
 
 
-def kernel(function: F) -> F:
+def kernel(function: F, **options: Any) -> F:
     """Compile ``function`` with numba on first use, cached on disk, releasing the GIL.
 
     With ``NUMBA_DISABLE_JIT=1`` the plain Python function runs instead, slowly, for debugging.
     """
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, **options)(function)
     # numba invalidates a cached kernel by its own file's time stamp alone: a kernel that inlines an edited
     # function from another file would go on running the old code. One stamp over all sources mends that.
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _fingerprint()
     return compiled  # type: ignore[return-value]  # numba's dispatcher stands in for the function
+
+
+def helper(function: F) -> F:
+    """A kernel that is always inlined: for what is called many times a step.
+
+    A call hands over every array of a Chemistry, some hundred machine words: more than a small function costs.
+    """
+    return kernel(function, forceinline=True)
 
 
 def is_compiled(*kernels: Callable[..., Any]) -> bool:

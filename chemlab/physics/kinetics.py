@@ -6,10 +6,10 @@ whatever the integrator's error; a step that would make an amount negative is cu
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from ..shelf import AMOUNTS, FloatArray, Network
-from .jit import kernel
+from .jit import helper, kernel
 
 __all__ = ["GAS_CONSTANT", "react", "react_work_size"]
 
@@ -26,7 +26,7 @@ _B1, _B3, _B4, _B5, _B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 _E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
 
 _SMALLEST_STEP = 1e-12
-_WORK_ROWS = 13
+_WORK_ROWS = 14
 
 
 def react_work_size(network: Network) -> tuple[int, int]:
@@ -34,26 +34,27 @@ def react_work_size(network: Network) -> tuple[int, int]:
     return _WORK_ROWS, max(network.stoichiometry.shape[0], network.species.shape[0], 1)
 
 
-@kernel
+@helper
 def _rates(
     constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
 ) -> None:
+    """Concentrations (which an overlong trial step may make negative) and rates at the given extents."""
     n_reactions, n_species = network.stoichiometry.shape
     for j in range(n_species):
-        value = start[j]
-        for r in range(n_reactions):
-            value += network.stoichiometry[r, j] * extent[r]
-        conc[j] = max(value, 0.0)
+        conc[j] = start[j]
+    for r in range(n_reactions):
+        for c in range(network.changes.shape[1]):
+            j = network.changes[r, c]
+            if j >= 0:
+                conc[j] += network.stoichiometry[r, j] * extent[r]
     for r in range(n_reactions):
         rate = constants[r]
-        for j in range(n_species):
-            order = network.orders[r, j]
-            if order == 1.0:
-                rate *= conc[j]
-            elif order == 2.0:
-                rate *= conc[j] * conc[j]
-            elif order != 0.0:
-                rate *= conc[j] ** order
+        for f in range(network.factors.shape[1]):
+            if network.factors[r, f] >= 0:
+                rate *= max(conc[network.factors[r, f]], 0.0)
+        for j in range(network.fractions.shape[1]):
+            if network.fractions[r, j] > 0.0:
+                rate *= max(conc[j], 0.0) ** network.fractions[r, j]
         out[r] = rate
 
 
@@ -86,9 +87,11 @@ def react(
     if n_reactions == 0 or volume <= 0.0 or dt <= 0.0:
         return 0
     constants, start, extent, trial, conc, now = work[0], work[1], work[2], work[3], work[4], work[5]
-    k1, k2, k3, k4, k5, k6, k7 = work[6], work[7], work[8], work[9], work[10], work[11], work[12]
+    k1, k2, k3, k4, k5, k6, k7, defect = work[6], work[7], work[8], work[9], work[10], work[11], work[12], work[13]
     for r in range(n_reactions):
-        constants[r] = network.pre_exponential[r] * np.exp(-network.activation_energy[r] / (GAS_CONSTANT * temperature))
+        constants[r] = network.pre_exponential[r] * math.exp(
+            -network.activation_energy[r] / (GAS_CONSTANT * temperature)
+        )
         extent[r] = 0.0
     for j in range(n_species):
         start[j] = row[AMOUNTS + network.species[j]] / volume
@@ -121,19 +124,21 @@ def react(
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_B1 * k1[r] + _B3 * k3[r] + _B4 * k4[r] + _B5 * k5[r] + _B6 * k6[r])
         _rates(constants, network, start, trial, conc, k7)
-        error = 0.0
-        lowest = 0.0
         for j in range(n_species):
-            value, defect = start[j], 0.0
-            for r in range(n_reactions):
-                nu = network.stoichiometry[r, j]
-                value += nu * trial[r]
-                defect += nu * (_E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r])
-            scale = atol + rtol * max(abs(now[j]), abs(value))
-            error += (h * defect / scale) ** 2
+            defect[j] = 0.0
+        for r in range(n_reactions):
+            gap = _E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r]
+            for c in range(network.changes.shape[1]):
+                j = network.changes[r, c]
+                if j >= 0:
+                    defect[j] += network.stoichiometry[r, j] * gap
+        error, lowest = 0.0, 0.0
+        for j in range(n_species):
+            ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
+            error += ratio * ratio
             # Rounding in the sums above may leave -1e-17 where the exact result is 0.
-            lowest = min(lowest, value + 1e-15 * (start[j] + 1.0))
-        error = np.sqrt(error / n_species)
+            lowest = min(lowest, conc[j] + 1e-15 * (start[j] + 1.0))
+        error = math.sqrt(error / n_species)
         if error > 1.0 and h > _SMALLEST_STEP * dt:
             h *= max(0.2, 0.9 * error**-0.2)
             continue
@@ -148,9 +153,7 @@ def react(
             extent[r] = trial[r]
             k1[r] = k7[r]
         for j in range(n_species):
-            now[j] = max(start[j], 0.0)
-            for r in range(n_reactions):
-                now[j] += network.stoichiometry[r, j] * extent[r]
+            now[j] = conc[j]
         h *= 5.0 if error < 1e-4 else min(5.0, 0.9 * error**-0.2)
     for j in range(n_species):
         change = 0.0

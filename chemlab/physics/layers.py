@@ -25,7 +25,7 @@ from ..shelf import (
     IntArray,
     StreamArray,
 )
-from .jit import kernel
+from .jit import helper, kernel
 from .transfer import TRACE_MOL
 
 __all__ = ["SOLIDS", "camera", "layer_volumes", "profile"]
@@ -35,12 +35,17 @@ SOLIDS = -2
 
 _STEEPEST = 600.0
 """Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
-_TOLERANCE = 1e-12
-_MOST_ITERATIONS = 60
+_TOLERANCE = 1e-11
+"""Of a layer's share of the vessel."""
+_MOST_ITERATIONS = 30
 _LONGEST_STEP = 4.0
+_NEGLIGIBLE = -60.0
+"""Log of a relative height that counts as none ..."""
+_FARTHEST_SHIFT = 20.0
+"""... as long as the offsets have moved by less than this since; then the heights are worked out again."""
 
 
-@kernel
+@helper
 def layer_volumes(row: FloatArray, chem: Chemistry, layers: IntArray, volumes: FloatArray) -> int:
     """Volumes of solids, fluid layers and air, densest fluid first.
 
@@ -89,7 +94,7 @@ def layer_volumes(row: FloatArray, chem: Chemistry, layers: IntArray, volumes: F
     return count + 1
 
 
-@kernel
+@helper
 def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> None:
     """The fully settled profile: each layer fills its own interval of heights."""
     pixels = out.shape[1]
@@ -137,7 +142,7 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
         layers: [C + 1] out: number of columns, then what each stands for (SOLIDS or a material; air last).
         out: [C, pixels] out: shares; columns in use sum to one over each pixel, and each to its layer's
             share of the vessel times the number of pixels (1e-9). Pixels from the bottom up.
-        work: scratch of at least [C + 6, C].
+        work: scratch of at least [C + 9, max(C + 1, pixels)].
 
     Returns:
         Number of columns in use; 0 where no vessel stands.
@@ -166,8 +171,7 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
                 out[c, p] = (1.0 - share) * volumes[c] / fluid
         return count
     # Consecutive fluids i, i + 1: log ratio of shares = slope_i x + offset_i, x in vessel heights.
-    slope, offset, gradient, shares, target = work[1], work[2], work[3], work[4], work[5]
-    hessian = work[6:]
+    slope, offset, target = work[1], work[2], work[3]
     kappa = fluids * since_mixed * math.sqrt(2.0 * math.pi) * math.exp(row[CLOCK])
     low = volumes[0] / total
     for i in range(fluids):
@@ -186,59 +190,109 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
         # log((1 - e^-(s-first)) / (e^first - 1)) is the offset that splits [0, height] at the right volume.
         offset[i] = ratio - slope[i] * low
         low += target[i] / pixels
-    for _ in range(_MOST_ITERATIONS):
-        for i in range(fluids):
-            gradient[i] = -target[i]
-            for j in range(fluids):
-                hessian[i, j] = 0.0
-        for p in range(pixels):
-            solid = max(min(solids - p, 1.0), 0.0)
-            weight = 1.0 - solid
-            out[0, p] = solid
-            x = (p + 0.5) / pixels
-            level, highest = 0.0, 0.0
-            shares[0] = 0.0
-            for i in range(fluids - 1):
-                level += slope[i] * x + offset[i]
-                shares[i + 1] = level
-                highest = max(highest, level)
-            norm = 0.0
-            for i in range(fluids):
-                gap = shares[i] - highest
-                shares[i] = math.exp(gap) if gap > -45.0 else 0.0
-                norm += shares[i]
-            for i in range(fluids):
-                shares[i] /= norm
-                out[1 + i, p] = weight * shares[i]
-                gradient[i] += weight * shares[i]
-            for i in range(1, fluids):
-                if shares[i] == 0.0:
-                    continue
-                hessian[i, i] += weight * shares[i]
-                for j in range(1, i + 1):
-                    hessian[i, j] -= weight * shares[i] * shares[j]
-        worst = 0.0
-        for i in range(fluids):
-            worst = max(worst, abs(gradient[i]))
-        if worst < _TOLERANCE * pixels:
-            break
-        for i in range(1, fluids):
-            hessian[i, i] += 1e-13
-        # beta_0 = 0: the system is over betas 1.., shifted by one in the scratch.
-        for i in range(1, fluids):
-            gradient[i - 1] = gradient[i]
-            for j in range(1, i + 1):
-                hessian[i - 1, j - 1] = hessian[i, j]
-        _solve(hessian, gradient, fluids - 1)
-        before = 0.0
-        for i in range(fluids - 1):
-            change = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
-            offset[i] += change - before
-            before = change
+    _conserve(fluids, solids, out, work)
     return count
 
 
+@helper
+def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
+    """Relative heights of the fluids in every pixel at the current offsets, the highest of each pixel being 1."""
+    slope, offset, level = work[1], work[2], work[4]
+    pixels = out.shape[1]
+    for p in range(pixels):
+        x = (p + 0.5) / pixels
+        reached, highest = 0.0, 0.0
+        level[0] = 0.0
+        for i in range(fluids - 1):
+            reached += slope[i] * x + offset[i]
+            level[i + 1] = reached
+            highest = max(highest, reached)
+        for i in range(fluids):
+            gap = level[i] - highest
+            out[1 + i, p] = 1.0 if gap == 0.0 else (math.exp(gap) if gap > _NEGLIGIBLE else 0.0)
+
+
+@helper
+def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
+    """Sum of products; four partial sums, because one would wait for each addition."""
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    whole = size - size % 4
+    for p in range(0, whole, 4):
+        s0 += a[p] * b[p]
+        s1 += a[p + 1] * b[p + 1]
+        s2 += a[p + 2] * b[p + 2]
+        s3 += a[p + 3] * b[p + 3]
+    for p in range(whole, size):
+        s0 += a[p] * b[p]
+    return (s0 + s1) + (s2 + s3)
+
+
 @kernel
+def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
+    """Newton on the betas: shift the offsets until every fluid's pixels add up to its target, then fill ``out``.
+
+    The relative heights are worked out once; a Newton step multiplies them by one factor a fluid, so an iteration
+    takes no exponentials of pixels.
+    """
+    pixels = out.shape[1]
+    offset, target, factor, gradient = work[2], work[3], work[5], work[6]
+    scale, weight = work[-1], work[-2]
+    hessian = work[7:-2]
+    for p in range(pixels):
+        solid = max(min(solids - p, 1.0), 0.0)
+        out[0, p] = solid
+        weight[p] = 1.0 - solid
+    for _ in range(_MOST_ITERATIONS):
+        _weigh(fluids, out, work)
+        for i in range(fluids):
+            factor[i] = 1.0
+        shifted = 0.0
+        done = False
+        while shifted < _FARTHEST_SHIFT:
+            for p in range(pixels):
+                scale[p] = out[1, p]
+            for i in range(1, fluids):
+                for p in range(pixels):
+                    scale[p] += factor[i] * out[1 + i, p]
+            for p in range(pixels):
+                scale[p] = 1.0 / scale[p]
+            worst = 0.0
+            # From here on the rows of ``out`` are shares; the factors are 1 again.
+            for i in range(fluids):
+                for p in range(pixels):
+                    out[1 + i, p] *= factor[i] * scale[p]
+                factor[i] = 1.0
+                gradient[i] = _dot(weight, out[1 + i], pixels) - target[i]
+                worst = max(worst, abs(gradient[i]))
+            if worst < _TOLERANCE * pixels:
+                done = True
+                break
+            # beta_0 = 0, so the system is over the betas 1.. of the other fluids.
+            for i in range(1, fluids):
+                for p in range(pixels):
+                    scale[p] = weight[p] * out[1 + i, p]
+                for j in range(1, i + 1):
+                    hessian[i - 1, j - 1] = -_dot(scale, out[1 + j], pixels)
+                hessian[i - 1, i - 1] += gradient[i] + target[i] + 1e-13
+            for i in range(1, fluids):
+                gradient[i - 1] = gradient[i]
+            _solve(hessian, gradient, fluids - 1)
+            before, largest = 0.0, 0.0
+            for i in range(fluids - 1):
+                change = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
+                offset[i] += change - before
+                factor[i + 1] = math.exp(change)
+                before = change
+                largest = max(largest, abs(change))
+            shifted += largest
+        if done:
+            break
+    for i in range(fluids):
+        for p in range(pixels):
+            out[1 + i, p] *= weight[p]
+
+
+@helper
 def random_bits(state: StreamArray) -> np.uint64:
     """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -249,7 +303,7 @@ def random_bits(state: StreamArray) -> np.uint64:
     return bits
 
 
-@kernel
+@helper
 def uniform(state: StreamArray) -> float:
     """Next number in [0, 1) of the stream."""
     return (random_bits(state) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
@@ -288,7 +342,7 @@ def camera(
             out[p] = chem.shade[layers[1 + chosen]]
 
 
-@kernel
+@helper
 def _solid_shade(row: FloatArray, chem: Chemistry, draw: float) -> float:
     """Grey value of one of the solids, drawn by volume."""
     total = 0.0

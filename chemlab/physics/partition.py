@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..shelf import AMOUNTS, CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX, Chemistry, FloatArray
-from .jit import kernel
+from .jit import helper, kernel
 from .transfer import TRACE_MOL
 
 __all__ = ["equilibrium", "partition", "set_dissolved_total", "turn_clock"]
@@ -14,7 +14,7 @@ _DECAY = 30.0
 """The paper's rate at which the mixed distribution gives way to the polarity-driven one."""
 
 
-@kernel
+@helper
 def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, share: FloatArray) -> int:
     """S*(clock) / [S]: the share of a solute that each solvent tends to hold; the shares add up to one.
 
@@ -29,41 +29,49 @@ def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, s
         Number of solvents present; with none, every share is 0.
     """
     n_solvents = chem.solvents.shape[0]
-    present = 0
+    present, only = 0, -1
+    for layer in range(n_solvents):
+        share[layer] = 0.0
+        if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:
+            present += 1
+            only = layer
+    if present < 2:  # the common case, and nothing to work out
+        if present == 1:
+            share[only] = 1.0
+        return present
     litres, distances, weighted = 0.0, 0.0, 0.0
     for layer in range(n_solvents):
         i = chem.solvents[layer]
-        share[layer] = 0.0
         if row[AMOUNTS + i] > TRACE_MOL:
-            present += 1
             volume = row[AMOUNTS + i] * chem.molar_volume[i]
             distance = abs(chem.polarity[material] - chem.polarity[i])
             litres += volume
             distances += distance
             weighted += volume * distance
-    if present == 0:
-        return 0
-    alpha = math.exp(_DECAY * (T_MIX - clock))
-    # One solvent, or solvents that are all exactly as polar as the solute: nothing to tell them apart by.
+    decay = _DECAY * (clock - T_MIX)
+    alpha = math.exp(-decay) if decay < 40.0 else 0.0
+    # Solvents that are all exactly as polar as the solute: nothing to tell them apart by.
     norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
     for layer in range(n_solvents):
         i = chem.solvents[layer]
         if row[AMOUNTS + i] > TRACE_MOL:
             volume = row[AMOUNTS + i] * chem.molar_volume[i]
             preference = 1.0
-            if present > 1 and norm > 0.0:
+            if norm > 0.0:
                 preference = (1.0 - abs(chem.polarity[material] - chem.polarity[i]) / distances) / norm
             share[layer] = volume / litres * (alpha + (1.0 - alpha) * preference)
     return present
 
 
-@kernel
+@helper
 def set_dissolved_total(row: FloatArray, chem: Chemistry, k: int, total: float, share: FloatArray) -> None:
     """Set the total of dissolvable material ``k`` (mol): what leaves leaves every solvent alike, what is new
     dissolves where the solute tends to be. ``share`` is [L] scratch."""
     n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
     material = chem.dissolved[k]
     before = row[AMOUNTS + material]
+    if total == before:
+        return
     row[AMOUNTS + material] = total
     first = AMOUNTS + n + k * n_solvents
     if total <= before:
@@ -121,7 +129,7 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
     row[CLOCK_WAS] = clock
 
 
-@kernel
+@helper
 def turn_clock(row: FloatArray, by: float) -> None:
     """Let the vessel settle (``by`` > 0) or mix it (< 0), within [T_MIX, CLOCK_SETTLED]."""
     row[CLOCK] = max(min(row[CLOCK] + by, CLOCK_SETTLED), T_MIX)

@@ -5,25 +5,24 @@ from __future__ import annotations
 
 import math
 
-from ..shelf import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLUTE, Chemistry, FloatArray
+from ..shelf import AMOUNTS, ROLE_GAS, Chemistry, FloatArray
 from .events import METAL_IN_WATER
-from .jit import kernel
+from .jit import helper
 from .partition import set_dissolved_total
 
 __all__ = ["react_violently", "settle_phases", "settle_salts"]
 
 
-@kernel
+@helper
 def _set_amount(row: FloatArray, chem: Chemistry, material: int, total: float, share: FloatArray) -> None:
-    if chem.role[material] == ROLE_ION or chem.role[material] == ROLE_SOLUTE:
-        for k in range(chem.dissolved.shape[0]):
-            if chem.dissolved[k] == material:
-                set_dissolved_total(row, chem, k, total, share)
+    k = chem.dissolved_at[material]
+    if k >= 0:
+        set_dissolved_total(row, chem, k, total, share)
     else:
         row[AMOUNTS + material] = total
 
 
-@kernel
+@helper
 def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: FloatArray) -> float:
     """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``.
 
@@ -35,9 +34,13 @@ def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: 
     for v in range(chem.violent.shape[0]):
         extent, limiting = math.inf, -1
         for i in range(n):
-            if chem.violent[v, i] < 0.0 and row[AMOUNTS + i] / -chem.violent[v, i] < extent:
-                extent, limiting = row[AMOUNTS + i] / -chem.violent[v, i], i
-        if limiting < 0 or extent <= 0.0:
+            if chem.violent[v, i] < 0.0:
+                if row[AMOUNTS + i] <= 0.0:
+                    limiting = -1
+                    break
+                if row[AMOUNTS + i] / -chem.violent[v, i] < extent:
+                    extent, limiting = row[AMOUNTS + i] / -chem.violent[v, i], i
+        if limiting < 0:
             continue
         first = True
         for i in range(n):
@@ -56,7 +59,7 @@ def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: 
     return reacted
 
 
-@kernel
+@helper
 def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
     """Take every salt to the equilibrium [salt][solvent] = [cation][anion], all solvents counted.
 
@@ -93,7 +96,7 @@ def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
         start = stop
 
 
-@kernel
+@helper
 def settle_phases(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
     """What happens by itself in any vessel, after any operation: violent reactions, then salts.
 

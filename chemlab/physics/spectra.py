@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from ..shelf import AMOUNTS, Chemistry, FloatArray
-from .jit import kernel
+from .jit import helper
 from .transfer import liquid_volume
 
 __all__ = ["spectrum"]
 
 
-@kernel
+@helper
 def spectrum(row: FloatArray, chem: Chemistry, out: FloatArray) -> None:
     """Absorption of the vessel's contents at 200 wavelengths: sum of concentration x peaks, clipped to [0, 1].
 

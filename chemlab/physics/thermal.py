@@ -15,27 +15,27 @@ from ..shelf import (
     FloatArray,
 )
 from .events import BOILED_DRY, DRY_HEATING, RELIEF
-from .jit import kernel
+from .jit import helper, kernel
 from .kinetics import GAS_CONSTANT
 from .transfer import TRACE_MOL, add, heat_capacity, volume
 
 __all__ = ["air_in_open_vessel", "heat", "pressure", "seal", "vapor_pressure", "vent"]
 
 
-@kernel
+@helper
 def air_in_open_vessel(row: FloatArray, chem: Chemistry) -> float:
     """mol of ambient-pressure air above the contents of an open vessel, at the vessel's temperature."""
     headspace = max(row[CAPACITY] - volume(row, chem), 0.0)
     return float(chem.ambient_pressure * headspace / (GAS_CONSTANT * row[TEMPERATURE]))
 
 
-@kernel
+@helper
 def seal(row: FloatArray, chem: Chemistry) -> None:
     """Close the vessel: the air above its contents stays in it."""
     row[AIR] = air_in_open_vessel(row, chem)
 
 
-@kernel
+@helper
 def vapor_pressure(row: FloatArray, chem: Chemistry) -> float:
     """Sum of x_i p_i(T) over the liquids (Raoult; Clausius-Clapeyron from the normal boiling point), kPa."""
     moles, partial = 0.0, 0.0
@@ -49,7 +49,7 @@ def vapor_pressure(row: FloatArray, chem: Chemistry) -> float:
     return 101.325 * partial / moles if moles > 0.0 else 0.0
 
 
-@kernel
+@helper
 def pressure(row: FloatArray, chem: Chemistry) -> float:
     """Pressure in a sealed vessel, kPa: its air in the headspace, plus vapour."""
     # A brim-full vessel has no headspace to divide by; one part in a thousand stands for the gap at the lid.
@@ -89,18 +89,17 @@ def vent(row: FloatArray, rated: float, chem: Chemistry, waste: FloatArray, even
             events[RELIEF] += lost
 
 
-@kernel
+@helper
 def take(row: FloatArray, chem: Chemistry, material: int, mol: float) -> None:
     """Remove ``mol`` of a liquid from the vessel (from every layer alike); never more than is there."""
     n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
     before = row[AMOUNTS + material]
     left = max(before - mol, 0.0)
-    if chem.role[material] == ROLE_SOLUTE and before > 0.0:
-        for k in range(chem.dissolved.shape[0]):
-            if chem.dissolved[k] == material:
-                first = AMOUNTS + n + k * n_solvents
-                for layer in range(n_solvents):
-                    row[first + layer] *= left / before
+    k = chem.dissolved_at[material]
+    if k >= 0 and before > 0.0:
+        first = AMOUNTS + n + k * n_solvents
+        for layer in range(n_solvents):
+            row[first + layer] *= left / before
     row[AMOUNTS + material] = left
 
 

@@ -23,7 +23,7 @@ from ..shelf import (
     IntArray,
 )
 from .events import SPILL
-from .jit import kernel
+from .jit import helper, kernel
 
 __all__ = [
     "TRACE_MOL",
@@ -37,6 +37,7 @@ __all__ = [
     "remove_fraction",
     "row_has",
     "solid_volume",
+    "spill",
     "volume",
 ]
 
@@ -44,7 +45,7 @@ __all__ = [
 TRACE_MOL = 1e-12
 
 
-@kernel
+@helper
 def volume(row: FloatArray, chem: Chemistry) -> float:
     """Volume of everything in the vessel but gases, L."""
     total = 0.0
@@ -54,7 +55,7 @@ def volume(row: FloatArray, chem: Chemistry) -> float:
     return total
 
 
-@kernel
+@helper
 def solid_volume(row: FloatArray, chem: Chemistry) -> float:
     """Volume of the solids, L."""
     total = 0.0
@@ -64,13 +65,13 @@ def solid_volume(row: FloatArray, chem: Chemistry) -> float:
     return total
 
 
-@kernel
+@helper
 def liquid_volume(row: FloatArray, chem: Chemistry) -> float:
     """Volume of the liquids and what is dissolved in them, L."""
     return volume(row, chem) - solid_volume(row, chem)
 
 
-@kernel
+@helper
 def heat_capacity(row: FloatArray, chem: Chemistry) -> float:
     """Heat capacity of the contents without air, J/K."""
     total = 0.0
@@ -79,20 +80,20 @@ def heat_capacity(row: FloatArray, chem: Chemistry) -> float:
     return total
 
 
-@kernel
+@helper
 def _stir(row: FloatArray, volume_before: float, volume_after: float) -> None:
     if volume_after > 0.0:
         row[CLOCK] = T_MIX + (row[CLOCK] - T_MIX) * min(volume_before / volume_after, 1.0)
 
 
-@kernel
+@helper
 def _mix_temperature(row: FloatArray, capacity_before: float, capacity_added: float, temperature_added: float) -> None:
     both = capacity_before + capacity_added
     if both > 0.0:
         row[TEMPERATURE] = (capacity_before * row[TEMPERATURE] + capacity_added * temperature_added) / both
 
 
-@kernel
+@helper
 def remove_fraction(row: FloatArray, fraction: float, chem: Chemistry, into: FloatArray) -> None:
     """Move ``fraction`` (0 to 1) of everything in the vessel into an amounts array ``into`` [M] (mol)."""
     n = chem.role.shape[0]
@@ -104,8 +105,8 @@ def remove_fraction(row: FloatArray, fraction: float, chem: Chemistry, into: Flo
         row[i] -= row[i] * fraction
 
 
-@kernel
-def _spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray) -> None:
+@helper
+def spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray) -> None:
     """What does not fit goes to waste, an equal share of everything."""
     filled = volume(row, chem)
     if filled > row[CAPACITY] * (1.0 + 1e-12):
@@ -113,7 +114,7 @@ def _spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArr
         events[SPILL] += filled - row[CAPACITY]
 
 
-@kernel
+@helper
 def pour(
     source: FloatArray, target: FloatArray, fraction: float, chem: Chemistry, waste: FloatArray, events: FloatArray
 ) -> None:
@@ -134,10 +135,10 @@ def pour(
         target[i] += moved
         source[i] -= moved
     _stir(target, before, volume(target, chem))
-    _spill(target, chem, waste, events)
+    spill(target, chem, waste, events)
 
 
-@kernel
+@helper
 def add(
     row: FloatArray,
     material: int,
@@ -154,7 +155,7 @@ def add(
     _mix_temperature(row, heat_capacity(row, chem), mol * chem.heat_capacity[material], temperature)
     row[AMOUNTS + material] += mol
     _stir(row, before, volume(row, chem))
-    _spill(row, chem, waste, events)
+    spill(row, chem, waste, events)
 
 
 @kernel
@@ -231,22 +232,22 @@ def drain(
                 arriving += moved * chem.heat_capacity[i]
     _mix_temperature(target, there, arriving, source[TEMPERATURE])
     _stir(target, before, volume(target, chem))
-    _spill(target, chem, waste, events)
+    spill(target, chem, waste, events)
 
 
-@kernel
+@helper
 def row_has(row: FloatArray, material: int) -> bool:
     """Whether more than a trace of ``material`` is in the vessel."""
     return bool(row[AMOUNTS + material] > TRACE_MOL)
 
 
-@kernel
+@helper
 def clear(row: FloatArray) -> None:
     """No vessel here any more."""
     row[:] = 0.0
 
 
-@kernel
+@helper
 def place(row: FloatArray, capacity: float, chem: Chemistry) -> None:
     """A clean, empty vessel."""
     row[:] = 0.0
