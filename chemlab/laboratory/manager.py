@@ -13,7 +13,7 @@ from ..bench.instruments import InstrumentTable, read_instrument
 from ..physics.jit import helper, kernel
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
-from ..physics.transfer import clear, remove_fraction, volume
+from ..physics.transfer import clear, move, remove_fraction, volume
 from ..scenario import Scenario
 from ..shelf import (
     CAPACITY,
@@ -372,8 +372,7 @@ def manager_act(
             continue
         kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
         if kind == START:
-            rows[base + rules.first[x]] = rows[base + y]
-            clear(rows[base + y])
+            move(rows[base + y], rows[base + rules.first[x]])
             desk.origin[n, x] = y
             desk.reserved[n, y] = x
             wanted = rules.positions[x] - 1
@@ -460,7 +459,7 @@ def return_vessels(
                             slot = s
             if slot >= 0:
                 rest_on_shelf(row, chem, waste[n], events[n], work)
-                rows[base + slot] = row
+                move(row, rows[base + slot])
                 if p > 0:
                     _forget(n, slot, desk)
                 desk.last_bench[n, slot] = 1 + rules.bench_of[b]

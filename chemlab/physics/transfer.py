@@ -32,6 +32,7 @@ __all__ = [
     "drain",
     "heat_capacity",
     "liquid_volume",
+    "move",
     "place",
     "pour",
     "remove_fraction",
@@ -239,6 +240,14 @@ def drain(
 def row_has(row: FloatArray, material: int) -> bool:
     """Whether more than a trace of ``material`` is in the vessel."""
     return bool(row[AMOUNTS + material] > TRACE_MOL)
+
+
+@helper
+def move(source: FloatArray, target: FloatArray) -> None:
+    """Put the vessel of one row into another row; no vessel is left behind."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+        source[i] = 0.0
 
 
 @helper
