@@ -6,7 +6,7 @@ __version__ = "0.1.0"
 __all__ = ["__version__"]
 
 
-def _register() -> None:
+def _register_laboratory() -> None:
     """Make the laboratory known to PettingZoo's registry, which is there from PettingZoo 1.27 on."""
     with contextlib.suppress(ImportError):
         from pettingzoo import aec_registry, register
@@ -15,4 +15,27 @@ def _register() -> None:
             register("aec", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:env")
 
 
-_register()
+def _register_benches() -> None:
+    """Make the single-bench environments known to Gymnasium; entry points are strings, so nothing heavy is imported."""
+    from gymnasium.envs.registration import register, registry
+
+    benches: dict[str, dict[str, str]] = {
+        "WurtzReaction": {"scenario": "wurtz_dodecane", "bench": "rxn"},
+        "FictitiousReaction": {"scenario": "fictitious", "bench": "rxn"},
+        "WurtzExtraction": {"scenario": "wurtz_dodecane", "bench": "ext"},
+        "SaltFromOilExtraction": {"scenario": "salt_from_oil", "bench": "ext"},
+        "WurtzDistillation": {"scenario": "wurtz_dodecane", "bench": "dit"},
+        "Bench": {},
+    }
+    for name, arguments in benches.items():
+        if f"chemlab/{name}-v0" not in registry:
+            register(
+                f"chemlab/{name}-v0",
+                entry_point="chemlab.laboratory.bench_env:BenchEnv",
+                vector_entry_point="chemlab.laboratory.bench_env:BenchVectorEnv",
+                kwargs=arguments,
+            )
+
+
+_register_laboratory()
+_register_benches()

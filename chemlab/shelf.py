@@ -176,6 +176,7 @@ def build_chemistry(scenario: Scenario) -> tuple[Layout, Chemistry]:
     role = np.array([_ROLES[m.role] for m in table], dtype=np.int64)
     solvents = np.flatnonzero(role == ROLE_SOLVENT)
     dissolved = np.flatnonzero((role == ROLE_SOLUTE) | (role == ROLE_ION))
+    every = np.arange(len(names))
     boiling = np.array([m.boiling_point_k for m in table])
     liquids = np.flatnonzero((role == ROLE_SOLVENT) | (role == ROLE_SOLUTE))
     salts = sorted(
@@ -203,7 +204,7 @@ def build_chemistry(scenario: Scenario) -> tuple[Layout, Chemistry]:
         role=role,
         solvents=solvents.astype(np.int64),
         dissolved=dissolved.astype(np.int64),
-        dissolved_at=np.array([list(dissolved).index(i) if i in dissolved else -1 for i in range(len(names))]),
+        dissolved_at=np.where(np.isin(every, dissolved), np.searchsorted(dissolved, every), -1),
         volatile=liquids[np.argsort(boiling[liquids], kind="stable")].astype(np.int64),
         salts=np.array(salts, dtype=np.int64).reshape(len(salts), 3),
         violent=violent,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from ..physics.jit import helper, kernel
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
 from ..physics.transfer import place
-from ..scenario import BenchSpec, Scenario
+from ..scenario import SAFETY_EVENTS, BenchSpec, Scenario
 from ..shelf import AMOUNTS, WAVELENGTHS_NM, Chemistry, FloatArray, IntArray, Layout, Shelf, StreamArray
 
 if TYPE_CHECKING:
@@ -269,6 +270,8 @@ class Bench(ABC):
     """What an experiment's score is, for people."""
     camera: ClassVar[bool] = False
     """Whether it looks at its vessels with a layer camera."""
+    scratch_names: ClassVar[tuple[str, ...]] = ("work",)
+    """Attributes that kernels write into while they run."""
     reagents: int = 0
     """Number of reagents an experiment has a supply of."""
 
@@ -286,6 +289,8 @@ class Bench(ABC):
             self.options_model, self.spec.model_extra or {}, f"{scenario.origin}: benches.{key}"
         )
         self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
+        weights = scenario.safety.weights
+        self._event_weights = np.array([weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
         self.observation_space: gymnasium.spaces.Box
@@ -297,6 +302,11 @@ class Bench(ABC):
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
+
+    @property
+    def action_count(self) -> int:
+        """Number of discrete actions; 0 where actions are continuous."""
+        return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
 
     @property
     def action_meanings(self) -> list[str]:
@@ -365,6 +375,24 @@ class Bench(ABC):
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
 
+    def consequences(self, station: Station, members: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Of the last action: (cost [B], the weighted safety events; reward [B], what they and lost turns take off)."""
+        illegal = station.illegal[members]
+        events = station.events[members]
+        if not events.any():
+            return np.zeros(len(members)), np.asarray(-self.scenario.costs.illegal_action * illegal)
+        cost = events @ self._event_weights
+        lost = self.scenario.costs.illegal_action * illegal
+        return cost, np.asarray(-lost - self.scenario.safety.reward_price * cost)
+
+    def separate_scratch(self) -> Bench:
+        """The same bench with scratch arrays of its own, for use in another thread."""
+        other = copy.copy(self)
+        for name, value in vars(self).items():
+            if name in self.scratch_names:
+                setattr(other, name, value.copy())
+        return other
+
     def purity_measure(self, shelf: Shelf, station: Station, members: IntArray, counts: FloatArray) -> FloatArray:
         """[B] sum over the positions of (mol of the goal x its purity there)."""
         out = np.empty(len(members))
@@ -386,7 +414,7 @@ def check_box(agent: str, action: Any, size: int) -> FloatArray:
         value = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError):
         value = np.empty(0)
-    if value.shape != (size,) or not (value.min() >= 0.0 and value.max() <= 1.0):
+    if value.shape != (size,) or not all(0.0 <= number <= 1.0 for number in value.tolist()):
         raise ValueError(f"{agent}: action must be {size} finite numbers from 0 to 1, given {action!r}")
     return value
 

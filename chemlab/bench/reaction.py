@@ -284,6 +284,7 @@ class ReactionBench(Bench):
     """
 
     options_model = ReactionOptions
+    scratch_names = ("work", "_scratch")
     score_meaning = "mol of the goal produced"
 
     def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:

@@ -1,23 +1,69 @@
-"""Many experiments on one kind of bench, without the laboratory around it: what single-bench environments are views
-of."""
+"""Many experiments on one kind of bench, without the laboratory around it.
+
+This is what the single-bench environments are views of.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import MaskArray, ObservationArray, Station, build_bench, seed_streams
+from ..bench.base import Bench, MaskArray, ObservationArray, Station, build_bench, seed_streams
 from ..bench.models import ReactionModel, SeparationModel
 from ..materials import DataError
+from ..physics.jit import kernel
 from ..physics.layers import uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf, StreamArray, build_chemistry
+from .starts import lab_starts
 
-__all__ = ["BenchArena"]
+__all__ = ["BenchArena", "StartPool"]
+
+
+class StartPool(NamedTuple):
+    """Starting states to draw from: T vessels, grouped by the goal they are for; G goals."""
+
+    rows: FloatArray
+    """[T, W] vessel rows"""
+    first: IntArray
+    """[G + 1] where each goal's vessels begin"""
+    reached: FloatArray
+    """[T] cumulative probability within the goal"""
+
+
+@kernel
+def _draw_starts(
+    members: IntArray,
+    goals: IntArray,
+    pool: StartPool,
+    stream: StreamArray,
+    places: IntArray,
+    rows: FloatArray,
+    first_stock: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    goal: IntArray,
+) -> None:
+    """Draw a goal of ``goals`` and one of its starting states for every member; two random numbers each."""
+    for b in range(members.shape[0]):
+        m = members[b]
+        goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
+        draw = uniform(stream[m])
+        t = pool.first[goal[m]]
+        while t < pool.first[goal[m] + 1] - 1 and draw >= pool.reached[t]:
+            t += 1
+        for p in range(places.shape[1]):
+            rows[places[m, p], :] = 0.0
+        for i in range(rows.shape[1]):
+            rows[places[m, 0], i] = pool.rows[t, i]
+        for i in range(stock.shape[1]):
+            stock[m, i] = first_stock[i]
+            waste[m, i] = 0.0
 
 
 class BenchArena:
@@ -28,7 +74,12 @@ class BenchArena:
         bench: the bench's key in the scenario (``rxn``, ``ext``, ``dit``, ...).
         members: N.
         goals: goals an experiment may be run for (default: all of the scenario's).
+        starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
+            laboratory runs (see :mod:`chemlab.laboratory.starts`).
         reaction_model, separation_model: physics of your own.
+
+    Raises:
+        DataError: unknown bench, goal or starting states.
     """
 
     def __init__(
@@ -36,7 +87,8 @@ class BenchArena:
         scenario: str | Path | Scenario,
         bench: str,
         members: int = 1,
-        goals: Sequence[str] | None = None,
+        goals: str | Sequence[str] | None = None,
+        starts: str = "paper",
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
     ) -> None:
@@ -44,46 +96,88 @@ class BenchArena:
         if bench not in self.scenario.benches:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
         layout, chemistry = build_chemistry(self.scenario)
-        self.bench = build_bench(bench, self.scenario, layout, chemistry, reaction_model, separation_model)
-        chosen = tuple(self.scenario.goals) if goals is None else tuple(goals)
+        self.bench: Bench = build_bench(bench, self.scenario, layout, chemistry, reaction_model, separation_model)
+        chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
         if unknown or not chosen:
             raise DataError(f"goals: {self.scenario.name} has {', '.join(self.scenario.goals)}, given {goals!r}")
-        self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
         positions = len(self.bench.positions)
+        places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf.empty(self.scenario, members, positions)
-        self.station = Station.empty(
-            f"{bench}_0", self.bench, np.arange(members * positions).reshape(members, positions)
-        )
+        self.station = Station.empty(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in layout.materials])
+        self.pool = self._paper_pool() if starts == "paper" else self._lab_pool(starts)
+        self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
+        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.first)[g] == 0]
+        if missing:
+            raise DataError(f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}")
+
+    def _pool(self, vessels: Sequence[tuple[str, float, float, dict[str, float]]]) -> StartPool:
+        """A pool of (goal, weight, capacity in L, contents in mol)."""
+        draft = Shelf.empty(self.scenario, 1, 1)
+        rows, weights, owner = [], [], []
+        for g, goal in enumerate(self.scenario.goals):
+            for name, weight, capacity, contents in vessels:
+                if name == goal:
+                    rows.append(draft.fill(0, 0, capacity, contents).row.copy())
+                    weights.append(weight)
+                    owner.append(g)
+        table = np.array(rows).reshape(len(rows), draft.layout.width)
+        first = np.searchsorted(np.array(owner, dtype=np.int64), np.arange(len(self.scenario.goals) + 1))
+        reached = np.zeros(len(rows))
+        for start, stop in itertools.pairwise(first):
+            shares = np.array(weights[start:stop])
+            reached[start:stop] = np.cumsum(shares) / shares.sum() if stop > start else 0.0
+        return StartPool(table, first.astype(np.int64), reached)
+
+    def _paper_pool(self) -> StartPool:
+        start = self.bench.spec.start
+        vessels = []
+        for goal in self.scenario.goals:
+            contents = dict(start.contents)
+            if start.goal_mol > 0.0:
+                contents[goal] = contents.get(goal, 0.0) + start.goal_mol
+            companion = start.companion
+            chance = 0.0 if companion is None else companion.probability
+            if companion is not None and chance > 0.0:
+                other = companion.if_goal if goal == companion.material else companion.material
+                together = {**contents, other: contents.get(other, 0.0) + companion.mol}
+                vessels.append((goal, chance, start.capacity_l, together))
+            if chance < 1.0:
+                vessels.append((goal, 1.0 - chance, start.capacity_l, contents))
+        return self._pool(vessels)
+
+    def _lab_pool(self, starts: str) -> StartPool:
+        if starts != "lab":
+            raise DataError(f"starts: must be 'paper' or 'lab', given {starts!r}")
+        return self._pool(lab_starts(self.scenario, self.bench.key))
 
     def seed(self, member: int, seed: int) -> None:
         """Start the member's random streams afresh."""
-        streams = (self.station.stream, self.start_stream)
-        seed_streams(np.random.SeedSequence(seed), streams, member)
+        seed_streams(np.random.SeedSequence(seed), (self.station.stream, self.start_stream), member)
 
-    def reset(self, members: IntArray, goal: int | None = None) -> None:
-        """Begin new experiments from the paper's starting state, for a goal drawn from the stream or given by index."""
-        start = self.bench.spec.start
-        names = self.scenario.goals
-        for m in members:
-            drawn = self._goals[int(uniform(self.start_stream[m]) * len(self._goals))] if goal is None else goal
-            chance = uniform(self.start_stream[m])
-            contents = dict(start.contents)
-            name = names[drawn]
-            if start.goal_mol > 0.0:
-                contents[name] = contents.get(name, 0.0) + start.goal_mol
-            if start.companion is not None and chance < start.companion.probability:
-                other = start.companion.if_goal if name == start.companion.material else start.companion.material
-                contents[other] = contents.get(other, 0.0) + start.companion.mol
-            self.station.goal[m] = drawn
-            self.shelf.vessels[m] = 0.0
-            self.shelf.fill(m, 0, start.capacity_l, contents)
-            self.shelf.stock[m] = self._stock
-            self.shelf.waste[m] = 0.0
-        self.bench.begin(self.shelf, self.station, members)
+    def reset(self, members: IntArray, goal: int | None = None, bench: Bench | None = None) -> None:
+        """Begin new experiments, for goals drawn from each member's stream or one given by index.
+
+        ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
+        """
+        goals = self._goals if goal is None else np.array([goal])
+        shelf, station = self.shelf, self.station
+        _draw_starts(
+            members,
+            goals,
+            self.pool,
+            self.start_stream,
+            station.places,
+            shelf.rows,
+            self._stock,
+            shelf.stock,
+            shelf.waste,
+            station.goal,
+        )
+        (bench or self.bench).begin(shelf, station, members)
 
     def act(self, actions: npt.NDArray[Any], members: IntArray | None = None) -> None:
         """One step of the experiments of ``members`` (default: all)."""
@@ -102,6 +196,11 @@ class BenchArena:
 
     def mask(self) -> MaskArray:
         """[N, actions] legal actions (discrete benches)."""
-        out = np.zeros((len(self.members), int(self.bench.action_space.n)), dtype=np.int8)  # type: ignore[attr-defined]
+        out = np.zeros((len(self.members), self.bench.action_count), dtype=np.int8)
         self.bench.mask(self.shelf, self.station, self.members, out)
         return out
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        shelf = self.shelf
+        return [shelf.vessels, shelf.stock, shelf.waste, *self.station.arrays(), self.start_stream]

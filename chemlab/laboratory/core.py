@@ -118,7 +118,6 @@ class Laboratories:
         self.scores: FloatArray = np.full((n, len(self.agents)), np.nan)
         self.safety_totals: FloatArray = np.zeros((n, EVENT_KINDS))
         """[N, E] safety events since the episode began."""
-        self._weights = np.array([spec.safety.weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
         self._maximum = np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals])
         columns = self.shelf.layout.fluid_columns
@@ -279,7 +278,7 @@ class Laboratories:
                 if len(some):
                     station.goal[some] = self.rules.table[actions[begun == b], 3]
                     self.benches[b].begin(shelf, station, some)
-                    self._note_events(b, some)
+                    self._charge(b, some)
         if recalled.max(initial=-1) >= 0:
             for b in range(len(self.stations)):
                 some = members[recalled == b]
@@ -290,26 +289,20 @@ class Laboratories:
     def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         station = self.stations[b]
         self.benches[b].act(self.shelf, station, members, actions)
-        self._note_events(b, members)
-        illegal = station.illegal[members]
-        if illegal.any():
-            self.rewards[members[illegal], b + 1] -= self.scenario.costs.illegal_action
+        self._charge(b, members)
         ended = members[station.ended[members]]
         if len(ended):
             self._end(b, ended)
             self.desk.finished[ended] = True
         advance(members, self.busy, self.desk, self.rules)
 
-    def _note_events(self, b: int, members: IntArray) -> None:
-        events = self.stations[b].events[members]
-        if not events.any():
-            return
-        cost = events @ self._weights
+    def _charge(self, b: int, members: IntArray) -> None:
+        """Book what the bench's last action cost: safety events and lost turns."""
+        cost, reward = self.benches[b].consequences(self.stations[b], members)
         self.cost[members, b + 1] += cost
-        self.safety_totals[members] += events
-        price = self.scenario.safety.reward_price
-        self.rewards[members, b + 1] -= price * cost
-        self.desk.charges[members, 5] += price * cost
+        self.rewards[members, b + 1] += reward
+        self.safety_totals[members] += self.stations[b].events[members]
+        self.desk.charges[members, 5] += self.scenario.safety.reward_price * cost
 
     def _end(self, b: int, members: IntArray) -> None:
         """End the experiment of station ``b``: its reward, and its vessels back to the shelf."""

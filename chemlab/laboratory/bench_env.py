@@ -1,0 +1,484 @@
+"""Single benches as Gymnasium environments, one at a time and batched; both are views of the laboratory's bench.
+
+| Id | Bench | Observation | Action |
+|---|---|---|---|
+| `chemlab/WurtzReaction-v0` | rxn of `wurtz_dodecane` | Box(214) | Box(6) |
+| `chemlab/FictitiousReaction-v0` | rxn of `fictitious` | Box(212) | Box(6) |
+| `chemlab/WurtzExtraction-v0` | ext of `wurtz_dodecane` | Box(307) | Discrete(41) |
+| `chemlab/SaltFromOilExtraction-v0` | ext of `salt_from_oil` | Box(301) | Discrete(41) |
+| `chemlab/WurtzDistillation-v0` | dit of `wurtz_dodecane` | Box(310) | Discrete(31) |
+| `chemlab/Bench-v0` | `bench` of any `scenario` | follows the scenario | follows the scenario |
+
+### Arguments
+`scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
+`starts` (`paper` or `lab`), `render_mode` (`ansi` or None; single environments), `reaction_model` and
+`separation_model`. Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
+
+### Episodes
+One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
+truncated here. Infos: `action_mask` (discrete actions), `cost` (weighted safety events of the step), `illegal_action`
+(the step played a masked action: a lost turn), `score` (at the end), `events` (single environments: safety events by
+kind).
+
+### Seeds
+Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
+with its own seed from a list), whatever the batch size and the number of threads.
+
+### Version history
+- v0: first version.
+"""
+
+from __future__ import annotations
+
+import copy as copying
+import itertools
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from ..bench.models import ReactionModel, SeparationModel
+from ..physics.jit import kernel
+from ..scenario import SAFETY_EVENTS, Scenario
+from ..shelf import FloatArray
+from .arena import BenchArena
+
+__all__ = ["BenchEnv", "BenchVectorEnv"]
+
+State = list[npt.NDArray[Any]]
+
+
+@kernel
+def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
+    """Whether every number of a one- or two-dimensional array lies in [low, high] (NaN does not)."""
+    flat = values.reshape(values.size)
+    inside = True
+    for i in range(flat.shape[0]):
+        inside = inside and low <= flat[i] <= high
+    return inside
+
+
+class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
+    """One bench of a scenario as a Gymnasium environment; see this module's documentation for arguments and infos.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: unknown render mode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["ansi"], "render_fps": 4}  # noqa: RUF012 - Gymnasium's class attribute
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        bench: str = "rxn",
+        goals: str | Sequence[str] | None = None,
+        starts: str = "paper",
+        render_mode: str | None = None,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
+            )
+        self.render_mode = render_mode
+        self.arena = BenchArena(scenario, bench, 1, goals, starts, reaction_model, separation_model)
+        self.bench = self.arena.bench
+        self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
+        self.action_space = self.bench.action_space
+        self._observation = np.zeros((1, *self.bench.observation_space.shape), dtype=np.float32)
+        self._over = True
+        self._seeded = False
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What each action (or each number of a continuous action) does."""
+        return self.bench.action_meanings
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin an experiment.
+
+        Args:
+            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            options: ``{"goal": name}`` asks for a goal instead of drawing it.
+
+        Raises:
+            ValueError: unknown option or goal.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        goals = self.arena.scenario.goals
+        if set(options) - {"goal"} or options.get("goal", goals[0]) not in goals:
+            raise ValueError(f"reset options: known: goal, one of {', '.join(goals)}; given {options!r}")
+        if seed is not None or not self._seeded:
+            self.arena.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
+            self._seeded = True
+        goal = options.get("goal")
+        self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
+        self._over = False
+        return self._observe(), self._info()
+
+    def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One action of the experiment.
+
+        Raises:
+            ValueError: the action is outside the action space (nothing has changed).
+            gymnasium.error.ResetNeeded: the experiment is over or has not begun.
+        """
+        arena = self.arena
+        checked = self.bench.checked(arena.station.agent, action)
+        if self._over:
+            raise gymnasium.error.ResetNeeded("the experiment is over (or has not begun): call reset()")
+        arena.act(checked)
+        cost, reward = self.bench.consequences(arena.station, arena.members)
+        total = float(reward[0])
+        info: dict[str, Any] = {}
+        if arena.station.ended[0]:
+            observation = self._observe()
+            score = float(arena.finish(arena.members)[0])
+            info["score"] = score
+            total += score
+            self._over = True
+        else:
+            observation = self._observe()
+        info.update(self._info(float(cost[0])))
+        return observation, total, self._over, False, info
+
+    def _observe(self) -> npt.NDArray[np.float32]:
+        self.arena.observe(self._observation)
+        return np.array(self._observation[0])
+
+    def _info(self, cost: float = 0.0) -> dict[str, Any]:
+        station = self.arena.station
+        info: dict[str, Any] = {"cost": cost, "illegal_action": bool(station.illegal[0]), "events": {}}
+        if cost > 0.0:
+            row = station.events[0]
+            info["events"] = {kind: float(x) for kind, x in zip(SAFETY_EVENTS, row, strict=True) if x > 0.0}
+        if self.bench.action_count:
+            info["action_mask"] = self.arena.mask()[0]
+        return info
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """Legal actions, as sb3-contrib's MaskablePPO asks for them.
+
+        Raises:
+            ValueError: the bench's actions are continuous.
+        """
+        if not self.bench.action_count:
+            raise ValueError(f"{self.arena.station.agent}: continuous actions have no mask")
+        return np.asarray(self.arena.mask()[0], dtype=np.bool_)
+
+    def get_state(self) -> State:
+        """Copies of everything that changes, for :meth:`set_state` (planning, debugging)."""
+        flags = np.array([self._over, self._seeded])
+        return [*(array.copy() for array in self.arena.arrays()), flags]
+
+    def set_state(self, state: State) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation."""
+        for array, saved in zip(self.arena.arrays(), state[:-1], strict=True):
+            array[...] = saved
+        self._over, self._seeded = bool(state[-1][0]), bool(state[-1][1])
+        return self._observe()
+
+    def render(self) -> str | None:
+        """The bench's vessels as text (render mode ``ansi``); the true contents are not shown."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() was called without a render_mode; pass render_mode='ansi'.")
+            return None
+        station, bench = self.arena.station, self.bench
+        lines = [
+            f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[station.goal[0]]}, "
+            f"step {station.steps[0]}/{bench.spec.step_limit}"
+        ]
+        for p, position in enumerate(bench.positions):
+            vessel = self.arena.shelf.vessel(0, p)
+            lines.append(
+                f"  {position:<6} {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L, {vessel.temperature_k:.1f} K"
+            )
+        return "\n".join(lines)
+
+
+class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
+    """N experiments on one bench in one set of arrays, stepped by the same kernels as :class:`BenchEnv`.
+
+    Args:
+        num_envs: N.
+        scenario, bench, goals, starts, reaction_model, separation_model: as for :class:`BenchEnv`.
+        autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
+            (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
+            ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
+        threads: threads to step with; results do not depend on it.
+        copy: whether returned arrays are copies; without, the next step overwrites them.
+        render_mode: accepted for Gymnasium's sake; batches do not render.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: a number is out of bounds.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        bench: str = "rxn",
+        goals: str | Sequence[str] | None = None,
+        starts: str = "paper",
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int = 1,
+        copy: bool = True,
+        render_mode: str | None = None,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        for name, number in (("num_envs", num_envs), ("threads", threads)):
+            if number < 1:
+                raise ValueError(f"{name} must be at least 1, given {number}")
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.arena = BenchArena(scenario, bench, num_envs, goals, starts, reaction_model, separation_model)
+        self.bench = self.arena.bench
+        self.single_observation_space = self.bench.observation_space
+        self.single_action_space = self.bench.action_space
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self.copy = copy
+        self.threads = min(threads, num_envs)
+        bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)
+        # Each thread has its own members and its own scratch; everything else is rows that only it touches.
+        self._chunks = [
+            (np.arange(low, high), self.bench if i == 0 else self.bench.separate_scratch())
+            for i, (low, high) in enumerate(itertools.pairwise(bounds))
+        ]
+        self._observations = np.zeros((num_envs, *self.bench.observation_space.shape), dtype=np.float32)
+        self._masks = np.ones((num_envs, self.bench.action_count), dtype=np.int8)
+        self._rewards = np.zeros(num_envs)
+        self._costs = np.zeros(num_envs)
+        self._scores = np.zeros(num_envs)
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._pending = np.zeros(num_envs, dtype=np.bool_)
+        self._begun = False
+        self._pool: ThreadPoolExecutor | None = None
+
+    # -- Gymnasium's interface ----------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin experiments in every member, or in those of ``options["reset_mask"]`` [N].
+
+        Args:
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+
+        Raises:
+            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+        """
+        options = options or {}
+        goals = self.arena.scenario.goals
+        if set(options) - {"reset_mask", "goal"} or options.get("goal", goals[0]) not in goals:
+            raise ValueError(f"reset options: known: reset_mask; goal, one of {', '.join(goals)}; given {options!r}")
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=np.bool_)))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ValueError(f"reset_mask must be {self.num_envs} booleans, given {mask.dtype} of shape {mask.shape}")
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        if seed is None and not self._begun:
+            seeds: list[int | None] = [int(s) for s in self.np_random.integers(2**63, size=self.num_envs)]
+        elif seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = [None if s is None else int(s) for s in seed]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed: needs one for each of {self.num_envs} members, given {len(seeds)}")
+        for member in np.flatnonzero(mask):
+            member_seed = seeds[member]
+            if member_seed is not None:
+                self.arena.seed(int(member), member_seed)
+        goal = options.get("goal")
+        self.arena.reset(np.flatnonzero(mask), None if goal is None else goals.index(goal))
+        self._pending[mask] = False
+        self._costs[mask] = 0.0
+        self._begun = True
+        for members, bench in self._chunks:
+            self._look(members, bench)
+        return self._returned(self._observations), self._infos()
+
+    def step(
+        self, actions: Any
+    ) -> tuple[npt.NDArray[np.float32], FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """One action in every member.
+
+        Args:
+            actions: [N] integers, or [N, n] numbers in [0, 1] where actions are continuous.
+
+        Raises:
+            ValueError: an action is outside the action space (nothing has changed).
+            gymnasium.error.ResetNeeded: the experiments have not begun, or some are over and autoreset is disabled.
+        """
+        checked = self._checked(actions)
+        if not self._begun or (self.autoreset_mode is AutoresetMode.DISABLED and self._pending.any()):
+            raise gymnasium.error.ResetNeeded("experiments are over (or have not begun): call reset()")
+        finals: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]] = []
+        if self.threads == 1:
+            finals.append(self._step_chunk(*self._chunks[0], checked))
+        else:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="chemlab")
+            waiting = [self._pool.submit(self._step_chunk, *chunk, checked) for chunk in self._chunks[1:]]
+            finals.append(self._step_chunk(*self._chunks[0], checked))
+            finals += [future.result() for future in waiting]
+        infos = self._infos()
+        if self._ended.any():
+            infos["score"], infos["_score"] = self._scores.copy(), self._ended.copy()
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                final = np.zeros_like(self._observations)
+                for members, observations in finals:
+                    final[members] = observations
+                infos["final_obs"], infos["_final_obs"] = final, self._ended.copy()
+        terminated = self._ended.copy()
+        return (
+            self._returned(self._observations),
+            self._returned(self._rewards),
+            terminated,
+            np.zeros(self.num_envs, dtype=np.bool_),
+            infos,
+        )
+
+    def _checked(self, actions: Any) -> npt.NDArray[Any]:
+        count = self.bench.action_count
+        if count:
+            values = np.asarray(actions)
+            if values.dtype.kind in "iu" and values.shape == (self.num_envs,) and _all_within(values, 0, count - 1):
+                return values if values.dtype == np.int64 else values.astype(np.int64)
+            expected = f"{self.num_envs} integers from 0 to {count - 1}"
+        else:
+            size = int(self.single_action_space.shape[0])  # type: ignore[index]
+            values = np.asarray(actions)
+            if values.dtype.kind in "fiu" and values.shape == (self.num_envs, size) and _all_within(values, 0.0, 1.0):
+                return np.ascontiguousarray(values, dtype=np.float64)
+            expected = f"[{self.num_envs}, {size}] finite numbers from 0 to 1"
+        raise ValueError(f"{self.arena.station.agent}: actions must be {expected}, given {actions!r}")
+
+    def _step_chunk(
+        self, members: npt.NDArray[np.int64], bench: Any, actions: npt.NDArray[Any]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+        """Step one thread's members; returns those that ended and, with SAME_STEP, their last observations."""
+        arena = self.arena
+        shelf, station = arena.shelf, arena.station
+        low, high = int(members[0]), int(members[-1]) + 1
+        self._ended[low:high] = False
+        acting, waiting = members, self._pending[low:high]
+        if waiting.any():
+            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                arena.reset(members[waiting], None, bench)
+            acting = members[~waiting]
+            self._rewards[members[waiting]] = 0.0
+            self._costs[members[waiting]] = 0.0
+            waiting[:] = False
+        chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
+        bench.act(shelf, station, acting, chosen)
+        cost, reward = bench.consequences(station, acting)
+        self._rewards[acting], self._costs[acting] = reward, cost
+        ended = acting[station.ended[acting]]
+        last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
+        if len(ended):
+            self._ended[ended] = True
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                last = np.empty((len(ended), self._observations.shape[1]), dtype=np.float32)
+                bench.observe(shelf, station, ended, last)
+                self._score(bench, ended)
+                arena.reset(ended, None, bench)
+            else:
+                # The last observation is still of the running experiment: look first.
+                self._look(members, bench)
+                self._score(bench, ended)
+                self._pending[ended] = True
+                return ended, last
+        self._look(members, bench)
+        return ended, last
+
+    def _score(self, bench: Any, ended: npt.NDArray[np.int64]) -> None:
+        score = bench.finish(self.arena.shelf, self.arena.station, ended)
+        self._scores[ended] = score
+        self._rewards[ended] += score
+
+    def _look(self, members: npt.NDArray[np.int64], bench: Any) -> None:
+        low, high = int(members[0]), int(members[-1]) + 1
+        shelf, station = self.arena.shelf, self.arena.station
+        bench.observe(shelf, station, members, self._observations[low:high])
+        if bench.action_count:
+            bench.mask(shelf, station, members, self._masks[low:high])
+
+    def _returned(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return array.copy() if self.copy else array
+
+    def _infos(self) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        infos: dict[str, Any] = {
+            "cost": self._costs.copy(),
+            "_cost": everyone,
+            "illegal_action": self.arena.station.illegal.copy(),
+            "_illegal_action": everyone,
+        }
+        if self.bench.action_count:
+            infos["action_mask"], infos["_action_mask"] = self._returned(self._masks), everyone
+        return infos
+
+    # -- more ---------------------------------------------------------------------------------------------------
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What each action (or each number of a continuous action) does."""
+        return self.bench.action_meanings
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """[N, actions] legal actions now.
+
+        Raises:
+            ValueError: the bench's actions are continuous.
+        """
+        if not self.bench.action_count:
+            raise ValueError(f"{self.arena.station.agent}: continuous actions have no mask")
+        return self._masks.astype(np.bool_)
+
+    def _state_arrays(self) -> State:
+        extra = [self._observations, self._masks, self._rewards, self._costs, self._scores, self._ended, self._pending]
+        return [*self.arena.arrays(), *extra]
+
+    def get_state(self) -> State:
+        """Copies of everything that changes, for :meth:`set_state`."""
+        return [*(array.copy() for array in self._state_arrays()), np.array([self._begun])]
+
+    def set_state(self, state: State) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        for array, saved in zip(self._state_arrays(), state[:-1], strict=True):
+            array[...] = saved
+        self._begun = bool(state[-1][0])
+        return self._returned(self._observations)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_pool": None}  # threads cannot be pickled or copied; they are started again when needed
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> BenchVectorEnv:
+        other = object.__new__(type(self))
+        memo[id(self)] = other
+        for name, value in self.__getstate__().items():
+            setattr(other, name, copying.deepcopy(value, memo))
+        return other
