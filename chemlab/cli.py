@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from . import __version__
+from .files import write_text
 from .materials import DataError
 from .scenario import Scenario, load_scenario, scenario_names
 
@@ -311,16 +310,37 @@ def _markdown(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _replace_table(path: Path, lines: list[str]) -> None:
-    """Put the table between the marks of a Markdown file, by way of a temporary file so that a crash loses nothing."""
+    """Put the table between the marks of a Markdown file."""
     text = path.read_text(encoding="utf-8")
     begin, end = (text.find(mark) for mark in _MARKS)
     if begin < 0 or end < begin:
         raise ValueError(f"{path}: needs the marks {_MARKS[0]} and {_MARKS[1]} around the table")
     new = text[: begin + len(_MARKS[0])] + "\n" + "\n".join(lines) + "\n" + text[end:]
-    handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=path.name, suffix=".tmp")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(new)
-    Path(temporary).replace(path)
+    write_text(path, new)
+
+
+@app.command()
+def starts(
+    scenario: ScenarioArgument,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 6,
+    seed: SeedOption = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
+    ] = None,
+) -> None:
+    """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
+    from rich.progress import Progress
+
+    with _readable_errors(), Progress(console=_err, transient=True) as progress:
+        spec, _ = _prepare(scenario, quiet=True)
+        from .agents.starts import record_starts
+        from .laboratory.starts import starts_file, write_starts
+
+        task = progress.add_task("episodes", total=episodes * len(spec.goals))
+        vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
+        path = out or starts_file(spec)
+        write_starts(path, spec, vessels)
+    typer.echo(f"{path}: " + ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items()))
 
 
 def main() -> None:

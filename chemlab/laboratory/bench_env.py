@@ -453,7 +453,15 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         return self._masks.astype(np.bool_)
 
     def _state_arrays(self) -> State:
-        extra = [self._observations, self._masks, self._rewards, self._costs, self._scores, self._ended, self._pending]
+        extra: State = [
+            self._observations,
+            self._masks,
+            self._rewards,
+            self._costs,
+            self._scores,
+            self._ended,
+            self._pending,
+        ]
         return [*self.arena.arrays(), *extra]
 
     def get_state(self) -> State:

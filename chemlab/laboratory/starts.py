@@ -7,12 +7,11 @@ the files of the shipped scenarios come with chemlab.
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 
+from ..files import write_text
 from ..materials import DataError
-from ..scenario import Scenario
+from ..scenario import Scenario, scenario_names
 
 __all__ = ["lab_starts", "starts_file", "write_starts"]
 
@@ -22,8 +21,8 @@ Start = tuple[str, float, float, dict[str, float]]
 
 def starts_file(scenario: Scenario) -> Path:
     """Where a scenario's recorded starting states are: with chemlab, or beside the user's scenario file."""
-    beside = Path(scenario.origin).with_suffix(".starts.json")
-    return beside if beside.is_file() else Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
+    shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
+    return shipped if scenario.name in scenario_names() else Path(scenario.origin).with_suffix(".starts.json")
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
@@ -48,7 +47,7 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
 
 
 def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:
-    """Write recorded vessels by bench, by way of a temporary file so that a crash loses nothing."""
+    """Write recorded vessels by bench."""
     content = {
         "scenario": scenario.name,
         "benches": {
@@ -63,9 +62,4 @@ def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]
             for bench, found in vessels.items()
         },
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(content, file, indent=1)
-        file.write("\n")
-    Path(temporary).replace(path)
+    write_text(path, json.dumps(content, separators=(",", ":")) + "\n")

@@ -320,15 +320,22 @@ def camera(
         shares: [C, pixels] the vessel's profile.
         layers: [C + 1] the profile's columns.
         chem: material constants.
-        stream: random stream, advanced by one number a pixel.
+        stream: random stream, advanced by one number for every pixel that shows more than one fluid.
         out: [pixels] grey values, bottom first; 0 where no vessel stands.
     """
     count = layers[0]
     for p in range(out.shape[0]):
-        draw = uniform(stream)
         if count == 0:
             out[p] = 0.0
             continue
+        sure = -1
+        for c in range(1, count):
+            if shares[c, p] == 1.0:
+                sure = c
+        if sure > 0:  # one fluid alone: nothing to draw
+            out[p] = chem.shade[layers[1 + sure]]
+            continue
+        draw = uniform(stream)
         reached = 0.0
         chosen = count - 1
         for c in range(count):
