@@ -402,9 +402,7 @@ CHECKS = [
     Check("NaOH", HEAT, "WEBBOOK_SHOMATE"),
     Check("NaOH", MELT, "WIKIDATA", 0.01, "handbooks scatter between 318 and 323 degrees C"),
     Check("NaOH", BOIL, "WIKIDATA"),
-    Check(
-        "NaOH", VAPOR, thermochemical_vapor, 0.08, "the real vapour is partly dimeric, the reference is not"
-    ),
+    Check("NaOH", VAPOR, thermochemical_vapor, 0.08, "the real vapour is partly dimeric, the reference is not"),
     Check("air", MASS, air_mass),
     Check("air", DENSITY, ideal_gas_density),
     Check("air", HEAT, air_heat),
