@@ -320,31 +320,27 @@ def camera(
         shares: [C, pixels] the vessel's profile.
         layers: [C + 1] the profile's columns.
         chem: material constants.
-        stream: random stream, advanced by one number for every pixel that shows more than one fluid.
+        stream: random stream, advanced by one number a pixel where there is anything in the vessel.
         out: [pixels] grey values, bottom first; 0 where no vessel stands.
     """
     count = layers[0]
+    if count <= 2:
+        solid = 0.0
+        for p in range(out.shape[0]):
+            solid += shares[0, p] if count == 2 else 0.0
+        if solid == 0.0:  # no vessel, or an empty one: nothing to draw
+            for p in range(out.shape[0]):
+                out[p] = chem.shade[chem.air] if count == 2 else 0.0
+            return
     for p in range(out.shape[0]):
-        if count == 0:
-            out[p] = 0.0
-            continue
-        sure = -1
-        for c in range(1, count):
-            if shares[c, p] == 1.0:
-                sure = c
-        if sure > 0:  # one fluid alone: nothing to draw
-            out[p] = chem.shade[layers[1 + sure]]
-            continue
         draw = uniform(stream)
-        reached = 0.0
-        chosen = count - 1
-        for c in range(count):
-            if draw < reached + shares[c, p]:
-                chosen = c
-                break
+        # Counting the layers that the draw lies above takes no branch that a processor could guess wrong.
+        reached, chosen = 0.0, 0
+        for c in range(count - 1):
             reached += shares[c, p]
-        if chosen == 0:
-            out[p] = _solid_shade(row, chem, (draw - reached) / shares[0, p])
+            chosen += draw >= reached
+        if chosen == 0 and shares[0, p] > 0.0:
+            out[p] = _solid_shade(row, chem, draw / shares[0, p])
         else:
             out[p] = chem.shade[layers[1 + chosen]]
 
