@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from . import __version__
-from .files import write_text
+from .files import replace_between
 from .materials import DataError
 from .scenario import Scenario, load_scenario, scenario_names
 
@@ -33,8 +33,6 @@ app = typer.Typer(
 # Text for people goes where it can be read without spoiling what a program reads from standard output.
 _out = Console(highlight=False, soft_wrap=True)
 _err = Console(stderr=True, highlight=False, soft_wrap=True)
-
-_MARKS = ("<!-- results: begin -->", "<!-- results: end -->")
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
@@ -277,7 +275,7 @@ def compare(
                 rows.append(_summary(spec, played, results))
         lines = _markdown(rows)
         if update is not None:
-            _replace_table(update, lines)
+            replace_between(update, "results", lines)
     typer.echo(json.dumps(rows) if as_json else "\n".join(lines))
 
 
@@ -307,16 +305,6 @@ def _markdown(rows: list[dict[str, Any]]) -> list[str]:
             f"| {r['manager_actions']:.1f} | {r['ticks']:.1f} | {r['unsafe_episodes']:.0%} of episodes |"
         )
     return lines
-
-
-def _replace_table(path: Path, lines: list[str]) -> None:
-    """Put the table between the marks of a Markdown file."""
-    text = path.read_text(encoding="utf-8")
-    begin, end = (text.find(mark) for mark in _MARKS)
-    if begin < 0 or end < begin:
-        raise ValueError(f"{path}: needs the marks {_MARKS[0]} and {_MARKS[1]} around the table")
-    new = text[: begin + len(_MARKS[0])] + "\n" + "\n".join(lines) + "\n" + text[end:]
-    write_text(path, new)
 
 
 @app.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["write_text"]
+__all__ = ["replace_between", "write_text"]
 
 
 def write_text(path: Path, text: str) -> None:
@@ -17,3 +17,17 @@ def write_text(path: Path, text: str) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def replace_between(path: Path, mark: str, lines: list[str]) -> None:
+    """Replace what stands between ``<!-- mark: begin -->`` and ``<!-- mark: end -->`` in a Markdown file.
+
+    Raises:
+        ValueError: the file does not have both marks in this order.
+    """
+    begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
+    text = path.read_text(encoding="utf-8")
+    start, stop = text.find(begin), text.find(end)
+    if start < 0 or stop < start:
+        raise ValueError(f"{path}: needs the lines {begin} and {end} around what is to be replaced")
+    write_text(path, text[: start + len(begin)] + "\n" + "\n".join(lines) + "\n" + text[stop:])

@@ -15,12 +15,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the environments
+from chemlab.files import replace_between
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import raw_env
 from chemlab.laboratory.bench_env import BenchVectorEnv
@@ -232,8 +234,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, shorter runs, no cold start")
+    parser.add_argument("--update", type=Path, metavar="FILE", help="replace the table in a Markdown file")
     arguments = parser.parse_args()
     result = measure(0.3 if arguments.quick else 1.5, arguments.quick)
+    if arguments.update is not None:
+        replace_between(arguments.update, "throughput", table(result).splitlines())
     print(json.dumps(result, indent=2) if arguments.json else table(result))
 
 
