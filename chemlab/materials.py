@@ -52,7 +52,7 @@ class DataError(ValueError):
 class AbsorptionPeak(BaseModel):
     """One Gaussian peak of a UV-Vis spectrum: ``height * exp(-((x - center) / width)**2 / 2)``."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     height_l_mol: float = Field(gt=0.0, le=1.0)
     """Absorption per mol/L at the centre (dimensionless per mol/L)."""
@@ -67,7 +67,7 @@ class Material(BaseModel):
     volume and heat content unchanged.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str = Field(min_length=1)
     formula: str = Field(min_length=1)

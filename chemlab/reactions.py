@@ -17,7 +17,7 @@ from .materials import DataError, Material, atoms_of, read_toml, validated
 __all__ = ["Reaction", "ReactionFamily", "Salt", "Violent", "load_reactions", "shipped_reactions_folder"]
 
 _BALANCE_TOLERANCE = 1e-9
-_FROZEN = ConfigDict(frozen=True, extra="forbid")
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class _Balanced(BaseModel):
@@ -98,13 +98,16 @@ def shipped_reactions_folder() -> Path:
     return Path(__file__).parent / "data" / "reactions"
 
 
-def load_reactions(name: str, materials: Mapping[str, Material], folder: Path | None = None) -> ReactionFamily:
+def load_reactions(
+    name: str, materials: Mapping[str, Material], folder: Path | None = None, where: str = ""
+) -> ReactionFamily:
     """Load a family by shipped name or by path and check it against the materials.
 
     Args:
         name: a shipped family's name, or a path to a TOML file (relative to ``folder``).
         materials: known materials by id.
         folder: where a relative path starts (the scenario's folder).
+        where: what asks for the family, for the error message.
 
     Raises:
         DataError: unknown family or material, or a reaction that does not conserve atoms and charge.
@@ -115,8 +118,9 @@ def load_reactions(name: str, materials: Mapping[str, Material], folder: Path | 
     elif name.endswith(".toml"):
         path = Path(name) if folder is None else folder / name
     else:
+        asked = f"{where}: reactions" if where else "reactions"
         raise DataError(
-            f"reactions: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
+            f"{asked}: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
         )
     family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
     unknown = sorted(family.materials() - set(materials))

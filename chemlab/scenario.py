@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
 times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid")
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class VesselSpec(BaseModel):
@@ -94,7 +95,7 @@ class BenchSpec(BaseModel):
     Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones.
     """
 
-    model_config = ConfigDict(frozen=True, extra="allow")
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 
     kind: str = Field(min_length=1)
     """``reaction``, ``extraction``, ``distillation``, or ``package.module:ClassName`` for a bench of your own."""
@@ -203,6 +204,13 @@ class Scenario(BaseModel):
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
     _origin: str = PrivateAttr(default="(scenario built in code)")
+
+    @model_validator(mode="after")
+    def _named(self) -> Scenario:
+        for key in self.benches:
+            if not re.fullmatch("[a-z]+", key) or key == "manager":
+                raise ValueError(f"benches.{key}: a bench's key is lower-case letters, and manager is taken")
+        return self
 
     @property
     def materials(self) -> dict[str, Material]:
@@ -339,7 +347,7 @@ def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
         if name in known:
             raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
         known[name] = material
-    family = load_reactions(spec.reactions, known, folder)
+    family = load_reactions(spec.reactions, known, folder, where)
     for key, name in _mentioned(spec):
         if name not in known:
             raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")

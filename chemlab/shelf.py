@@ -40,6 +40,7 @@ __all__ = [
     "Vessel",
     "build_chemistry",
     "build_network",
+    "element_matrix",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -237,6 +238,14 @@ def build_network(scenario: Scenario) -> Network:
         pre_exponential=np.array([step.pre_exponential for step in steps]),
         activation_energy=np.array([step.activation_energy_j_mol for step in steps]),
     )
+
+
+def element_matrix(scenario: Scenario) -> FloatArray:
+    """[E, M] atoms of each element in each material, and the charge: reactions leave ``matrix @ amounts`` as it is."""
+    table = list(scenario.materials.values())
+    elements = sorted({element for material in table for element in material.composition})
+    rows = [[material.composition.get(element, 0.0) for material in table] for element in elements]
+    return np.array([*rows, [float(material.charge) for material in table]])
 
 
 @dataclass

@@ -39,7 +39,7 @@ class DistillationHeuristic:
         self._temperature, self._volume = gauges["temperature"], gauges["volume"]
         liquids = {n: m.boiling_point_k for n, m in materials.items() if m.role in ("solvent", "solute")}
         highest = max(liquids.values(), default=0.0)
-        self._strip_to, self._boils_at = [], []
+        self._strip_to, self._boils_at, self._next_boils_at = [], [], []
         for goal in bench.goals.names:
             point = liquids.get(goal)
             if point is None:  # the goal does not boil: drive everything else off
@@ -49,6 +49,9 @@ class DistillationHeuristic:
                 lower = max([t for t in liquids.values() if t < point - 1e-9], default=point - 2.0 * _MARGIN_K)
                 self._strip_to.append(0.5 * (lower + point))
                 self._boils_at.append(point)
+        for point in self._boils_at:
+            self._next_boils_at.append(min([t for t in liquids.values() if t > point + 1e-9], default=np.inf))
+        self._capacity_l = bench.spec.start.capacity_l
         self._shade = [materials[goal].shade for goal in bench.goals.names]
         self._air = materials["air"].shade
         self._liquids = [materials[name].shade for name in liquids]
@@ -95,6 +98,18 @@ class DistillationHeuristic:
         spare = _CAUTION * _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin)
         return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
 
+    def _collect_step(self, goal: int, kelvin: float, litres: float, observation: ObservationArray) -> float:
+        """kJ that boil the goal over, but not what is left of heavier liquids once the goal is gone."""
+        boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
+        step = max(boiling, _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
+        picture = observation[:CAMERA_PIXELS]
+        others = [shade for shade in self._liquids if abs(shade - self._shade[goal]) > _SAME]
+        pixels = sum(int((np.abs(picture - shade) < _SAME).sum()) for shade in others)
+        if pixels:
+            heavier = pixels / CAMERA_PIXELS * self._capacity_l
+            step = min(step, _CAUTION * _KJ_PER_L_K * heavier * (self._next_boils_at[goal] - kelvin))
+        return step
+
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         goal = int(observation[self._slices["goal"]].argmax())
         if step == 0:
@@ -121,8 +136,6 @@ class DistillationHeuristic:
                 return self._swap
             phase = COLLECT
         if phase == COLLECT and kelvin < self._boils_at[goal] + 1.0:
-            return self._heat(
-                max(_CAUTION * _KJ_PER_L * (litres - 0.02), _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
-            )
+            return self._heat(self._collect_step(goal, kelvin, litres, observation))
         self._phase[member] = DONE
         return self._end

@@ -402,7 +402,7 @@ class Bench(ABC):
 
 def check_discrete(agent: str, action: Any, count: int) -> int:
     """The action as an int in [0, count), or ``ValueError`` naming agent, expected and given."""
-    value = action.item() if isinstance(action, np.ndarray) and action.size == 1 else action
+    value = action.item() if isinstance(action, np.ndarray) and action.ndim == 0 else action
     if isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_)) and 0 <= value < count:
         return int(value)
     raise ValueError(f"{agent}: action must be an integer from 0 to {count - 1}, given {action!r}")
@@ -411,12 +411,16 @@ def check_discrete(agent: str, action: Any, count: int) -> int:
 def check_box(agent: str, action: Any, size: int) -> FloatArray:
     """The action as float64 [size] within [0, 1], or ``ValueError`` naming agent, expected and given."""
     try:
-        value = np.asarray(action, dtype=np.float64)
+        value = np.asarray(action)
     except (TypeError, ValueError):
         value = np.empty(0)
-    if value.shape != (size,) or not all(0.0 <= number <= 1.0 for number in value.tolist()):
+    if (
+        value.shape != (size,)
+        or value.dtype.kind not in "fiu"
+        or not all(0.0 <= number <= 1.0 for number in value.tolist())
+    ):
         raise ValueError(f"{agent}: action must be {size} finite numbers from 0 to 1, given {action!r}")
-    return value
+    return value.astype(np.float64)
 
 
 def build_bench(
@@ -437,7 +441,9 @@ def build_bench(
     module, _, name = target.partition(":")
     try:
         cls = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
+        if not (isinstance(cls, type) and issubclass(cls, Bench)):
+            raise TypeError(f"{name} is not a Bench")
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise DataError(
             f"{scenario.origin}: benches.{key}.kind: cannot load {kind!r} ({error}); "
             f"known kinds: {', '.join(BENCH_KINDS)}; or name a class as 'package.module:Class'"

@@ -10,6 +10,9 @@ from ..shelf import FloatArray
 
 __all__ = ["ReactionModel", "SeparationModel", "checked_reaction"]
 
+_CONSERVED = 1e-6
+"""Relative error that an integrator of the user's may leave in the atoms."""
+
 
 class ReactionModel(Protocol):
     """Anything that can be called like this replaces the kinetics of reaction benches."""
@@ -43,16 +46,30 @@ class SeparationModel(Protocol):
 
 
 def checked_reaction(
-    model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float
+    model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float, elements: FloatArray
 ) -> FloatArray:
-    """Call a user's reaction model and refuse a result that is no amounts array.
+    """Call a user's reaction model and refuse a result that is no amounts array or makes atoms out of nothing.
+
+    Args:
+        model: the user's model.
+        amounts: [M] mol before.
+        temperature: K.
+        volume: liquid volume, L.
+        dt: reaction time.
+        elements: [E, M] atoms of each element (and charge) in each material.
 
     Raises:
-        ValueError: wrong shape, a negative amount or a value that is not finite.
+        ValueError: wrong shape, a negative amount, a value that is not finite, or atoms that are not conserved.
     """
     result = np.asarray(model(amounts.copy(), temperature, volume, dt), dtype=np.float64)
     if result.shape != amounts.shape:
         raise ValueError(f"reaction model {model!r} returned shape {result.shape}, expected {amounts.shape}")
     if not np.all(np.isfinite(result)) or result.min(initial=0.0) < -1e-9:
         raise ValueError(f"reaction model {model!r} returned amounts that are negative or not finite: {result!r}")
+    before, after = elements @ amounts, elements @ result
+    worst = float(np.abs(after - before).max(initial=0.0))
+    if worst > _CONSERVED * max(1.0, float(np.abs(before).max(initial=0.0))):
+        raise ValueError(
+            f"reaction model {model!r} does not conserve atoms: {worst:.3g} mol of an element too many or few"
+        )
     return np.maximum(result, 0.0)

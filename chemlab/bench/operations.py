@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ..materials import DataError
 from ..physics.jit import helper, kernel
@@ -47,7 +47,7 @@ _COLUMNS = 5  # kind, vessel, target, material, magnitude
 class Process(BaseModel):
     """One row of an action table: a process and its magnitudes, each of which is one action."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["drain", "mix", "pour", "add", "settle", "heat"]
     vessel: str
@@ -64,7 +64,7 @@ class Process(BaseModel):
 class OperationOptions(BaseModel):
     """Scenario keys of a bench with a table of operations."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     process: tuple[Process, ...] = Field(min_length=1)
     auxiliary_capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
@@ -73,6 +73,12 @@ class OperationOptions(BaseModel):
     """How far every vessel settles in each step by itself."""
     hottest_k: float = Field(default=800.0, gt=0.0)
     coolest_k: float = Field(default=273.15, gt=0.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> OperationOptions:
+        if self.hottest_k <= self.coolest_k:
+            raise ValueError(f"hottest_k = {self.hottest_k} must be above coolest_k = {self.coolest_k}")
+        return self
 
 
 @helper
@@ -406,9 +412,10 @@ class OperationBench(Bench):
             total = amounts[chem.dissolved]
             result = model.partition(dissolved.copy(), total, solvent_volume, float(row[CLOCK_WAS]), float(row[CLOCK]))
             result = np.asarray(result, dtype=np.float64)
-            if result.shape != dissolved.shape or not np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9):
+            fits = result.shape == dissolved.shape and np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9)
+            if not fits or result.min(initial=0.0) < -1e-9:
                 raise ValueError(
-                    f"separation model {model!r}: dissolved amounts must be [K, L] = {dissolved.shape} "
+                    f"separation model {model!r}: dissolved amounts must be [K, L] = {dissolved.shape}, not negative "
                     f"and add up to the totals {total!r}, given {result!r}"
                 )
             dissolved[...] = np.maximum(result, 0.0)
@@ -418,10 +425,11 @@ class OperationBench(Bench):
         density = np.array([0.0 if i == SOLIDS else chem.density[i] for i in layers[1 : 1 + count]])
         picture = np.asarray(model.profile(volumes[:count], density, float(row[CLOCK]), shares.shape[1]))
         expected = volumes[:count] / volumes[:count].sum() * shares.shape[1]
-        if picture.shape != (count, shares.shape[1]) or not np.allclose(picture.sum(axis=1), expected, atol=1e-6):
+        fits = picture.shape == (count, shares.shape[1]) and np.allclose(picture.sum(axis=1), expected, atol=1e-6)
+        if not fits or not np.allclose(picture.sum(axis=0), 1.0, atol=1e-6) or picture.min() < -1e-9:
             raise ValueError(
-                f"separation model {model!r}: a profile must be {(count, shares.shape[1])} and conserve "
-                f"the layers' volumes, given {picture!r}"
+                f"separation model {model!r}: a profile must be {(count, shares.shape[1])}, not negative, fill "
+                f"every pixel and conserve the layers' volumes, given {picture!r}"
             )
         shares[:count] = picture
 

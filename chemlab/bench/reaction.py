@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -37,6 +37,7 @@ from ..shelf import (
     Network,
     Shelf,
     build_network,
+    element_matrix,
 )
 from .base import (
     Bench,
@@ -53,7 +54,7 @@ from .models import ReactionModel, checked_reaction
 
 __all__ = ["ReactionBench", "ReactionOptions", "Span", "act"]
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid")
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FULLEST = 0.98
 """The piston stops where the contents would fill this share of the vessel."""
 
@@ -79,7 +80,7 @@ class ReactionOptions(BaseModel):
 
     model_config = _FROZEN
 
-    reagents: dict[str, float] = Field(min_length=1)
+    reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1)
     """mol of each reagent an experiment may take from stock."""
     temperature_k: Span
     volume_l: Span
@@ -314,6 +315,7 @@ class ReactionBench(Bench):
         )
         self._pressure_scale = 1.25 * options.rated_pressure_kpa
         self._scratch = np.zeros(react_work_size(self.network))
+        self._elements = element_matrix(scenario)
         self._penalty = np.zeros((len(self.goals.names), len(layout.materials)))
         for name, price in options.penalty.items():
             for g, goal in enumerate(self.goals.names):
@@ -366,7 +368,12 @@ class ReactionBench(Bench):
             row = shelf.rows[place]
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
             amounts[:] = checked_reaction(
-                self.reaction_model, amounts, float(row[TEMPERATURE]), liquid_volume(row, chem), self.options.tick
+                self.reaction_model,
+                amounts,
+                float(row[TEMPERATURE]),
+                liquid_volume(row, chem),
+                self.options.tick,
+                self._elements,
             )
         _after(
             members, s.places, shelf.rows, self._knobs, shelf.waste, s.events, s.steps, s.ended, limit, chem, self.work

@@ -26,6 +26,8 @@ _B1, _B3, _B4, _B5, _B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 _E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
 
 _SMALLEST_STEP = 1e-12
+_FIRST_SHARE = 0.3
+"""Share of a reactant that the first trial step may use up at the first rate."""
 _WORK_ROWS = 14
 
 
@@ -37,8 +39,9 @@ def react_work_size(network: Network) -> tuple[int, int]:
 @helper
 def _rates(
     constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
-) -> None:
-    """Concentrations (which an overlong trial step may make negative) and rates at the given extents."""
+) -> float:
+    """Concentrations and rates at the given extents; returns the lowest concentration, which an overlong trial step
+    makes negative."""
     n_reactions, n_species = network.stoichiometry.shape
     for j in range(n_species):
         conc[j] = start[j]
@@ -47,6 +50,9 @@ def _rates(
             j = network.changes[r, c]
             if j >= 0:
                 conc[j] += network.stoichiometry[r, j] * extent[r]
+    lowest = 0.0
+    for j in range(n_species):
+        lowest = min(lowest, conc[j])
     for r in range(n_reactions):
         rate = constants[r]
         for f in range(network.factors.shape[1]):
@@ -56,6 +62,7 @@ def _rates(
             if network.fractions[r, j] > 0.0:
                 rate *= max(conc[j], 0.0) ** network.fractions[r, j]
         out[r] = rate
+    return lowest
 
 
 @kernel
@@ -98,32 +105,42 @@ def react(
         now[j] = start[j]
     _rates(constants, network, start, extent, conc, k1)
     running = False
+    for j in range(n_species):
+        defect[j] = 0.0
     for r in range(n_reactions):
         running = running or k1[r] > 0.0
+        for j in range(n_species):
+            defect[j] += network.stoichiometry[r, j] * k1[r]
     if not running:
         return 0
-    done, h, steps = 0.0, dt, 0
+    # A first step that would use up much of a reactant tells nothing about its own error: start well below that.
+    h = dt
+    for j in range(n_species):
+        if defect[j] < 0.0:
+            h = min(h, _FIRST_SHARE * start[j] / -defect[j])
+    h = max(h, _SMALLEST_STEP * dt)
+    done, steps = 0.0, 0
     while done < dt:
         steps += 1
         h = min(h, dt - done)
         for r in range(n_reactions):
             trial[r] = extent[r] + h * _A21 * k1[r]
-        _rates(constants, network, start, trial, conc, k2)
+        stage = _rates(constants, network, start, trial, conc, k2)
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A31 * k1[r] + _A32 * k2[r])
-        _rates(constants, network, start, trial, conc, k3)
+        stage = min(stage, _rates(constants, network, start, trial, conc, k3))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A41 * k1[r] + _A42 * k2[r] + _A43 * k3[r])
-        _rates(constants, network, start, trial, conc, k4)
+        stage = min(stage, _rates(constants, network, start, trial, conc, k4))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A51 * k1[r] + _A52 * k2[r] + _A53 * k3[r] + _A54 * k4[r])
-        _rates(constants, network, start, trial, conc, k5)
+        stage = min(stage, _rates(constants, network, start, trial, conc, k5))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A61 * k1[r] + _A62 * k2[r] + _A63 * k3[r] + _A64 * k4[r] + _A65 * k5[r])
-        _rates(constants, network, start, trial, conc, k6)
+        stage = min(stage, _rates(constants, network, start, trial, conc, k6))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_B1 * k1[r] + _B3 * k3[r] + _B4 * k4[r] + _B5 * k5[r] + _B6 * k6[r])
-        _rates(constants, network, start, trial, conc, k7)
+        stage = min(stage, _rates(constants, network, start, trial, conc, k7))
         for j in range(n_species):
             defect[j] = 0.0
         for r in range(n_reactions):
@@ -139,11 +156,13 @@ def react(
             # Rounding in the sums above may leave -1e-17 where the exact result is 0.
             lowest = min(lowest, conc[j] + 1e-15 * (start[j] + 1.0))
         error = math.sqrt(error / n_species)
-        if error > 1.0 and h > _SMALLEST_STEP * dt:
-            h *= max(0.2, 0.9 * error**-0.2)
-            continue
-        if lowest < 0.0 and h > _SMALLEST_STEP * dt:
+        small = h <= _SMALLEST_STEP * dt
+        if (lowest < 0.0 or stage < -atol or not error < math.inf) and not small:
+            # Beyond zero the rates are cut off, and the error estimate with them: it means nothing there.
             h *= 0.5
+            continue
+        if error > 1.0 and not small:
+            h *= max(0.2, 0.9 * error**-0.2)
             continue
         if lowest < 0.0:
             # A reactant ends inside the smallest step: it is used up here, and nothing more can react with it.

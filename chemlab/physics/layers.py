@@ -267,6 +267,8 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             if worst < _TOLERANCE * pixels:
                 done = True
                 break
+            # Newton on the logarithms of the layers' volumes: a thin layer's volume goes with the exponential of its
+            # beta, so that this step is exact for it where one on the volume would shoot far past.
             # beta_0 = 0, so the system is over the betas 1.. of the other fluids.
             for i in range(1, fluids):
                 for p in range(pixels):
@@ -275,7 +277,11 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
                     hessian[i - 1, j - 1] = -_dot(scale, out[1 + j], pixels)
                 hessian[i - 1, i - 1] += gradient[i] + target[i] + 1e-13
             for i in range(1, fluids):
-                gradient[i - 1] = gradient[i]
+                pixels_now = gradient[i] + target[i]
+                if target[i] > 0.0 and pixels_now > 0.0:
+                    gradient[i - 1] = pixels_now * math.log(pixels_now / target[i])
+                else:
+                    gradient[i - 1] = gradient[i]
             _solve(hessian, gradient, fluids - 1)
             before, largest = 0.0, 0.0
             for i in range(fluids - 1):

@@ -116,6 +116,12 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
                 row[first + layer] = total * now[layer]
             continue
         equilibrium(row, chem, material, was, then)
+        # What has not been placed yet (a vessel just filled, a product just made) is taken to be where it tends to be.
+        placed = 0.0
+        for layer in range(n_solvents):
+            placed += row[first + layer]
+        for layer in range(n_solvents):
+            row[first + layer] = row[first + layer] * (total / placed) if placed > 0.0 else total * then[layer]
         found = 0.0
         for layer in range(n_solvents):
             if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:

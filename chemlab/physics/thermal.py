@@ -179,4 +179,6 @@ def heat(
     target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
     left -= capacity * (target - row[TEMPERATURE])
     row[TEMPERATURE] = target
-    return joules - left, condenser
+    # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
+    refused = min(left, joules)
+    return joules - refused, condenser + (left - refused)

@@ -1,0 +1,217 @@
+"""Batched benches for Stable-Baselines3 and sb3-contrib: ``ChemlabVecEnv``.
+
+>>> from stable_baselines3 import PPO                                              # doctest: +SKIP
+>>> from chemlab.agents.sb3 import ChemlabVecEnv                                   # doctest: +SKIP
+>>> PPO("MlpPolicy", ChemlabVecEnv(10, bench="rxn"), n_steps=256).learn(100_000)   # doctest: +SKIP
+
+Needs the extra: ``pip install "chemlab-marl[train]"``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from chemlab.laboratory.bench_env import BenchVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError('chemlab.agents.sb3 needs Stable-Baselines3: pip install "chemlab-marl[train]"') from error
+
+__all__ = ["ChemlabVecEnv"]
+
+Indices = int | Iterable[int] | None
+Infos = list[dict[str, Any]]
+
+
+class ChemlabVecEnv(VecEnv):
+    """A batched bench as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
+
+    Args:
+        env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` with
+            ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
+        arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
+
+    Infos: a member's info has ``TimeLimit.truncated`` (False: an experiment's end is a terminal state), ``cost`` (weighted
+    safety events of the step) and ``illegal_action``; at an episode's end also ``terminal_observation``, ``score`` and
+    ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged without one. Where
+    nothing happened, the member's info is one and the same dictionary at every step: copy it before changing it.
+
+    Masks: ``env_method("action_masks")`` is one mask a member; where actions are continuous there is no such attribute, so
+    that sb3-contrib's ``is_masking_supported`` says so.
+
+    Seeds: :meth:`seed` with s gives member i the seed s + i at the next reset, so that it plays what a single environment
+    reset with s + i plays.
+
+    Raises:
+        ValueError: another autoreset mode, or arguments beside an existing batch.
+        TypeError: the environment is not a batched bench.
+    """
+
+    def __init__(self, env: int | gymnasium.vector.VectorEnv[Any, Any, Any], **arguments: Any) -> None:
+        if isinstance(env, (int, np.integer)):
+            mode = arguments.pop("autoreset_mode", AutoresetMode.SAME_STEP)
+            env = BenchVectorEnv(int(env), autoreset_mode=mode, **arguments)
+        elif arguments:
+            raise ValueError(f"an existing batch takes no arguments, given {', '.join(arguments)}")
+        batch = env.unwrapped if isinstance(env, gymnasium.vector.VectorEnv) else env
+        if not isinstance(batch, BenchVectorEnv):
+            raise TypeError(f"needs a number of members or a batched bench (BenchVectorEnv), given {env!r}")
+        if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
+        self.env = env
+        self.batch = batch
+        self._actions: Any = None
+        self._started = time.time()
+        self._returns = np.zeros(batch.num_envs)
+        self._lengths = np.zeros(batch.num_envs, dtype=np.int64)
+        self._quiet: Infos = [self._info() for _ in range(batch.num_envs)]
+        super().__init__(batch.num_envs, env.single_observation_space, env.single_action_space)
+
+    @staticmethod
+    def _info(cost: float = 0.0, illegal: bool = False) -> dict[str, Any]:
+        return {"TimeLimit.truncated": False, "cost": cost, "illegal_action": illegal}
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """Begin experiments in every member, with the seeds and options set before; [N, size] observations.
+
+        Raises:
+            ValueError: unknown option or goal.
+        """
+        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
+        same = all(options == self._options[0] for options in self._options)
+        observations, infos = self.env.reset(seed=seeds, options=self._options[0] if same else None)  # type: ignore[arg-type]
+        if not same:
+            for i, options in enumerate(self._options):
+                if options:
+                    only = np.arange(self.num_envs) == i
+                    observations, infos = self.env.reset(seed=seeds, options={**options, "reset_mask": only})  # type: ignore[arg-type]
+        self.reset_infos = [self._info(float(cost)) for cost in infos["cost"]]
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return self._kept(observations)
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Take the actions [N] or [N, n] that :meth:`step_wait` will play."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
+        """Play them: observations [N, size], rewards [N], whether each episode has ended [N], infos.
+
+        Raises:
+            ValueError: an action is outside the action space (nothing has changed).
+        """
+        observations, rewards, terminated, truncated, found = self.env.step(self._actions)
+        dones = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        infos = self._quiet.copy()
+        cost, illegal = found["cost"], found["illegal_action"]
+        for i in np.flatnonzero(dones | illegal | (cost > 0.0)):
+            info = infos[i] = self._info(float(cost[i]), bool(illegal[i]))
+            if dones[i]:
+                info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+                info["terminal_observation"] = np.array(found["final_obs"][i])
+                if found["_score"][i]:
+                    info["score"] = float(found["score"][i])
+                info["episode"] = {
+                    "r": round(float(self._returns[i]), 6),
+                    "l": int(self._lengths[i]),
+                    "t": round(time.time() - self._started, 6),
+                }
+                self._returns[i], self._lengths[i] = 0.0, 0
+        return self._kept(observations), rewards.astype(np.float32), dones, infos
+
+    def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        # SB3 still uses the last observations after the next step.
+        return observations if self.batch.copy else np.array(observations)
+
+    def close(self) -> None:
+        """Stop the batch's threads."""
+        self.env.close()
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """[N, actions] legal actions now.
+
+        Raises:
+            ValueError: the bench's actions are continuous.
+        """
+        return self.batch.action_masks()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of each member; what the members share is there once for each of them.
+
+        Raises:
+            AttributeError: there is none of that name.
+        """
+        members = self._members(indices)
+        if attr_name == "action_masks":
+            if not self.batch.bench.action_count:
+                raise AttributeError("continuous actions have no action_masks")
+            return [_Masks(self.batch, member) for member in members]
+        if attr_name in ("observation_space", "action_space"):
+            return [getattr(self.env, f"single_{attr_name}")] * len(members)
+        return [getattr(self._owner(attr_name), attr_name)] * len(members)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute that the members share.
+
+        Raises:
+            AttributeError: there is none of that name.
+            ValueError: not all members are meant.
+        """
+        if set(self._members(indices)) != set(range(self.num_envs)):
+            raise ValueError(f"{attr_name}: members share it, so it is set for all of them, given indices {indices!r}")
+        setattr(self._owner(attr_name), attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """``action_masks`` of each member; any other method is the batch's own, called once, its result repeated.
+
+        Raises:
+            AttributeError: there is none of that name.
+        """
+        if method_name == "action_masks" and self.batch.bench.action_count:
+            masks = self.batch.action_masks()
+            return [masks[member] for member in self._members(indices)]
+        methods = self.get_attr(method_name, indices)
+        return [methods[0](*method_args, **method_kwargs)] * len(methods)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Indices = None
+    ) -> list[bool]:
+        """Whether members have a wrapper: SB3's ``Monitor``, as ``episode`` infos are here, and no other."""
+        return [issubclass(wrapper_class, Monitor)] * len(self._members(indices))
+
+    def _owner(self, name: str) -> Any:
+        """The outermost vector wrapper that has an attribute, or the batch itself."""
+        owner: Any = self.env
+        while not hasattr(owner, name) and owner is not self.batch:
+            owner = owner.env
+        if not hasattr(owner, name):
+            raise AttributeError(f"{type(self.batch).__name__} has no attribute {name!r}")
+        return owner
+
+    def _members(self, indices: Indices) -> Sequence[int]:
+        return list(self._get_indices(indices))
+
+
+class _Masks:
+    """One member's ``action_masks`` method."""
+
+    def __init__(self, batch: BenchVectorEnv, member: int) -> None:
+        self._batch, self._member = batch, member
+
+    def __call__(self) -> npt.NDArray[np.bool_]:
+        return np.asarray(self._batch.action_masks()[self._member])

@@ -1,0 +1,82 @@
+"""A bench of a user's own, for test_custom_bench: a funnel that lets liquids through and keeps solids back.
+
+It is written as a user would write one: numpy alone, no kernel, nothing of chemlab's but what a bench needs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from chemlab.bench.base import Bench, Channel, MaskArray, ObservationArray, Station, check_discrete
+from chemlab.scenario import Scenario
+from chemlab.shelf import AMOUNTS, CAPACITY, ROLE_SOLID, Chemistry, FloatArray, IntArray, Layout, Shelf
+
+FILTER, END = range(2)
+
+
+class FiltrationOptions(BaseModel):
+    """Scenario keys of the filtration bench."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    auxiliary_capacity_l: float = Field(default=1.2, gt=0.0)
+
+
+class FiltrationBench(Bench):
+    """Filtration bench: ``filter`` moves all liquids, and what is dissolved in them, from the funnel to the filtrate."""
+
+    options_model = FiltrationOptions
+    positions = ("funnel", "filtrate")
+
+    def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
+        super().__init__(key, scenario, layout, chemistry)
+        # Of a row's contents (amounts, then dissolved amounts) everything but solids runs through.
+        dissolved = layout.width - AMOUNTS - len(layout.materials)
+        self._runs_through = np.concatenate((chemistry.role != ROLE_SOLID, np.ones(dissolved, dtype=np.bool_)))
+        channels = [
+            Channel(f"fill_{name}", 1, "fraction", 0.0, 1.0, f"how full the {name} is") for name in self.positions
+        ]
+        self._set_spaces(channels, gymnasium.spaces.Discrete(2))
+
+    @property
+    def action_meanings(self) -> list[str]:
+        return ["filter", "end the experiment"]
+
+    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+        return self.purity_measure(shelf, station, members, self.goals.absolute_counts)
+
+    def _wet(self, shelf: Shelf, station: Station, member: int) -> bool:
+        return bool(shelf.rows[station.places[member, 0], AMOUNTS:][self._runs_through].any())
+
+    def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        for m, action in zip(members, actions, strict=True):
+            station.events[m] = 0.0
+            station.illegal[m] = action == FILTER and not self._wet(shelf, station, m)
+            if action == FILTER and not station.illegal[m]:
+                funnel, filtrate = (shelf.rows[place, AMOUNTS:] for place in station.places[m])
+                filtrate[self._runs_through] += funnel[self._runs_through]
+                funnel[self._runs_through] = 0.0
+            station.steps[m] += 1
+            station.ended[m] = action == END or station.steps[m] >= self.spec.step_limit
+
+    def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+        out[:] = 0.0
+        for row, m in zip(out, members, strict=True):
+            if station.busy[m]:
+                vessels = shelf.rows[station.places[m]]
+                amounts = vessels[:, AMOUNTS : AMOUNTS + len(self.layout.materials)]
+                row[:2] = np.minimum(amounts @ self.chemistry.molar_volume / vessels[:, CAPACITY], 1.0)
+                row[2 + station.goal[m]] = 1.0
+
+    def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
+        for row, m in zip(out, members, strict=True):
+            row[FILTER] = station.busy[m] and self._wet(shelf, station, m)
+            row[END] = 1
+
+    def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
+        return np.array([check_discrete(agent, action, 2)])

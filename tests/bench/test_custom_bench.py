@@ -1,0 +1,162 @@
+"""A bench of a user's own in a laboratory: one entry in a scenario file, and everything else knows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, seed_test
+
+import chemlab.scenarios
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory.aec import env as laboratory_env
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.materials import DataError
+
+ENTRY = """
+[benches.fil]
+kind = "filtration_bench:FiltrationBench"
+step_limit = 5
+auxiliary_capacity_l = 1.2
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of wurtz_dodecane with one more bench, whose module is on the import path."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    shipped = Path(chemlab.scenarios.__path__[0]) / "wurtz_dodecane.toml"
+    file = tmp_path / "with_filter.toml"
+    file.write_text(shipped.read_text() + ENTRY)
+    return file
+
+
+def test_the_laboratory_has_its_agent(scenario: Path) -> None:
+    env = raw_env(scenario)
+    assert env.possible_agents == ["manager_0", "rxn_0", "ext_0", "dit_0", "fil_0"]
+    assert env.action_space("fil_0").n == 2
+    assert env.observation_space("fil_0").shape == (2 + len(env.scenario.goals),)
+    bench = BenchArena(scenario, "fil").bench
+    assert bench.observation_space == env.observation_space("fil_0")
+    assert bench.action_space == env.action_space("fil_0")
+    # The manager can start it on every slot for every goal, recall it, and sees where a vessel was last.
+    meanings = env.laboratories.actions.action_meanings
+    assert sum(meaning.startswith("start fil_0 ") for meaning in meanings) == 8 * len(env.scenario.goals)
+    assert "recall fil_0" in meanings
+    sizes = {channel.name: channel.size for channel in env.laboratories.channels}
+    assert sizes["slot_0_last_bench"] == 1 + 4
+    assert sizes["fil_0_busy"] == 1
+
+
+def test_it_passes_the_interface_tests(scenario: Path) -> None:
+    env = laboratory_env(scenario)
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(i)
+    api_test(env, num_cycles=300)
+    seed_test(lambda: laboratory_env(scenario), num_cycles=100)
+
+
+def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:
+    env = raw_env(scenario)
+    env.reset(seed=0, options={"goal": "dodecane"})
+    labs, shelf = env.laboratories, env.laboratories.shelf
+    shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na": 2.0})
+    total = shelf.total()
+    sees = channel_slices(env.laboratories.benches[3].channels)
+    env.step(labs.actions.encode("start", "fil_0", 0, "dodecane"))
+    env.step(labs.actions.encode("wait"))
+    assert env.agent_selection == "fil_0"
+    assert env.infos["fil_0"]["action_mask"].tolist() == [1, 1]
+    funnel_before = float(env.observe("fil_0")[sees["fill_funnel"]][0])
+    env.step(0)
+    assert env.agent_selection == "fil_0"
+    assert not env.infos["fil_0"]["illegal_action"]
+    # Nothing but metal in the funnel now: filtering again is a lost turn.
+    assert env.infos["fil_0"]["action_mask"].tolist() == [0, 1]
+    seen = env.observe("fil_0")
+    metal = env.scenario.materials["Na"]
+    metal_l = 2.0 * metal.molar_mass_g_mol / (1000.0 * metal.density_kg_l)
+    assert seen[sees["fill_funnel"]][0] == pytest.approx(metal_l / 1.2, rel=1e-6)
+    assert seen[sees["fill_filtrate"]][0] == pytest.approx(funnel_before - metal_l / 1.2, rel=1e-5)
+    vessels = shelf.vessels.copy()
+    env.step(0)
+    assert env.infos["fil_0"]["illegal_action"]
+    assert env.rewards["fil_0"] == -env.scenario.costs.illegal_action
+    np.testing.assert_array_equal(shelf.vessels, vessels)
+    env.step(1)
+    # 1 mol of 7 before, 1 of 5 after: purity 1/7 became 1/5.
+    assert env.infos["fil_0"]["score"] == pytest.approx(1.0 / 5.0 - 1.0 / 7.0, rel=1e-12)
+    assert env.rewards["fil_0"] == pytest.approx(1.0 / 5.0 - 1.0 / 7.0, rel=1e-12)
+    assert env.agent_selection == "manager_0"
+    # The funnel is back on its slot, the filtrate on the first free one.
+    assert shelf.vessel(0, 0).amounts(1e-12) == {"Na": 2.0}
+    assert shelf.vessel(0, 2).amounts(1e-12) == {"dodecane": 1.0, "diethyl_ether": 4.0}
+    np.testing.assert_allclose(shelf.total(), total, rtol=1e-12)
+    env.step(labs.actions.encode("submit", 2))
+    cost = sum(labs.costs().values())
+    assert env.rewards["manager_0"] == pytest.approx(1.0 * (1.0 / 5.0) / 0.5 - cost, rel=1e-12)
+
+
+def test_salt_stays_back_and_its_ions_go_through(scenario: Path) -> None:
+    env = raw_env(scenario)
+    env.reset(seed=0)
+    labs, shelf = env.laboratories, env.laboratories.shelf
+    shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "NaCl": 1.0})
+    sodium = shelf.total()[0] @ np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
+    env.step(labs.actions.encode("start", "fil_0", 0, "NaCl"))
+    env.step(labs.actions.encode("wait"))
+    places = labs.stations[3].places[0]
+    held = shelf.amounts[0, places[0]].copy()
+    env.step(0)
+    before = dict(zip(env.scenario.materials, held, strict=True))
+    amounts = dict(zip(env.scenario.materials, shelf.amounts[0, places[1]], strict=True))
+    assert before["NaCl"] > 0.0
+    assert amounts["NaCl"] == 0.0
+    assert amounts["Na+"] == before["Na+"] > 0.0
+    assert amounts["diethyl_ether"] == 4.0
+    env.step(1)
+    # Back on the shelf each vessel comes to its own equilibrium, and no sodium is lost.
+    counts = np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
+    assert shelf.total()[0] @ counts == pytest.approx(sodium, rel=1e-12)
+
+
+def test_atoms_are_conserved_in_random_play(scenario: Path) -> None:
+    env = raw_env(scenario)
+    labs, materials = env.laboratories, list(env.scenario.materials.values())
+    elements = sorted({element for material in materials for element in material.composition})
+    atoms = np.array([[*(m.composition.get(e, 0.0) for e in elements), m.charge] for m in materials])
+    submits = [labs.actions.encode("submit", slot) for slot in range(8)]
+    rng = np.random.default_rng(5)
+    filtered = 0
+    for seed in range(4):
+        env.reset(seed=seed)
+        start = labs.shelf.total()[0] @ atoms
+        while labs.desk.status[0] == 0:
+            mask = env.infos[env.agent_selection].get("action_mask")
+            if mask is None:
+                env.step(rng.random(env.action_space(env.agent_selection).shape))
+                continue
+            if env.agent_selection == "manager_0":
+                mask = mask.copy()
+                mask[submits] = 0
+            action = int(rng.choice(np.flatnonzero(mask)))
+            filtered += env.agent_selection == "fil_0" and action == 0
+            env.step(action)
+        np.testing.assert_allclose(labs.shelf.total()[0] @ atoms, start, rtol=1e-9, atol=1e-9)
+    assert filtered > 0
+
+
+def test_its_mistakes_in_the_scenario_are_named(scenario: Path) -> None:
+    text = scenario.read_text()
+    for old, new, part in (
+        ("FiltrationBench", "CentrifugeBench", "CentrifugeBench"),
+        ("filtration_bench:", "no_such_module:", "no_such_module"),
+        ("auxiliary_capacity_l = 1.2\n", "auxiliary_capacity_l = 1.2\npaper = 3\n", "paper"),
+    ):
+        head, _, entry = text.partition("[benches.fil]")
+        scenario.write_text(f"{head}[benches.fil]{entry.replace(old, new)}")
+        with pytest.raises(DataError, match=part) as caught:
+            raw_env(scenario)
+        assert f"{scenario}: benches.fil" in str(caught.value)

@@ -1,0 +1,310 @@
+"""A user's own physics: agrees where it is the same, changes the result where it differs, is refused where wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from chemlab.agents.policy import Policy, bench_heuristic
+from helpers import PIXELS, Glassware
+from scipy.integrate import solve_ivp
+
+from chemlab.laboratory import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.scenario import Scenario, load_scenario
+from chemlab.shelf import Layout
+
+FloatArray = npt.NDArray[np.float64]
+R = 8.31446261815324
+
+
+class ScipyReactions:
+    """The scenario's reactions, integrated by SciPy's BDF."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        names = list(scenario.materials)
+        self.calls = 0
+        self.steps = []
+        for step in scenario.family.reaction:
+            reactants = {names.index(name): order for name, order in step.orders.items()}
+            change = np.zeros(len(names))
+            for name, number in step.products.items():
+                change[names.index(name)] += number
+            for name, number in step.reactants.items():
+                change[names.index(name)] -= number
+            self.steps.append((reactants, change, step.pre_exponential, step.activation_energy_j_mol))
+
+    def __call__(self, amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
+        self.calls += 1
+
+        def slope(_: float, amounts: FloatArray) -> FloatArray:
+            total = np.zeros_like(amounts)
+            for reactants, change, factor, energy in self.steps:
+                rate = factor * np.exp(-energy / (R * temperature_k))
+                for i, order in reactants.items():
+                    rate *= max(amounts[i] / volume_l, 0.0) ** order
+                total += rate * volume_l * change
+            return total
+
+        solution = solve_ivp(slope, (0.0, dt), amount_mol, method="BDF", rtol=1e-7, atol=1e-10)
+        return np.asarray(np.maximum(solution.y[:, -1], 0.0))
+
+
+def recipe(steps: int, size: int) -> FloatArray:
+    """[steps, size] actions: warm up, add a third of everything that is left for six steps, then wait."""
+    actions = np.full((steps, size), 0.5)
+    actions[:, 0] = 0.8
+    actions[:, 2:] = 0.0
+    actions[:6, 2:] = 1.0 / 3.0
+    return actions
+
+
+# -- reaction models ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
+def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: str) -> None:
+    """SciPy's BDF in place of the kernel, through a whole experiment: final amounts within 1e-3 (1e-3 mol + 0.1 %)."""
+    model = ScipyReactions(load_scenario(scenario))
+    arenas = [BenchArena(scenario, "rxn"), BenchArena(scenario, "rxn", reaction_model=model)]
+    for arena in arenas:
+        arena.seed(0, 3)
+        arena.reset(arena.members)
+        for action in recipe(20, arena.bench.action_space.shape[0]):
+            arena.act(action[None])
+    assert model.calls == 20
+    built_in, own = (arena.shelf.amounts[0, 0] for arena in arenas)
+    names = arenas[0].shelf.layout.materials
+    assert own[names.index("dodecane" if scenario == "wurtz_dodecane" else "F")] > 0.1
+    np.testing.assert_allclose(own, built_in, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(*(arena.finish(arena.members) for arena in arenas), rtol=0.0, atol=1e-3)
+
+
+def test_a_reaction_model_works_in_the_whole_laboratory() -> None:
+    """The same through the AEC environment: the vessel that comes back to the shelf holds the same (1e-3 mol)."""
+    model = ScipyReactions(load_scenario("wurtz_dodecane"))
+    contents = []
+    for env in (raw_env("wurtz_dodecane"), raw_env("wurtz_dodecane", reaction_model=model)):
+        env.reset(seed=4)
+        labs = env.laboratories
+        env.step(labs.actions.encode("start", "rxn_0", 0, "dodecane"))
+        env.step(labs.actions.encode("wait"))
+        for action in recipe(20, 6):
+            assert env.agent_selection == "rxn_0"
+            env.step(action.astype(np.float32))
+        assert env.agent_selection == "manager_0"
+        contents.append(labs.shelf.amounts[0, 0].copy())
+    assert model.calls == 20
+    assert contents[0][labs.shelf.layout.index("dodecane")] > 0.1
+    np.testing.assert_allclose(contents[1], contents[0], rtol=0.0, atol=1e-3)
+
+
+def test_a_reaction_model_is_told_temperature_volume_and_tick() -> None:
+    """A model that does nothing sees kelvins, litres of liquid and the scenario's tick, and nothing happens."""
+    seen: list[tuple[float, float, float]] = []
+
+    def inert(amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
+        seen.append((temperature_k, volume_l, dt))
+        return amount_mol
+
+    arena = BenchArena("wurtz_dodecane", "rxn", reaction_model=inert)
+    arena.seed(0, 0)
+    arena.reset(arena.members)
+    arena.act(np.array([[1.0, 0.5, 1.0, 0.0, 0.0, 1.0]]))
+    glass = Glassware("wurtz_dodecane", 1)
+    glass.fill(0, {"diethyl_ether": 4.0, "1-chlorohexane": 1.0})
+    assert seen == [(pytest.approx(298.15 + 15.0), pytest.approx(glass.volume(0), rel=1e-9), 0.008)]
+    vessel = arena.shelf.vessel(0, 0).amounts()
+    assert vessel == pytest.approx({"diethyl_ether": 4.0, "1-chlorohexane": 1.0, "Na": 3.0})
+
+
+def negative(amounts: FloatArray, *_: float) -> FloatArray:
+    return amounts - 1.0
+
+
+def not_a_number(amounts: FloatArray, *_: float) -> FloatArray:
+    return amounts * np.nan
+
+
+def infinite(amounts: FloatArray, *_: float) -> FloatArray:
+    return np.where(amounts > 0.0, np.inf, amounts)
+
+
+def too_short(amounts: FloatArray, *_: float) -> FloatArray:
+    return amounts[:-1]
+
+
+def out_of_nothing(amounts: FloatArray, *_: float) -> FloatArray:
+    return amounts + 0.1
+
+
+@pytest.mark.parametrize(
+    "model", [negative, not_a_number, infinite, too_short, out_of_nothing], ids=lambda m: m.__name__
+)
+def test_a_reaction_model_that_returns_garbage_is_refused(model: Callable[..., FloatArray]) -> None:
+    """Negative, not finite, of another shape, or not conserving atoms: ValueError naming the model."""
+    arena = BenchArena("wurtz_dodecane", "rxn", reaction_model=model)
+    arena.seed(0, 0)
+    arena.reset(arena.members)
+    with pytest.raises(ValueError, match=model.__name__):
+        arena.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
+
+
+# -- separation models --------------------------------------------------------------------------------------------
+
+
+class IdealSeparation:
+    """Every solute is wholly in the solvent nearest to it in polarity, and layers are always fully settled."""
+
+    def __init__(self, scenario: Scenario, layout: Layout) -> None:
+        self.partitions = self.profiles = 0
+        materials = scenario.materials
+        self.gap = np.array(
+            [[abs(materials[k].polarity - materials[s].polarity) for s in layout.solvents] for k in layout.dissolved]
+        )
+
+    def partition(
+        self,
+        dissolved_mol: FloatArray,
+        total_mol: FloatArray,
+        solvent_volume_l: FloatArray,
+        before: float,
+        after: float,
+    ) -> FloatArray:
+        self.partitions += 1
+        nearest = np.where(solvent_volume_l > 0.0, self.gap, np.inf).argmin(axis=1)
+        result = np.zeros_like(dissolved_mol)
+        result[np.arange(len(nearest)), nearest] = total_mol
+        return result
+
+    def profile(self, volume_l: FloatArray, density_kg_l: FloatArray, clock: float, pixels: int) -> FloatArray:
+        self.profiles += 1
+        edges = np.concatenate(([0.0], np.cumsum(volume_l))) / volume_l.sum() * pixels
+        bottom = np.arange(pixels)
+        overlap = np.minimum(edges[1:, None], bottom + 1.0) - np.maximum(edges[:-1, None], bottom)
+        return np.asarray(np.clip(overlap, 0.0, None))
+
+
+def ideal() -> IdealSeparation:
+    glass = Glassware("wurtz_dodecane", 1)
+    return IdealSeparation(glass.scenario, glass.layout)
+
+
+def play(arena: BenchArena, policy: Policy) -> float:
+    """Score of one experiment."""
+    for step in range(arena.bench.spec.step_limit):
+        arena.act(policy.act(arena.observe(), arena.mask(), np.array([step]), arena.members))
+        if arena.station.ended[0]:
+            break
+    return float(arena.finish(arena.members)[0])
+
+
+def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None:
+    """With ideal separation one wash takes all dissolved salt and no product: more than the paper's partition gives."""
+    model = ideal()
+    scores, arenas = [], []
+    for arena in (BenchArena("wurtz_dodecane", "ext"), BenchArena("wurtz_dodecane", "ext", separation_model=model)):
+        arena.seed(0, 1)
+        arena.reset(arena.members, arena.scenario.goals.index("5-methylundecane"))
+        scores.append(play(arena, bench_heuristic(arena.bench)))
+        arenas.append(arena)
+    assert model.partitions > 10
+    assert model.profiles > 10
+    assert scores[1] > scores[0] + 0.05
+    extracted = arenas[1].shelf.vessel(0, 0).amounts()
+    assert extracted["5-methylundecane"] > 0.95
+    salt = min(extracted.get("Na+", 0.0), extracted.get("Cl-", 0.0)) + extracted.get("NaCl", 0.0)
+    assert salt < 0.05
+    total = arenas[1].shelf.total()[0]
+    assert total[arenas[1].shelf.layout.index("5-methylundecane")] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_separation_model_works_in_the_whole_laboratory() -> None:
+    """Through the AEC environment the extraction bench asks the model, too."""
+    model = ideal()
+    env = raw_env("wurtz_dodecane", separation_model=model)
+    env.reset(seed=0)
+    env.step(env.laboratories.actions.encode("start", "ext_0", 0, "dodecane"))
+    assert model.profiles == 3
+    env.step(env.laboratories.actions.encode("wait"))
+    bench = env.laboratories.benches[env.possible_agents.index("ext_0") - 1]
+    env.step(bench.action_meanings.index("add water to EV, 0.2 L"))
+    assert model.profiles > 3
+    assert model.partitions > 0
+
+
+class Wrong(IdealSeparation):
+    """Ideal separation with one answer spoiled."""
+
+    def __init__(self, method: str, spoil: Callable[[FloatArray], FloatArray]) -> None:
+        glass = Glassware("wurtz_dodecane", 1)
+        super().__init__(glass.scenario, glass.layout)
+        self._method, self._spoil, self.armed = method, spoil, False
+
+    def partition(self, *args: Any) -> FloatArray:
+        result = super().partition(*args)
+        return self._spoil(result) if self.armed and self._method == "partition" else result
+
+    def profile(self, *args: Any) -> FloatArray:
+        result = super().profile(*args)
+        return self._spoil(result) if self.armed and self._method == "profile" else result
+
+
+def shifted(dissolved: FloatArray) -> FloatArray:
+    """The same totals, but less than nothing in one solvent."""
+    return dissolved + np.array([1.0, -1.0] + [0.0] * (dissolved.shape[1] - 2))
+
+
+def swapped(shares: FloatArray) -> FloatArray:
+    """Each layer's share of the vessel as it was, but pixels that hold more or less than a pixel."""
+    return np.stack([row if i % 2 else row[::-1] for i, row in enumerate(shares)])
+
+
+def below_zero(shares: FloatArray) -> FloatArray:
+    """Row and pixel sums as they were, but negative shares."""
+    wave = np.where(np.arange(PIXELS) % 2, 0.5, -0.5)
+    spoilt = shares.copy()
+    spoilt[1] += wave
+    spoilt[-1] -= wave
+    return spoilt
+
+
+@pytest.mark.parametrize(
+    ("method", "spoil"),
+    [
+        ("partition", lambda x: x * 0.5),
+        ("partition", lambda x: x * np.nan),
+        ("partition", lambda x: x[:, :1]),
+        ("partition", shifted),
+        ("profile", lambda x: x * 0.5),
+        ("profile", lambda x: x * np.nan),
+        ("profile", lambda x: x[:-1]),
+        ("profile", swapped),
+        ("profile", below_zero),
+    ],
+    ids=[
+        "solute lost",
+        "NaN dissolved",
+        "wrong shape dissolved",
+        "negative dissolved",
+        "volume lost",
+        "NaN share",
+        "wrong shape profile",
+        "pixels not filled",
+        "negative share",
+    ],
+)
+def test_a_separation_model_that_returns_garbage_is_refused(
+    method: str, spoil: Callable[[FloatArray], FloatArray]
+) -> None:
+    """Negative, NaN, of another shape, or not conserving: ValueError naming the model."""
+    model = Wrong(method, spoil)
+    arena = BenchArena("wurtz_dodecane", "ext", separation_model=model)
+    arena.seed(0, 0)
+    arena.reset(arena.members)
+    model.armed = True
+    with pytest.raises(ValueError, match="Wrong"):
+        arena.act(np.array([arena.bench.action_meanings.index("add water to EV, 0.2 L")]))

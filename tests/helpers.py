@@ -1,0 +1,220 @@
+"""What the tests share: a bench top of vessels on which single kernels run, and bookkeeping of atoms.
+
+Numbers that tests compare with come from ``scenario.materials`` (the data files), not from the arrays kernels read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.physics.events import EVENT_KINDS
+from chemlab.physics.layers import SOLIDS, profile
+from chemlab.physics.partition import partition, turn_clock
+from chemlab.physics.phases import settle_phases
+from chemlab.physics.thermal import heat
+from chemlab.physics.transfer import add, drain, pour
+from chemlab.scenario import Scenario, load_scenario
+from chemlab.shelf import AMOUNTS, CLOCK, CLOCK_WAS, T_MIX, TEMPERATURE, Shelf
+
+FloatArray = npt.NDArray[np.float64]
+
+PIXELS = 100
+TRACE = 1e-9
+"""mol; tests call a solvent present only when there is clearly more or clearly less of it than the kernels' trace."""
+
+
+def four_solvents() -> Scenario:
+    """A scenario with four solvents, two salts with a common cation, metal and several liquid solutes."""
+    return load_scenario(
+        {
+            "name": "four_solvents",
+            "title": "Four solvents",
+            "summary": "For tests of layers and partition.",
+            "reactions": "wurtz",
+            "goals": ["dodecane", "NaCl"],
+            "lab_goals": ["dodecane"],
+            "theoretical_maximum_mol": {"dodecane": 1.0},
+            "stock": {
+                "water": 10.0,
+                "diethyl_ether": 10.0,
+                "hexane": 10.0,
+                "ethyl_acetate": 10.0,
+                "1-chlorohexane": 1.0,
+                "2-chlorohexane": 1.0,
+                "3-chlorohexane": 1.0,
+                "dodecane": 1.0,
+                "Na": 1.0,
+            },
+            "shelf": {"slots": 4},
+            "benches": {"ext": {"kind": "extraction", "step_limit": 10}},
+            "limits": {"manager_actions": 10, "ticks": 10},
+        }
+    )
+
+
+def molar_volume(scenario: Scenario, name: str) -> float:
+    """L/mol, from molar mass and density."""
+    material = scenario.materials[name]
+    return material.molar_mass_g_mol / (1000.0 * material.density_kg_l)
+
+
+def composition(scenario: Scenario) -> tuple[list[str], FloatArray]:
+    """(elements, [M, E] atoms of each element in a formula unit of each material); the last column is the charge."""
+    materials = list(scenario.materials.values())
+    elements = sorted({element for material in materials for element in material.composition})
+    matrix = [[*(m.composition.get(e, 0.0) for e in elements), float(m.charge)] for m in materials]
+    return [*elements, "charge"], np.array(matrix)
+
+
+class Glassware:
+    """A row of vessels with a waste can, and the kernels with their scratch arrays.
+
+    Args:
+        scenario: whose materials there are.
+        vessels: how many vessels stand there, empty.
+    """
+
+    def __init__(self, scenario: str | Scenario = "wurtz_dodecane", vessels: int = 2) -> None:
+        self.scenario = load_scenario(scenario)
+        self.shelf = Shelf.empty(self.scenario, 1, vessels)
+        self.layout, self.chem = self.shelf.layout, self.shelf.chemistry
+        self.rows = self.shelf.rows
+        self.waste: FloatArray = self.shelf.waste[0]
+        self.events = np.zeros(EVENT_KINDS)
+        columns = self.layout.fluid_columns
+        self.layers = np.zeros(columns + 1, dtype=np.int64)
+        self.shares = np.zeros((columns, PIXELS))
+        # More than any kernel's docstring asks for.
+        self._scratch = np.zeros((columns + 16, columns + PIXELS))
+        self._atoms = composition(self.scenario)[1]
+        for position in range(vessels):
+            self.fill(position, {})
+
+    def fill(
+        self,
+        position: int,
+        contents: Mapping[str, float],
+        capacity_l: float = 1.2,
+        temperature_k: float | None = None,
+        clock: float | None = None,
+    ) -> FloatArray:
+        """Put a vessel with ``contents`` (mol) there and return its row; nothing is dissolved or separated yet."""
+        row: FloatArray = self.shelf.fill(0, position, capacity_l, dict(contents)).row
+        if temperature_k is not None:
+            row[TEMPERATURE] = temperature_k
+        if clock is not None:
+            row[CLOCK] = clock
+        return row
+
+    def mixed(self, position: int, contents: Mapping[str, float], capacity_l: float = 1.2) -> FloatArray:
+        """A freshly shaken vessel in phase equilibrium: every solute spread over the solvents by volume."""
+        row = self.fill(position, contents, capacity_l, clock=T_MIX)
+        self.phases(position)
+        self.partition(position)
+        return row
+
+    def index(self, name: str) -> int:
+        """Index of a material."""
+        return self.layout.index(name)
+
+    def amounts(self, position: int) -> FloatArray:
+        """[M] mol in a vessel (a view)."""
+        return np.asarray(self.rows[position, AMOUNTS : AMOUNTS + len(self.layout.materials)])
+
+    def amount(self, position: int, name: str) -> float:
+        """mol of one material in a vessel."""
+        return float(self.amounts(position)[self.index(name)])
+
+    def dissolved(self, position: int) -> FloatArray:
+        """[K, L] mol of each dissolvable material in each solvent (a view)."""
+        shape = (len(self.layout.dissolved), len(self.layout.solvents))
+        return np.asarray(self.rows[position, AMOUNTS + len(self.layout.materials) :]).reshape(shape)
+
+    def in_solvent(self, position: int, solute: str, solvent: str) -> float:
+        """mol of a solute in one of the solvents."""
+        k, layer = self.layout.dissolved.index(solute), self.layout.solvents.index(solvent)
+        return float(self.dissolved(position)[k, layer])
+
+    def volume(self, position: int, *names: str) -> float:
+        """Litres of the named materials, or of everything."""
+        chosen = names or self.layout.materials
+        return sum(self.amount(position, name) * molar_volume(self.scenario, name) for name in chosen)
+
+    def heat_capacity(self, position: int) -> float:
+        """J/K of the contents, without air."""
+        materials = self.scenario.materials.values()
+        return float(self.amounts(position) @ np.array([m.heat_capacity_j_mol_k for m in materials]))
+
+    def atoms(self) -> FloatArray:
+        """[E] atoms (and charge) in vessels and waste together."""
+        return np.asarray(self.shelf.total()[0] @ self._atoms)
+
+    def phases(self, position: int) -> None:
+        """Violent reactions, then dissolution and precipitation."""
+        settle_phases(self.rows[position], self.chem, self.waste, self.events, self._scratch[0])
+
+    def partition(self, position: int) -> None:
+        """Bring the dissolved amounts up to the vessel's clock."""
+        partition(self.rows[position], self.chem, self._scratch)
+
+    def turn(self, position: int, by: float) -> None:
+        """Settle (``by`` > 0) or mix (< 0), then redistribute."""
+        turn_clock(self.rows[position], by)
+        self.partition(position)
+
+    def profile(self, position: int) -> tuple[list[str], FloatArray]:
+        """(what each layer is, [C, pixels] shares), solids first and air last."""
+        count = profile(self.rows[position], self.chem, self.layers, self.shares, self._scratch)
+        names = ["solids" if i == SOLIDS else self.layout.materials[i] for i in self.layers[1 : 1 + count]]
+        return names, self.shares[:count].copy()
+
+    def pour(self, source: int, target: int, fraction: float) -> None:
+        """Pour a fraction of everything."""
+        pour(self.rows[source], self.rows[target], fraction, self.chem, self.waste, self.events)
+
+    def add(self, position: int, name: str, mol: float, temperature_k: float = 298.15) -> None:
+        """Add a pure material."""
+        add(self.rows[position], self.index(name), mol, temperature_k, self.chem, self.waste, self.events)
+
+    def drain(self, source: int, target: int, pixels: float) -> tuple[list[str], FloatArray]:
+        """Drain the lowest pixels; returns the profile by which it was done."""
+        seen = self.profile(source)
+        drain(
+            self.rows[source],
+            self.rows[target],
+            float(pixels),
+            self.shares,
+            self.layers,
+            self.chem,
+            self.waste,
+            self.events,
+            self._scratch[0],
+        )
+        return seen
+
+    def heat(
+        self, source: int, target: int, joules: float, hottest_k: float = 700.0, coolest_k: float = 273.15
+    ) -> tuple[float, float]:
+        """Heat or cool; returns (heat that went in, heat the condenser took), J."""
+        row, receiver = self.rows[source], self.rows[target]
+        result: Any = heat(row, receiver, float(joules), hottest_k, coolest_k, self.chem, self.waste, self.events)
+        return float(result[0]), float(result[1])
+
+    def check(self) -> None:
+        """Every vessel's amounts are finite and not negative, and solutes are all somewhere (1e-9)."""
+        assert np.isfinite(self.rows).all()
+        solvents = [self.index(name) for name in self.layout.solvents]
+        solutes = [self.index(name) for name in self.layout.dissolved]
+        for position in range(len(self.rows)):
+            amounts, dissolved = self.amounts(position), self.dissolved(position)
+            assert amounts.min() >= 0.0
+            assert dissolved.min(initial=0.0) >= 0.0
+            if amounts[solvents].max(initial=0.0) > TRACE:
+                np.testing.assert_allclose(dissolved.sum(axis=1), amounts[solutes], rtol=1e-9, atol=1e-12)
+
+
+__all__ = ["CLOCK_WAS", "PIXELS", "TRACE", "Glassware", "composition", "four_solvents", "molar_volume"]

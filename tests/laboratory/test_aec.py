@@ -1,0 +1,773 @@
+"""The laboratory as an AEC environment: PettingZoo's own tests, turns, spaces, masks, actions, rewards, endings.
+
+Expected values come from the design (agents, turns, spaces, rewards), not from what the environment prints.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, seed_test
+from pettingzoo.test.save_obs_test import test_save_obs as check_save_obs
+from pettingzoo.test.state_test import test_state as check_state
+from pettingzoo.test.state_test import test_state_space as check_state_space
+
+import chemlab.scenarios
+from chemlab.agents.policy import make_policies
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory import env as laboratory_env
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.materials import DataError, read_toml
+from chemlab.scenario import load_scenario, scenario_names
+
+SCENARIOS = scenario_names()
+WURTZ = "wurtz_dodecane"
+
+
+def mapping(name: str = WURTZ) -> dict[str, Any]:
+    """A shipped scenario's content, to be changed."""
+    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+
+
+def manager(env: raw_env, *action: str | int) -> None:
+    """Let the manager, which must have the turn, do something."""
+    assert env.agent_selection == "manager_0"
+    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
+
+
+def idle(env: raw_env) -> Any:
+    """An action of the selected bench that leaves the vessels nearly as they are: hold, settle or cool."""
+    bench = env.laboratories.benches[env.possible_agents.index(env.agent_selection) - 1]
+    if bench.key.startswith("rxn"):
+        return np.array([0.5, 0.5] + [0.0] * bench.reagents)
+    meanings = bench.action_meanings
+    return next(i for i, words in enumerate(meanings) if words.startswith(("settle", "cool")))
+
+
+def end(env: raw_env) -> int:
+    """The selected bench's action that ends its experiment."""
+    return int(env.action_space(env.agent_selection).n) - 1  # type: ignore[attr-defined]
+
+
+def random_legal(env: raw_env, rng: np.random.Generator, submit: bool = True) -> Any:
+    """A random legal action for the selected agent."""
+    mask = env.infos[env.agent_selection].get("action_mask")
+    if mask is None:
+        return rng.random(env.action_space(env.agent_selection).shape)  # type: ignore[arg-type]
+    legal = np.flatnonzero(mask)
+    if env.agent_selection == "manager_0" and not submit:
+        kinds = [env.laboratories.actions.decode(int(action))[0] for action in legal]
+        legal = legal[np.array(kinds) != "submit"]
+    return int(rng.choice(legal))
+
+
+# -- PettingZoo's own tests -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings(
+    "error::UserWarning",
+    # The roles differ, a bench without an experiment sees nothing, and api_test passes an option of its own.
+    "ignore:Agents have different observation space sizes",
+    "ignore:Observations are different shapes",
+    "ignore:Observation numpy array is all zeros",
+    "ignore:.*reset options",
+)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_api(name: str, seed: int) -> None:
+    env = laboratory_env(name)
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(10 * seed + i)
+    api_test(env, num_cycles=1_000)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_seeding(name: str) -> None:
+    seed_test(lambda: laboratory_env(name), num_cycles=500)
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_state(name: str) -> None:
+    env = laboratory_env(name)
+    check_state_space(env)
+    check_state(env, 100)  # plays any action of the spaces, legal or not
+    env.reset(seed=1)
+    seen = np.concatenate([env.observe(agent) for agent in env.possible_agents])
+    np.testing.assert_array_equal(env.state(), seen)
+
+
+def test_observations_are_not_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    check_save_obs(laboratory_env(WURTZ))
+    assert "did not save the observations" in capsys.readouterr().out
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_registry_knows_the_laboratory() -> None:
+    pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
+    env = pettingzoo.make("aec", "chemlab/Laboratory-v0", scenario="wurtz_dodecane_direct")
+    env.reset(seed=0)
+    assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
+    assert env.unwrapped.scenario.name == "wurtz_dodecane_direct"
+
+
+def test_a_step_before_the_first_reset_is_refused() -> None:
+    with pytest.raises(AssertionError, match="reset"):
+        laboratory_env(WURTZ).step(0)
+
+
+# -- turns ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_manager_keeps_the_turn_after_each_action_but_wait() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    for action in (
+        ("measure", 0, "balance"),
+        ("start", "rxn_0", 0, "dodecane"),
+        ("measure", 1, "uv_vis"),
+        ("start", "dit_0", 1, "NaCl"),
+        ("recall", "dit_0"),
+        ("discard", 1),
+    ):
+        manager(env, *action)
+        assert not env.infos["manager_0"]["illegal_action"]
+        assert env.agent_selection == "manager_0"
+    assert env.laboratories.desk.ticks[0] == 0
+    manager(env, "wait")
+    assert env.agent_selection == "rxn_0"
+
+
+def test_waiting_is_illegal_while_no_bench_is_busy() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    wait = env.laboratories.actions.encode("wait")
+    assert env.infos["manager_0"]["action_mask"][wait] == 0
+    env.step(wait)
+    assert env.infos["manager_0"]["illegal_action"]
+    assert env.agent_selection == "manager_0"
+    assert env.laboratories.desk.ticks[0] == 0
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    assert env.infos["manager_0"]["action_mask"][wait] == 1
+
+
+def test_busy_benches_act_alternately_in_the_scenarios_order() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    # Started in the opposite order: the order of turns is the scenario's.
+    manager(env, "start", "dit_0", 1, "dodecane")
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    manager(env, "wait")
+    order = []
+    for tick in range(1, 4):
+        for _ in range(2):
+            order.append(env.agent_selection)
+            assert env.laboratories.desk.ticks[0] == tick - 1
+            env.step(idle(env))
+        assert env.laboratories.desk.ticks[0] == tick
+    assert order == ["rxn_0", "dit_0"] * 3
+
+
+def test_the_tick_in_which_an_experiment_ends_is_finished() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "start", "dit_0", 1, "dodecane")
+    manager(env, "wait")
+    assert env.agent_selection == "ext_0"
+    env.step(end(env))
+    # The extraction is over, but the distillation has its turn in this tick before the manager has one.
+    assert not env.laboratories.busy[1, 0]
+    assert env.agent_selection == "dit_0"
+    assert env.laboratories.desk.ticks[0] == 0
+    env.step(idle(env))
+    assert env.agent_selection == "manager_0"
+    assert env.laboratories.desk.ticks[0] == 1
+    # The other goes on where it was.
+    manager(env, "wait")
+    assert env.agent_selection == "dit_0"
+    assert env.laboratories.stations[2].steps[0] == 1
+
+
+def test_one_bench_of_two_of_a_kind_ends_and_the_other_goes_on() -> None:
+    values = mapping()
+    values["benches"]["rxn"]["count"] = 2
+    values["benches"]["rxn"]["step_limit"] = 3
+    env = raw_env(load_scenario(values))
+    assert env.possible_agents == ["manager_0", "rxn_0", "rxn_1", "ext_0", "dit_0"]
+    env.reset(seed=0)
+    manager(env, "start", "rxn_1", 0, "dodecane")
+    manager(env, "wait")
+    env.step(idle(env))
+    assert env.agent_selection == "rxn_1"
+    env.step(idle(env))
+    env.step(idle(env))
+    assert env.agent_selection == "manager_0"
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    manager(env, "start", "rxn_1", 1, "dodecane")
+    manager(env, "wait")
+    turns = []
+    while env.agent_selection != "manager_0":
+        turns.append(env.agent_selection)
+        env.step(idle(env))
+    assert turns == ["rxn_0", "rxn_1"] * 3
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_turns_in_random_play(name: str) -> None:
+    env = raw_env(name)
+    labs, rng = env.laboratories, np.random.default_rng(0)
+    env.reset(seed=0)
+    order: list[str] = []
+    while labs.desk.status[0] == 0:
+        agent, number = env.agent_selection, env.possible_agents.index(env.agent_selection)
+        busy = [labs.agents[1 + b] for b in np.flatnonzero(labs.busy[:, 0])]
+        assert agent == "manager_0" or agent in busy, "an idle bench has no turn"
+        tick, action = int(labs.desk.ticks[0]), random_legal(env, rng, submit=False)
+        waits = number == 0 and labs.actions.decode(action) == ("wait",)
+        env.step(action)
+        if labs.desk.status[0] != 0:
+            break
+        if number == 0:
+            assert env.agent_selection == (busy[0] if waits else "manager_0")
+            assert labs.desk.ticks[0] == tick
+            continue
+        order.append(agent)
+        if labs.desk.ticks[0] == tick:  # the tick goes on: the next busy bench
+            later = [other for other in busy if env.possible_agents.index(other) > number]
+            assert env.agent_selection == later[0]
+        else:
+            still = [labs.agents[1 + b] for b in np.flatnonzero(labs.busy[:, 0])]
+            # An experiment of this tick has ended exactly if not everybody who took part is still busy.
+            assert env.agent_selection == (still[0] if set(order) == set(still) else "manager_0")
+            order = []
+    assert labs.desk.status[0] == 2
+
+
+@pytest.mark.parametrize(("agent", "limit"), [("rxn_0", 20), ("ext_0", 50), ("dit_0", 50)])
+def test_step_limits_end_an_experiment(agent: str, limit: int) -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    manager(env, "start", agent, 0, "dodecane")
+    manager(env, "wait")
+    for step in range(limit):
+        assert env.agent_selection == agent, f"ended after {step} steps"
+        env.step(idle(env))
+    assert env.agent_selection == "manager_0"
+    assert "score" in env.infos[agent]
+    assert not any(env.terminations.values())
+    assert not any(env.truncations.values())
+
+
+# -- spaces ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_spaces_are_those_of_the_single_bench(name: str) -> None:
+    env = raw_env(name)
+    scenario = env.scenario
+    goals = len(scenario.goals)
+    for key, spec in scenario.benches.items():
+        bench = BenchArena(scenario, key).bench
+        parts = {
+            "rxn": 200 + 3 + len(getattr(bench.options, "reagents", ())) + goals,
+            "ext": 300 + goals,
+            "dit": 300 + 3 + goals,
+        }
+        for i in range(spec.count):
+            agent = f"{key}_{i}"
+            assert env.observation_space(agent) == bench.observation_space
+            assert env.action_space(agent) == bench.action_space
+            assert env.laboratories.benches[env.possible_agents.index(agent) - 1].channels == bench.channels
+        assert bench.observation_space == gymnasium.spaces.Box(0.0, 1.0, (parts[key],), np.float32)
+        assert channel_slices(bench.channels)["goal"] == slice(parts[key] - goals, parts[key])
+    # The manager: four numbers, two one-hots and all readings with their ages a slot; three parts a bench; stock, goal,
+    # and what is left of budget, actions and ticks.
+    labs = env.laboratories
+    readings = {"uv_vis": 200, "layer_camera": 100, "balance": 1}
+    liquids = sum(material.role in ("solvent", "solute") for material in scenario.materials.values())
+    reading = sum(1 + readings.get(spec.kind, liquids + 1) for spec in scenario.instruments.values())
+    roles = max(len(bench.positions) for bench in labs.benches)
+    slot = 4 + (1 + len(scenario.benches)) + roles + reading
+    stations = len(labs.stations) * (1 + goals + 1)
+    size = scenario.shelf.slots * slot + stations + len(scenario.stock) + goals + 3
+    assert env.observation_space("manager_0") == gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_observations_are_those_of_the_single_bench(name: str) -> None:
+    """The same vessel and the same random stream give the same observations and masks, step by step."""
+    env = raw_env(name)
+    scenario, labs = env.scenario, env.laboratories
+    goal = scenario.lab_goals[0]
+    for key in scenario.benches:
+        arena = BenchArena(scenario, key)
+        arena.seed(0, 7)
+        stream = arena.station.stream.copy()
+        arena.reset(arena.members, scenario.goals.index(goal))
+        start = scenario.benches[key].start
+        contents = dict(start.contents)
+        if start.goal_mol > 0.0:
+            contents[goal] = contents.get(goal, 0.0) + start.goal_mol
+        if start.companion is not None:
+            other = start.companion.if_goal if goal == start.companion.material else start.companion.material
+            # Whether it is there is drawn; a salt may have dissolved into its ions.
+            ions = {salt.solid: salt.cation for salt in scenario.family.salt}
+            found = arena.shelf.vessel(0, 0).amounts(1e-6)
+            if other in found or ions.get(other) in found:
+                contents[other] = contents.get(other, 0.0) + start.companion.mol
+        env.reset(seed=1)
+        agent = f"{key}_0"
+        station = labs.stations[env.possible_agents.index(agent) - 1]
+        station.stream[:] = stream
+        labs.shelf.fill(0, 0, start.capacity_l, contents)
+        manager(env, "start", agent, 0, goal)
+        manager(env, "wait")
+        rng = np.random.default_rng(2)
+        for _ in range(arena.bench.spec.step_limit - 1):
+            assert env.agent_selection == agent
+            np.testing.assert_array_equal(env.observe(agent), arena.observe()[0])
+            action = random_legal(env, rng)
+            if "action_mask" in env.infos[agent]:
+                np.testing.assert_array_equal(env.infos[agent]["action_mask"], arena.mask()[0])
+                if action == end(env):
+                    action = idle(env)
+            env.step(action)
+            arena.act(arena.bench.checked(agent, action))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -> None:
+    env = raw_env(name)
+    rng = np.random.default_rng(4)
+    env.reset(seed=4)
+    while env.laboratories.desk.status[0] == 0:
+        for number, agent in enumerate(env.possible_agents):
+            seen = env.observe(agent)
+            assert env.observation_space(agent).contains(seen)
+            if number > 0 and not env.laboratories.busy[number - 1, 0]:
+                assert not seen.any()
+            elif number > 0:
+                bench = env.laboratories.benches[number - 1]
+                goal = seen[channel_slices(bench.channels)["goal"]]
+                assert goal.sum() == 1.0
+                assert goal.argmax() == env.laboratories.stations[number - 1].goal[0]
+        env.step(random_legal(env, rng, submit=False))
+
+
+# -- masks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_masks_agree_with_what_actions_do(name: str) -> None:
+    env = raw_env(name)
+    labs, rng = env.laboratories, np.random.default_rng(8)
+    price = env.scenario.costs.illegal_action
+    assert price > 0.0
+    played: Counter[tuple[bool, bool]] = Counter()
+    for seed in range(8):
+        env.reset(seed=seed)
+        while labs.desk.status[0] == 0:
+            agent, space = env.agent_selection, env.action_space(env.agent_selection)
+            mask = env.infos[agent].get("action_mask")
+            if not isinstance(space, gymnasium.spaces.Discrete):
+                assert mask is None
+                with pytest.raises(ValueError, match=agent):
+                    env.action_masks()
+                env.step(random_legal(env, rng))
+                assert not env.infos[agent]["illegal_action"]
+                continue
+            assert mask.dtype == np.int8
+            assert mask.shape == (space.n,)
+            assert set(np.unique(mask)) <= {0, 1}
+            assert mask.any()
+            np.testing.assert_array_equal(env.action_masks(), mask == 1)
+            # As often illegal as legal, but no submission.
+            choices = np.flatnonzero(mask == 0) if rng.random() < 0.5 and not mask.all() else np.flatnonzero(mask)
+            action = int(rng.choice(choices))
+            if agent == "manager_0" and mask[action] and labs.actions.decode(action)[0] == "submit":
+                continue
+            before, costs = labs.shelf.snapshot(), labs.costs()
+            env.step(action)
+            illegal = mask[action] == 0
+            played[agent == "manager_0", bool(illegal)] += 1
+            assert env.infos[agent]["illegal_action"] is bool(illegal)
+            ended = bool(np.isfinite(labs.scores[0]).any())
+            if illegal and not ended:
+                for was, now in zip(before, labs.shelf.snapshot(), strict=True):
+                    # Dissolved amounts are shared out anew, which may cost a last digit.
+                    np.testing.assert_allclose(now, was, rtol=1e-12, atol=0.0)
+            if agent == "manager_0":
+                charged = labs.costs()["illegal_actions"] - costs["illegal_actions"]
+                assert charged == pytest.approx(price if illegal else 0.0, abs=1e-15)
+            elif illegal and not ended:
+                assert env.rewards[agent] == -price
+                assert env.infos[agent]["cost"] == 0.0
+            elif not ended:
+                assert env.rewards[agent] == 0.0
+    assert all(played[role, illegal] > 20 for role in (True, False) for illegal in (True, False)), played
+
+
+# -- actions outside their space ------------------------------------------------------------------------------------
+
+WRONG_NUMBERS: list[Any] = [
+    -1, None, "0", b"0", 0.0, 1.5, float("nan"), float("inf"), True, np.True_, np.float32(0.0), np.array(0.0), np.array([0, 1]),
+    np.array([0]), np.array([[0]]), np.array(True), [0], (0,), {}, [], object(), 10**400, 1j,
+]  # fmt: skip
+
+
+def wrong_boxes(size: int) -> list[Any]:
+    """Everything but ``size`` numbers from 0 to 1."""
+    fine = np.full(size, 0.5)
+    return [
+        None, 0, 0.5, True, "0.5", b"0.5", {}, [], object(), 10**400, np.array(0.5),
+        fine[:-1], np.append(fine, 0.5), fine[None], fine[:, None], [list(fine), list(fine)],
+        np.where(np.arange(size) == 1, np.nan, fine), np.where(np.arange(size) == 0, np.inf, fine),
+        np.where(np.arange(size) == 2, 1.0001, fine), np.where(np.arange(size) == 2, -0.0001, fine), fine.astype(int) + 2,
+        ["half"] * size, [None] * size, [0.5] * (size - 1) + [[0.5]], [0.5] * (size - 1) + ["x"],
+        [0.5] * (size - 1) + [10**400], ["0.5"] * size, fine + 0.1j, list(fine + 0.1j),
+    ]  # fmt: skip
+
+
+def with_the_turn(agent: str) -> raw_env:
+    """A laboratory in which this agent has the turn."""
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    if agent != "manager_0":
+        manager(env, "start", agent, 0, "dodecane")
+        manager(env, "wait")
+    assert env.agent_selection == agent
+    return env
+
+
+def wrong_actions() -> list[Any]:
+    """(agent, index of a wrong action): the actions themselves have no readable name."""
+    found = []
+    for agent in ("manager_0", "ext_0", "dit_0"):
+        for i, value in enumerate([*WRONG_NUMBERS, "n"]):
+            found.append(pytest.param(agent, i, id=f"{agent}-{value!r:.20}"))
+    for i, value in enumerate(wrong_boxes(6)):
+        found.append(pytest.param("rxn_0", i, id=f"rxn_0-{i}-{' '.join(repr(value).split())[:20]}"))
+    return found
+
+
+@pytest.mark.parametrize(("agent", "index"), wrong_actions())
+def test_an_action_outside_its_space_changes_nothing(agent: str, index: int) -> None:
+    env = with_the_turn(agent)
+    space = env.action_space(agent)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        action = [*WRONG_NUMBERS, int(space.n)][index]
+        expected = f"integer from 0 to {space.n - 1}"
+    else:
+        assert space.shape == (6,)
+        action = wrong_boxes(6)[index]
+        expected = "6 finite numbers from 0 to 1"
+    before, infos = env.laboratories.snapshot(), {name: dict(info) for name, info in env.infos.items()}
+    rewards, waiting = dict(env.rewards), dict(env._cumulative_rewards)
+    with pytest.raises(ValueError, match=agent) as caught:
+        env.step(action)
+    assert expected in str(caught.value)
+    assert repr(action) in str(caught.value)
+    for was, now in zip(before, env.laboratories.snapshot(), strict=True):
+        np.testing.assert_array_equal(now, was)
+    assert env.agent_selection == agent
+    assert (env.rewards, env._cumulative_rewards) == (rewards, waiting)
+    assert set(env.infos) == set(infos)
+    for name, info in infos.items():
+        assert env.infos[name].keys() == info.keys()
+
+
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
+def test_every_way_to_write_an_action_is_the_same_action(agent: str) -> None:
+    states = []
+    written: list[Any] = [int, np.int32, np.int64, np.array]
+    if agent == "rxn_0":
+        written = [list, tuple, np.array, lambda values: np.array(values, dtype=np.float32)]
+    for write in written:
+        env = with_the_turn(agent)
+        env.step(write([0.5, 0.25, 0.5, 0.0, 1.0, 0.125]) if agent == "rxn_0" else write(3))
+        states.append(env.laboratories.snapshot())
+    for state in states[1:]:
+        for one, other in zip(states[0], state, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+# -- rewards --------------------------------------------------------------------------------------------------------
+
+
+def play_and_count(env: raw_env, act: Any) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Play to the end; (what agents saw through last(), sum of env.rewards, sum of experiments' scores)."""
+    wrapped = laboratory_env(env.scenario)
+    inner = wrapped.unwrapped
+    assert isinstance(inner, raw_env)
+    wrapped.reset(seed=0)
+    agents = inner.possible_agents
+    seen, paid, scored = (dict.fromkeys(agents, 0.0) for _ in range(3))
+    for agent in wrapped.agent_iter():
+        observation, reward, terminated, truncated, _ = wrapped.last()
+        assert observation is not None
+        seen[agent] += reward
+        if terminated or truncated:
+            wrapped.step(None)
+            continue
+        wrapped.step(act(inner, agent, observation))
+        for name, value in wrapped.rewards.items():
+            paid[name] += value
+        for i in np.flatnonzero(np.isfinite(inner.laboratories.scores[0])):
+            scored[agents[i]] += float(inner.laboratories.scores[0, i])
+            assert inner.infos[agents[i]]["score"] == inner.laboratories.scores[0, i]
+    assert not wrapped.agents
+    scored["manager_0"] = float(inner.laboratories.result(inner.laboratories.members)[0])
+    return seen, paid, scored
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "random", "restless"])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_no_reward_is_lost(name: str, policy: str) -> None:
+    """What agents see = what the environment pays = scores of experiments and the manager's result."""
+    env = raw_env(name)
+    rng = np.random.default_rng(1)
+    policies = make_policies("heuristic", env.laboratories)
+
+    def act(inner: raw_env, agent: str, observation: Any) -> Any:
+        if policy != "heuristic":
+            return random_legal(inner, rng, submit=policy == "random")
+        number = inner.possible_agents.index(agent)
+        step = inner.laboratories.desk.actions if number == 0 else inner.laboratories.stations[number - 1].steps
+        mask = inner.infos[agent].get("action_mask")
+        mask = None if mask is None else mask[None]
+        return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
+
+    seen, paid, scored = play_and_count(env, act)
+    assert seen == pytest.approx(paid, rel=1e-12, abs=1e-12)
+    assert paid == pytest.approx(scored, rel=1e-12, abs=1e-12)
+    if policy == "heuristic":
+        assert scored["manager_0"] > 0.0
+        assert all(scored[f"{key}_0"] != 0.0 for key in env.scenario.benches)
+
+
+def test_a_cooperative_laboratory_shares_the_managers_result() -> None:
+    values = mapping()
+    values["rewards"] = {"bench_local": 0.5, "bench_team": 0.25, "manager_local": 0.75, "manager_team": 0.0}
+    env = raw_env(load_scenario(values))
+    policies = make_policies("heuristic", env.laboratories)
+
+    def act(inner: raw_env, agent: str, observation: Any) -> Any:
+        number = inner.possible_agents.index(agent)
+        step = inner.laboratories.desk.actions if number == 0 else inner.laboratories.stations[number - 1].steps
+        mask = inner.infos[agent].get("action_mask")
+        mask = None if mask is None else mask[None]
+        return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
+
+    seen, _, scored = play_and_count(env, act)
+    result = scored["manager_0"]
+    assert result > 0.0
+    assert seen["manager_0"] == pytest.approx(0.75 * result, rel=1e-12)
+    for agent in ("rxn_0", "ext_0", "dit_0"):
+        assert seen[agent] == pytest.approx(0.5 * scored[agent] + 0.25 * result, rel=1e-12)
+
+
+# -- endings --------------------------------------------------------------------------------------------------------
+
+
+def test_submitting_terminates_for_all() -> None:
+    env = raw_env("wurtz_any")
+    env.reset(seed=0, options={"goal": "NaCl"})
+    env.laboratories.shelf.fill(0, 1, 1.2, {"diethyl_ether": 3.0, "NaCl": 1.0})
+    manager(env, "start", "rxn_0", 0, "dodecane")  # a running experiment does not hold up the end
+    manager(env, "submit", 1)
+    assert all(env.terminations.values())
+    assert not any(env.truncations.values())
+    # 1 of 4 mol is salt, whether dissolved or not; the theoretical maximum is 3 mol; nothing has been used.
+    assert env.rewards["manager_0"] == pytest.approx(1.0 * 0.25 / 3.0, rel=1e-12)
+    assert env.infos["manager_0"]["submitted_mol"] == pytest.approx(1.0, rel=1e-12)
+    assert env.infos["manager_0"]["purity"] == pytest.approx(0.25, rel=1e-12)
+    order = []
+    while env.agents:
+        order.append(env.agent_selection)
+        assert env.last()[2]
+        env.step(None)
+    assert sorted(order) == sorted(env.possible_agents)
+
+
+def test_the_limit_on_the_managers_actions_truncates() -> None:
+    values = mapping()
+    values["limits"]["manager_actions"] = 3
+    env = raw_env(load_scenario(values))
+    env.reset(seed=0)
+    manager(env, "measure", 0, "balance")
+    manager(env, "measure", 1, "uv_vis")
+    assert not any(env.truncations.values())
+    manager(env, "measure", 1, "gas_chromatograph")
+    assert all(env.truncations.values())
+    assert not any(env.terminations.values())
+    prices = {key: spec["price"] for key, spec in values["instruments"].items()}
+    instruments = prices["balance"] + prices["uv_vis"] + prices["gas_chromatograph"]
+    ether = env.scenario.materials["diethyl_ether"]
+    sample_l = 4.0 * 0.001 * ether.molar_mass_g_mol / (1000.0 * ether.density_kg_l)
+    cost = instruments + values["costs"]["waste_per_l"] * sample_l
+    assert env.rewards["manager_0"] == pytest.approx(-cost, rel=1e-12)
+    assert env.infos["manager_0"]["costs"]["instruments"] == pytest.approx(instruments, rel=1e-12)
+    assert sum(env.infos["manager_0"]["costs"].values()) == pytest.approx(cost, rel=1e-12)
+
+
+def test_submitting_with_the_last_action_is_a_submission() -> None:
+    values = mapping()
+    values["limits"]["manager_actions"] = 1
+    env = raw_env(load_scenario(values))
+    env.reset(seed=0)
+    manager(env, "submit", 0)
+    assert all(env.terminations.values())
+    assert not any(env.truncations.values())
+
+
+def test_the_limit_on_ticks_truncates() -> None:
+    values = mapping()
+    values["limits"]["ticks"] = 4
+    env = raw_env(load_scenario(values))
+    env.reset(seed=0)
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "start", "dit_0", 1, "dodecane")
+    manager(env, "wait")
+    for turn in range(8):
+        assert not any(env.truncations.values()), f"after {turn} turns"
+        env.step(idle(env))
+    assert all(env.truncations.values())
+    assert not any(env.terminations.values())
+    assert env.rewards["manager_0"] == pytest.approx(-4 * values["costs"]["tick"], rel=1e-12)
+    assert env.agent_selection == "manager_0"
+    while env.agents:
+        env.step(None)
+
+
+# -- reset, render --------------------------------------------------------------------------------------------------
+
+
+def test_a_goal_can_be_asked_for() -> None:
+    env = raw_env("wurtz_any")
+    goals = env.scenario.lab_goals
+    at = channel_slices(env.laboratories.channels)["goal"]
+    for i, goal in enumerate(goals):
+        env.reset(seed=0, options={"goal": goal})
+        assert env.observe("manager_0")[at].tolist() == [float(i == g) for g in range(len(goals))]
+
+
+def test_an_unknown_goal_is_refused_and_changes_nothing() -> None:
+    env = raw_env("wurtz_any")
+    env.reset(seed=0)
+    before = env.laboratories.snapshot()
+    for goal in ("gold", "water", 3):
+        with pytest.raises(ValueError, match=re.escape(repr(goal))) as caught:
+            env.reset(seed=1, options={"goal": goal})
+        for known in env.scenario.lab_goals:
+            assert known in str(caught.value)
+    for was, now in zip(before, env.laboratories.snapshot(), strict=True):
+        np.testing.assert_array_equal(now, was)
+
+
+def test_an_unknown_option_is_a_warning() -> None:
+    env = raw_env(WURTZ)
+    with pytest.warns(UserWarning, match="ignored: gaol"):
+        env.reset(seed=0, options={"gaol": "dodecane"})
+
+
+def test_asking_for_a_goal_changes_nothing_else() -> None:
+    """The draw is made all the same, so cameras and instruments of the episode do not depend on who chose the goal."""
+    env = raw_env("wurtz_any")
+    env.reset(seed=5)
+    drawn = env.scenario.goals[env.laboratories.desk.goal[0]]
+    states = []
+    for options in (None, {"goal": drawn}):
+        env.reset(seed=5, options=options)
+        states.append(env.laboratories.snapshot())
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_goals_are_drawn_uniformly() -> None:
+    env = raw_env("wurtz_any")
+    labs = env.laboratories
+    draws, goals = 2100, env.scenario.lab_goals
+    by_seed: Counter[int] = Counter()
+    for seed in range(draws):
+        labs.seed(0, seed)
+        labs.reset(labs.members)
+        by_seed[int(labs.desk.goal[0])] += 1
+    in_a_row: Counter[int] = Counter()
+    for _ in range(draws):
+        labs.reset(labs.members)
+        in_a_row[int(labs.desk.goal[0])] += 1
+    for counts in (by_seed, in_a_row):
+        assert set(counts) == {env.scenario.goals.index(goal) for goal in goals}
+        expected = draws / len(goals)
+        statistic = sum((count - expected) ** 2 / expected for count in counts.values())
+        assert statistic < 30.0  # chi-square with 6 degrees of freedom: beyond 30 once in 25,000
+
+
+def test_a_reset_leaves_nothing_of_the_last_episode() -> None:
+    env = raw_env(WURTZ)
+    rng = np.random.default_rng(0)
+    env.reset(seed=11)
+    fresh = env.laboratories.snapshot()
+    for _ in range(60):
+        if env.laboratories.desk.status[0]:
+            break
+        env.step(random_legal(env, rng, submit=False))
+    env.reset(seed=11)
+    # What a bench keeps of its last experiment is overwritten when the next begins; everything else is as at first.
+    stale = {id(array) for station in env.laboratories.stations for array in station.arrays()}
+    for array, was in zip(env.laboratories._arrays(), fresh, strict=True):
+        if id(array) not in stale:
+            np.testing.assert_array_equal(array, was)
+    for station in env.laboratories.stations:
+        assert not station.busy.any()
+    assert env.agents == env.possible_agents
+    assert set(env.rewards.values()) == {0.0}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_rendering_as_text(name: str) -> None:
+    env = raw_env(name, render_mode="ansi")
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    goal = env.scenario.goals[env.laboratories.desk.goal[0]]
+    texts = []
+    while env.laboratories.desk.status[0] == 0:
+        text = env.render()
+        assert isinstance(text, str)
+        assert f"goal {goal}" in text
+        assert env.scenario.title in text
+        assert f"turn: {env.agent_selection}" in text
+        for slot in range(env.scenario.shelf.slots):
+            assert re.search(rf"^\s*slot {slot}\b", text, re.MULTILINE)
+        for agent in env.scenario.bench_agents():
+            assert re.search(rf"^\s*{agent}\b", text, re.MULTILINE)
+        texts.append(text)
+        env.step(random_legal(env, rng, submit=False))
+    assert "truncated" in str(env.render())
+    assert any("step " in text for text in texts)
+
+
+def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+    with pytest.raises(ValueError, match="'human'") as caught:
+        raw_env(WURTZ, render_mode="human")
+    assert "ansi" in str(caught.value)
+
+
+def test_an_unknown_scenario_is_refused() -> None:
+    with pytest.raises(DataError, match="atlantis"):
+        raw_env("atlantis")

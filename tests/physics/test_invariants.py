@@ -1,0 +1,353 @@
+"""What no sequence of operations may break: atoms, positivity, finiteness, solutes in their solvents, batch invariance.
+
+Random agents play every shipped scenario for tens of thousands of turns; a state machine works on two vessels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from chemlab.agents.policy import RandomPolicy
+from helpers import PIXELS, TRACE, Glassware, composition, four_solvents
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.core import Laboratories
+from chemlab.physics.thermal import pressure, vapor_pressure
+from chemlab.scenario import scenario_names
+from chemlab.shelf import AIR, CAPACITY, CLOCK, CLOCK_SETTLED, PRESENT, T_MIX, TEMPERATURE, Shelf
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+RUNNING = 0
+TURNS = 40_000
+
+
+# -- random agents in laboratories --------------------------------------------------------------------------------
+
+
+def check_shelf(shelf: Shelf) -> None:
+    """Amounts, temperatures, clocks, pressures and dissolved amounts of every vessel of every laboratory."""
+    for array in (shelf.vessels, shelf.stock, shelf.waste):
+        assert np.isfinite(array).all()
+    assert shelf.amounts.min() >= 0.0
+    assert shelf.stock.min() >= 0.0
+    assert shelf.waste.min() >= 0.0
+    assert shelf.dissolved.min(initial=0.0) >= 0.0
+    assert (shelf.amounts[..., shelf.chemistry.air] == 0.0).all()
+    standing = shelf.vessels[..., PRESENT] > 0.0
+    assert (shelf.vessels[~standing] == 0.0).all()
+    rows = shelf.vessels[standing]
+    assert rows[:, AIR].min() >= 0.0
+    assert rows[:, CAPACITY].min() > 0.0
+    assert rows[:, TEMPERATURE].min() > 200.0
+    assert rows[:, TEMPERATURE].max() < 1000.0
+    assert rows[:, CLOCK].min() >= T_MIX
+    assert rows[:, CLOCK].max() <= CLOCK_SETTLED
+    filled = shelf.amounts[standing] @ shelf.chemistry.molar_volume
+    assert (filled <= rows[:, CAPACITY] * (1.0 + 1e-9)).all()
+    solvents, solutes = shelf.chemistry.solvents, shelf.chemistry.dissolved
+    wet = (shelf.amounts[..., solvents].max(axis=-1) > TRACE) & standing
+    np.testing.assert_allclose(shelf.dissolved[wet].sum(axis=-1), shelf.amounts[wet][:, solutes], rtol=1e-9, atol=1e-12)
+
+
+def check_seen(laboratories: Laboratories, members: IntArray) -> None:
+    """Every agent's observation is in its box, and no mask is all zero."""
+    for agent in range(len(laboratories.agents)):
+        observation = laboratories.observe(agent, members)
+        assert np.isfinite(observation).all()
+        assert 0.0 <= observation.min() <= observation.max() <= 1.0
+        mask = laboratories.mask(agent, members)
+        if mask is not None:
+            assert np.isin(mask, (0, 1)).all()
+            assert mask.any(axis=1).all()
+
+
+def check_pressures(laboratories: Laboratories) -> None:
+    """Pressures of standing vessels are finite and not negative."""
+    shelf = laboratories.shelf
+    for row in shelf.rows[shelf.rows[:, PRESENT] > 0.0]:
+        for value in (pressure(row, shelf.chemistry), vapor_pressure(row, shelf.chemistry)):
+            assert np.isfinite(value)
+            assert value >= 0.0
+
+
+def random_turns(laboratories: Laboratories, rng: np.random.Generator, policy: RandomPolicy, bold: float) -> int:
+    """One turn of whoever has it in each running laboratory; with probability ``bold`` regardless of the mask."""
+    turns = laboratories.desk.cursor + 1
+    played = 0
+    for agent in range(len(laboratories.agents)):
+        members = np.flatnonzero((turns == agent) & (laboratories.desk.status == RUNNING))
+        if not len(members):
+            continue
+        mask = laboratories.mask(agent, members)
+        if mask is None:
+            actions = rng.random((len(members), *laboratories.action_space(agent).shape))
+            # Corners of the box are where contents overflow and reagents run out.
+            actions = np.where(rng.random(actions.shape) < 0.2, actions.round(), actions)
+        else:
+            mask = np.where(rng.random((len(members), 1)) < bold, np.ones_like(mask), mask)
+            actions = policy.act(np.empty((len(members), 0), dtype=np.float32), mask, members, members)
+        laboratories.act(agent, members, actions)
+        played += len(members)
+    return played
+
+
+@pytest.mark.parametrize("scenario", scenario_names())
+def test_random_agents_break_no_invariant(scenario: str) -> None:
+    """Forty thousand turns of random agents, one in ten of them against the mask: atoms to 1e-9 and all the rest."""
+    laboratories = Laboratories(scenario, 40)
+    for member in laboratories.members:
+        laboratories.seed(member, int(member))
+    rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
+    _, atoms_in = composition(laboratories.scenario)
+    shelf = laboratories.shelf
+    laboratories.reset(laboratories.members)
+    start = shelf.total() @ atoms_in
+
+    def check(members: IntArray) -> None:
+        found, first = (shelf.total() @ atoms_in)[members], start[members]
+        np.testing.assert_allclose(found[:, :-1], first[:, :-1], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found[:, -1], 0.0, atol=1e-9)  # the charge
+        assert np.isfinite(laboratories.rewards).all()
+        assert np.isfinite(laboratories.cost).all()
+        assert laboratories.cost.min() >= 0.0
+        check_shelf(shelf)
+        check_seen(laboratories, members)
+
+    turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.stations))
+    while turns < TURNS:
+        turns += random_turns(laboratories, rng, policy, 0.1)
+        rounds += 1
+        experiments += laboratories.busy.any(axis=1)
+        over = np.flatnonzero(laboratories.desk.status != RUNNING)
+        if rounds % 12 == 0:
+            check(laboratories.members)
+        elif len(over):
+            check(over)
+        if len(over):
+            laboratories.reset(over)
+            start[over] = shelf.total()[over] @ atoms_in
+    check_pressures(laboratories)
+    assert (experiments > 0).all()  # every bench was used
+    assert laboratories.desk.ticks.max() > 0
+
+
+def test_random_agents_meet_every_safety_event() -> None:
+    """The random play above is not tame: spills, relief, boiling dry, dry heating and metal in water all happen."""
+    laboratories = Laboratories("wurtz_dodecane", 40)
+    for member in laboratories.members:
+        laboratories.seed(member, int(member))
+    rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
+    laboratories.reset(laboratories.members)
+    seen = np.zeros(laboratories.safety_totals.shape[1])
+    for _ in range(TURNS // 40):
+        random_turns(laboratories, rng, policy, 0.1)
+        seen = np.maximum(seen, laboratories.safety_totals.max(axis=0))
+        over = np.flatnonzero(laboratories.desk.status != RUNNING)
+        if len(over):
+            laboratories.reset(over)
+    assert (seen > 0.0).all(), seen
+
+
+@pytest.mark.parametrize("bench", ["ext", "dit"])
+def test_pictures_are_of_the_vessels_as_they_are(bench: str) -> None:
+    """After every random action, legal or not, a bench's layer profiles are those of its vessels at that moment."""
+    arena = BenchArena("wurtz_dodecane", bench, 6)
+    glass = Glassware("wurtz_dodecane", 1)
+    for member in arena.members:
+        arena.seed(member, int(member))
+    arena.reset(arena.members)
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        over = np.flatnonzero(arena.station.ended)
+        if len(over):
+            arena.reset(over)
+        arena.act(rng.integers(0, arena.bench.action_space.n - 1, 6))
+        profiles = arena.station.profile.reshape(-1, *arena.station.profile.shape[2:])
+        columns = arena.station.layers.reshape(-1, arena.station.layers.shape[2])
+        for row, shares, layers in zip(arena.shelf.rows, profiles, columns, strict=True):
+            glass.rows[0] = row
+            glass.partition(0)
+            np.testing.assert_allclose(glass.rows[0], row, rtol=1e-12, atol=1e-15)
+            names, fresh = glass.profile(0)
+            assert (layers[: len(names) + 1] == glass.layers[: len(names) + 1]).all()
+            np.testing.assert_allclose(shares[: len(names)], fresh, rtol=0.0, atol=1e-9)
+
+
+# -- two vessels in any order of operations -----------------------------------------------------------------------
+
+ADDED = ["water", "diethyl_ether", "hexane", "ethyl_acetate", "dodecane", "1-chlorohexane", "Na", "NaCl", "NaOH"]
+
+
+class TwoVessels(RuleBasedStateMachine):
+    """Pour, drain, add, mix, settle, heat, cool, react and separate, in any order."""
+
+    @initialize(capacities=st.tuples(st.floats(0.05, 2.0), st.floats(0.05, 2.0)))
+    def stand(self, capacities: tuple[float, float]) -> None:
+        self.glass = Glassware(four_solvents(), 2)
+        for position, capacity in enumerate(capacities):
+            self.glass.fill(position, {}, capacity)
+        self.atoms = self.glass.atoms()
+
+    def settle_down(self) -> None:
+        """What benches do after every operation."""
+        for position in (0, 1):
+            self.glass.phases(position)
+            self.glass.partition(position)
+
+    @rule(position=st.integers(0, 1), name=st.sampled_from(ADDED), mol=st.floats(0.0, 3.0))
+    def add(self, position: int, name: str, mol: float) -> None:
+        self.glass.add(position, name, mol)
+        self.atoms += mol * composition(self.glass.scenario)[1][self.glass.index(name)]
+        self.settle_down()
+
+    @rule(source=st.integers(0, 1), fraction=st.floats(0.0, 1.0))
+    def pour(self, source: int, fraction: float) -> None:
+        self.glass.pour(source, 1 - source, fraction)
+        self.settle_down()
+
+    @rule(source=st.integers(0, 1), pixels=st.floats(0.0, float(PIXELS)))
+    def drain(self, source: int, pixels: float) -> None:
+        self.glass.drain(source, 1 - source, pixels)
+        self.settle_down()
+
+    @rule(position=st.integers(0, 1), by=st.floats(-6.0, 6.0))
+    def turn(self, position: int, by: float) -> None:
+        self.glass.turn(position, by)
+
+    @rule(source=st.integers(0, 1), kilojoules=st.floats(-100.0, 300.0))
+    def heat(self, source: int, kilojoules: float) -> None:
+        self.glass.heat(source, 1 - source, 1000.0 * kilojoules)
+        self.settle_down()
+
+    @rule(position=st.integers(0, 1))
+    def phases(self, position: int) -> None:
+        self.glass.phases(position)
+
+    @invariant()
+    def nothing_is_lost(self) -> None:
+        if hasattr(self, "atoms"):
+            np.testing.assert_allclose(self.glass.atoms(), self.atoms, rtol=1e-9, atol=1e-9)
+
+    @invariant()
+    def vessels_are_sound(self) -> None:
+        if not hasattr(self, "glass"):
+            return
+        self.glass.check()
+        assert self.glass.waste.min() >= 0.0
+        assert self.glass.events.min() >= 0.0
+        for position in (0, 1):
+            row = self.glass.rows[position]
+            assert self.glass.volume(position) <= row[CAPACITY] * (1.0 + 1e-9)
+            assert 250.0 < row[TEMPERATURE] <= 700.0
+            assert np.isfinite(pressure(row, self.glass.chem))
+            _, shares = self.glass.profile(position)
+            np.testing.assert_allclose(shares.sum(axis=0), 1.0, rtol=0.0, atol=1e-9)
+
+
+class TestTwoVessels(TwoVessels.TestCase):
+    """Runs the state machine."""
+
+    settings = settings(max_examples=60, stateful_step_count=25)
+
+
+# -- batch invariance ---------------------------------------------------------------------------------------------
+
+
+def choose(laboratories: Laboratories, agent: int, members: IntArray, rngs: list[np.random.Generator]) -> npt.NDArray:
+    """An action for each member, from the member's own generator and mask alone."""
+    mask = laboratories.mask(agent, members)
+    if mask is None:
+        size = laboratories.action_space(agent).shape
+        return np.array([rngs[m].random(size) for m in members])
+    actions = []
+    for row, m in zip(mask, members, strict=True):
+        legal = np.flatnonzero(row) if rngs[m].random() < 0.9 else np.arange(len(row))
+        actions.append(legal[int(rngs[m].random() * len(legal))])
+    return np.array(actions)
+
+
+def one_turn(laboratories: Laboratories, rngs: list[np.random.Generator]) -> None:
+    turns = laboratories.desk.cursor + 1
+    for agent in range(len(laboratories.agents)):
+        members = np.flatnonzero((turns == agent) & (laboratories.desk.status == RUNNING))
+        if len(members):
+            laboratories.act(agent, members, choose(laboratories, agent, members, rngs))
+    over = np.flatnonzero(laboratories.desk.status != RUNNING)
+    if len(over):
+        laboratories.reset(over)
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_any", "fictitious"])
+def test_a_laboratory_does_not_notice_its_neighbours(scenario: str) -> None:
+    """Member i of a batch seeded s is bit for bit the single laboratory seeded s, in every array and observation."""
+    seeds = [100, 7, 31, 4, 55, 6, 9]
+    batch = Laboratories(scenario, len(seeds))
+    for member, seed in enumerate(seeds):
+        batch.seed(member, seed)
+    batch.reset(batch.members)
+    rngs = [np.random.default_rng(seed) for seed in seeds]
+    chosen = (0, 4, 6)
+    singles, own = {}, {}
+    for member in chosen:
+        singles[member] = Laboratories(scenario, 1)
+        singles[member].seed(0, seeds[member])
+        singles[member].reset(singles[member].members)
+        own[member] = [np.random.default_rng(seeds[member])]
+    for turn in range(150):
+        one_turn(batch, rngs)
+        for member in chosen:
+            one_turn(singles[member], own[member])
+        if turn % 10 == 0 or turn == 149:
+            state = batch.snapshot()
+            for member, single in singles.items():
+                for together, alone in zip(state, single.snapshot(), strict=True):
+                    np.testing.assert_array_equal(together[member], alone[0])
+                for agent in range(len(batch.agents)):
+                    seen = batch.observe(agent, np.array([member]))
+                    np.testing.assert_array_equal(seen, single.observe(agent, np.array([0])))
+    assert batch.desk.ticks.max() > 0
+
+
+def play_arena(bench: str, seeds: list[int]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """(observations and scores of a few experiments, final arrays), members first in every array."""
+    arena = BenchArena("wurtz_dodecane", bench, len(seeds))
+    for member, seed in enumerate(seeds):
+        arena.seed(member, seed)
+    rngs = [np.random.default_rng(seed) for seed in seeds]
+    arena.reset(arena.members)
+    seen: list[FloatArray] = []
+    for _ in range(45):
+        seen.append(arena.observe())
+        if bench == "rxn":
+            actions = np.array([rng.random(arena.bench.action_space.shape) for rng in rngs])
+        else:
+            legal = [np.flatnonzero(mask) for mask in arena.mask()]
+            actions = np.array(
+                [choice[int(rng.random() * len(choice))] for choice, rng in zip(legal, rngs, strict=True)]
+            )
+        arena.act(actions)
+        over = np.flatnonzero(arena.station.ended)
+        scores = np.zeros(len(seeds))
+        if len(over):
+            scores[over] = arena.finish(over)
+            arena.reset(over)
+        seen.append(scores)
+    return seen, [arena.shelf.vessels, arena.shelf.stock, arena.shelf.waste, *arena.station.arrays()]
+
+
+@pytest.mark.parametrize("bench", ["rxn", "ext", "dit"])
+def test_an_experiment_does_not_notice_its_neighbours(bench: str) -> None:
+    """The same seed is the same experiments, bit for bit, in a batch of 1, 7 and 64."""
+    seeds = [900 + 13 * i for i in range(64)]
+    seen, state = play_arena(bench, seeds)
+    assert any((a[0] != a[1]).any() for a in state)  # neighbours do differ
+    for size, first in ((7, 0), (1, 5)):
+        some, final = play_arena(bench, seeds[first : first + size])
+        for large, small in zip([*seen, *state], [*some, *final], strict=True):
+            np.testing.assert_array_equal(large[first : first + size], small)

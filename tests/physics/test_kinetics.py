@@ -1,0 +1,340 @@
+"""Kinetics: closed forms, the Arrhenius law, SciPy's solvers on random networks, conservation, the Wurtz facts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import Glassware, molar_volume
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import null_space
+
+from chemlab.physics.kinetics import GAS_CONSTANT, react, react_work_size
+from chemlab.shelf import AMOUNTS, Network, build_network
+
+FloatArray = npt.NDArray[np.float64]
+Step = tuple[Mapping[int, float], Mapping[int, float], float, float]
+"""(reactants, products, pre-exponential, activation energy); species by number, orders are the coefficients."""
+
+ROOM = 298.15
+DEFAULT, TIGHT = (1e-3, 1e-6), (1e-9, 1e-12)
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A mass-action scheme as arrays: [R, S] stoichiometry and orders, [R] Arrhenius constants."""
+
+    stoichiometry: FloatArray
+    orders: FloatArray
+    pre_exponential: FloatArray
+    activation_energy: FloatArray
+
+    @classmethod
+    def of(cls, steps: Sequence[Step], species: int) -> Scheme:
+        """From reactions over species 0, 1, ..."""
+        stoichiometry, orders = np.zeros((len(steps), species)), np.zeros((len(steps), species))
+        for r, (reactants, products, _, _) in enumerate(steps):
+            for j, number in reactants.items():
+                stoichiometry[r, j] -= number
+                orders[r, j] += number
+            for j, number in products.items():
+                stoichiometry[r, j] += number
+        return cls(
+            stoichiometry,
+            orders,
+            np.array([a for _, _, a, _ in steps], dtype=np.float64),
+            np.array([energy for _, _, _, energy in steps], dtype=np.float64),
+        )
+
+    @property
+    def network(self) -> Network:
+        """What the kernel takes."""
+        species = np.arange(self.orders.shape[1])
+        return Network.of(species, self.stoichiometry, self.orders, self.pre_exponential, self.activation_energy)
+
+
+def run(
+    scheme: Scheme,
+    amounts: Sequence[float] | FloatArray,
+    volume_l: float,
+    dt: float,
+    tolerance: tuple[float, float] = TIGHT,
+    temperature_k: float = ROOM,
+) -> FloatArray:
+    """Amounts (mol) after ``dt`` in the kernel's hands."""
+    network = scheme.network
+    row = np.zeros(AMOUNTS + len(network.species))
+    row[AMOUNTS:] = amounts
+    react(row, network, volume_l, temperature_k, dt, *tolerance, np.zeros(react_work_size(network)))
+    return row[AMOUNTS:]
+
+
+def scipy_amounts(
+    scheme: Scheme, amounts: Sequence[float] | FloatArray, volume_l: float, dt: float, method: str = "LSODA"
+) -> FloatArray:
+    """Amounts (mol) after ``dt`` by SciPy, rtol 1e-8, rate constants at 298.15 K."""
+    constants = scheme.pre_exponential * np.exp(-scheme.activation_energy / (GAS_CONSTANT * ROOM))
+
+    def slope(_: float, concentration: FloatArray) -> FloatArray:
+        rates = constants * np.prod(np.maximum(concentration, 0.0) ** scheme.orders, axis=1)
+        return np.asarray(rates @ scheme.stoichiometry)
+
+    start = np.asarray(amounts, dtype=np.float64) / volume_l
+    solution = solve_ivp(slope, (0.0, dt), start, method=method, rtol=1e-8, atol=1e-11)
+    assert solution.success, solution.message
+    return np.asarray(solution.y[:, -1] * volume_l)
+
+
+# -- closed forms -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), (TIGHT, 1e-7)])
+@pytest.mark.parametrize("volume", [0.25, 1.0])
+def test_first_order_decay_is_exponential(volume: float, tolerance: tuple[float, float], allowed: float) -> None:
+    """A -> B: n_A = n_0 exp(-k t), whatever the volume."""
+    scheme = Scheme.of([({0: 1}, {1: 1}, 2.0, 0.0)], 2)
+    for t in (0.01, 0.3, 1.0, 3.0):
+        left = 0.7 * np.exp(-2.0 * t)
+        assert run(scheme, [0.7, 0.1], volume, t, tolerance) == pytest.approx([left, 0.8 - left], abs=allowed * 0.7)
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), (TIGHT, 1e-7)])
+@pytest.mark.parametrize("volume", [0.25, 2.0])
+def test_second_order_in_one_reactant(volume: float, tolerance: tuple[float, float], allowed: float) -> None:
+    """2 A -> B at rate k [A]^2: [A] = [A]_0 / (1 + 2 k [A]_0 t), so volume matters."""
+    scheme = Scheme.of([({0: 2}, {1: 1}, 1.5, 0.0)], 2)
+    for t in (0.05, 0.5, 5.0):
+        left = 0.8 / (1.0 + 2.0 * 1.5 * (0.8 / volume) * t)
+        expected = [left, (0.8 - left) / 2.0]
+        assert run(scheme, [0.8, 0.0], volume, t, tolerance) == pytest.approx(expected, abs=allowed * 0.8)
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), (TIGHT, 1e-7)])
+@pytest.mark.parametrize("volume", [0.25, 2.0])
+def test_second_order_in_two_reactants(volume: float, tolerance: tuple[float, float], allowed: float) -> None:
+    """A + B -> C with a > b: ln([A] b / ([B] a)) = (a - b) k t, concentrations a and b at the start."""
+    scheme = Scheme.of([({0: 1, 1: 1}, {2: 1}, 1.5, 0.0)], 3)
+    a, b = 0.9 / volume, 0.4 / volume
+    for t in (0.05, 0.5, 2.0):
+        growth = np.exp((a - b) * 1.5 * t)
+        made = a * b * (growth - 1.0) / (a * growth - b) * volume
+        expected = [0.9 - made, 0.4 - made, made]
+        assert run(scheme, [0.9, 0.4, 0.0], volume, t, tolerance) == pytest.approx(expected, abs=allowed * 0.9)
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), (TIGHT, 1e-7)])
+def test_reversible_reaction_relaxes_to_its_equilibrium_constant(
+    tolerance: tuple[float, float], allowed: float
+) -> None:
+    """A <-> B: the distance from K = k1 / k2 decays with k1 + k2."""
+    scheme = Scheme.of([({0: 1}, {1: 1}, 3.0, 0.0), ({1: 1}, {0: 1}, 0.75, 0.0)], 2)
+    at_rest = 1.0 / (1.0 + 3.0 / 0.75)
+    for t in (0.1, 0.4, 10.0):
+        left = at_rest + (0.9 - at_rest) * np.exp(-3.75 * t)
+        assert run(scheme, [0.9, 0.1], 0.5, t, tolerance) == pytest.approx([left, 1.0 - left], abs=allowed)
+    a, b = run(scheme, [0.9, 0.1], 0.5, 10.0, tolerance)
+    assert b / a == pytest.approx(4.0, rel=10 * allowed)
+
+
+def test_half_order_reaction_uses_its_reactant_up_and_others_go_on() -> None:
+    """Order 1/2 ends in finite time (sqrt[A] falls by k t / 2); an independent C -> D must not end with it."""
+    scheme = Scheme.of([({0: 1}, {1: 1}, 1.0, 0.0), ({2: 1}, {3: 1}, 1.0, 0.0)], 4)
+    scheme.orders[0, 0] = 0.5
+    before = run(scheme, [0.25, 0.0, 0.5, 0.0], 1.0, 0.6)
+    assert before[0] == pytest.approx((0.5 - 0.3) ** 2, abs=1e-6)
+    after = run(scheme, [0.25, 0.0, 0.5, 0.0], 1.0, 2.0)  # A is gone at t = 1
+    assert after[:2] == pytest.approx([0.0, 0.25], abs=1e-6)
+    assert after[2] == pytest.approx(0.5 * np.exp(-2.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), ((1e-7, 1e-10), 1e-6)])
+def test_very_long_tick_ends_at_equilibrium(tolerance: tuple[float, float], allowed: float) -> None:
+    """2 A + 2 B <-> C at k = 1e4 for a time of 10: a step that long overflows, yet rest is where rates balance."""
+    scheme = Scheme.of([({0: 2, 1: 2}, {2: 1}, 1e4, 0.0), ({2: 2}, {0: 4, 1: 4}, 1e4, 0.0)], 3)
+    # Rest: [A]^2 [B]^2 = 2 [C]^2 with a = b and c = (1 - a) / 2, in 0.2 L: 5 a^2 = (1 - a) / sqrt(2).
+    a = (-np.sqrt(0.5) + np.sqrt(0.5 + 20.0 * np.sqrt(0.5))) / 10.0
+    assert run(scheme, [1.0, 1.0, 0.0], 0.2, 10.0, tolerance) == pytest.approx([a, a, (1.0 - a) / 2.0], abs=allowed)
+
+
+# -- Arrhenius ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("energy", [6_000.0, 40_000.0])
+def test_rates_follow_arrhenius(energy: float) -> None:
+    """Hotter is faster, by exp(-Ea/R (1/T2 - 1/T1)); k is read off first-order decays at two temperatures."""
+    cold, hot = 280.0, 350.0
+    scheme = Scheme.of([({0: 1}, {1: 1}, 0.5 * np.exp(energy / (GAS_CONSTANT * ROOM)), energy)], 2)
+    constants = [-np.log(run(scheme, [1.0, 0.0], 0.4, 0.2, TIGHT, t)[0]) / 0.2 for t in (cold, ROOM, hot)]
+    assert constants[1] == pytest.approx(0.5, rel=1e-6)  # the pre-exponential was chosen for this
+    assert constants[2] > constants[1] > constants[0]
+    assert constants[2] / constants[0] == pytest.approx(np.exp(-energy / GAS_CONSTANT * (1 / hot - 1 / cold)), rel=1e-6)
+
+
+def test_without_activation_energy_temperature_does_not_matter() -> None:
+    """Ea = 0: the same amounts at every temperature, bit for bit."""
+    scheme = Scheme.of([({0: 1, 1: 2}, {2: 1}, 5.0, 0.0)], 3)
+    assert (run(scheme, [1.0, 1.0, 0.0], 0.5, 0.3, TIGHT, 250.0) == run(scheme, [1.0, 1.0, 0.0], 0.5, 0.3)).all()
+
+
+def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
+    """No volume, no time, or a missing reactant: the amounts stay as they were, bit for bit."""
+    scheme = Scheme.of([({0: 1, 1: 1}, {2: 1}, 5.0, 0.0)], 3)
+    start = np.array([0.3, 0.2, 0.1])
+    assert (run(scheme, start, 0.0, 1.0) == start).all()
+    assert (run(scheme, start, 0.5, 0.0) == start).all()
+    assert (run(scheme, [0.3, 0.0, 0.1], 0.5, 1.0) == [0.3, 0.0, 0.1]).all()
+
+
+# -- random networks ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A random network that conserves mass, and what is in the vessel."""
+
+    scheme: Scheme
+    amounts: FloatArray
+    volume: float
+    dt: float
+
+
+def problems(decades: tuple[float, float]) -> st.SearchStrategy[Problem]:
+    """1 to 4 reactions of order 1 to 4 over 3 to 6 species of masses 1 to 3; log10 of the constants in ``decades``."""
+
+    def build(n_reactions: int, species: int, seed: int) -> Problem:
+        rng = np.random.default_rng(seed)
+        masses = rng.integers(1, 4, species)
+        steps: list[Step] = []
+        for _ in range(n_reactions):
+            chosen = rng.permutation(species)
+            n_reactants, n_products = rng.integers(1, 3, 2)
+            n_products = min(n_products, species - n_reactants)
+            reactants = {int(j): float(rng.integers(1, 3)) for j in chosen[:n_reactants]}
+            parts = {int(j): float(rng.integers(1, 3)) for j in chosen[n_reactants : n_reactants + n_products]}
+            scale = sum(n * masses[j] for j, n in reactants.items()) / sum(n * masses[j] for j, n in parts.items())
+            steps.append((reactants, {j: n * scale for j, n in parts.items()}, 10.0 ** rng.uniform(*decades), 0.0))
+        amounts = rng.uniform(0.05, 1.5, species) * (rng.random(species) < 0.8)
+        return Problem(Scheme.of(steps, species), amounts, rng.uniform(0.2, 2.0), 10.0 ** rng.uniform(-2.0, 0.3))
+
+    return st.builds(build, st.integers(1, 4), st.integers(3, 6), st.integers(0, 2**32 - 1))
+
+
+def check_against_scipy(problem: Problem) -> None:
+    reference = scipy_amounts(problem.scheme, problem.amounts, problem.volume, problem.dt)
+    # Both solvers bound the error of a step by atol + rtol c; over many steps errors add up, hence the factor.
+    for rtol, atol in ((1e-3, 1e-6), (1e-5, 1e-8), (1e-7, 1e-10)):
+        result = run(problem.scheme, problem.amounts, problem.volume, problem.dt, (rtol, atol))
+        allowed = 20.0 * (rtol * problem.amounts.sum() + atol * problem.volume) + 1e-6
+        np.testing.assert_allclose(result, reference, rtol=0.0, atol=allowed)
+
+
+@given(problems(decades=(-1.0, 1.0)))
+@settings(max_examples=80)
+def test_random_networks_agree_with_scipy(problem: Problem) -> None:
+    """Same final amounts as LSODA at rtol 1e-8, closer the tighter the tolerance."""
+    check_against_scipy(problem)
+
+
+@given(problems(decades=(-1.5, 3.5)))
+@settings(max_examples=80)
+def test_stiff_random_networks_agree_with_scipy(problem: Problem) -> None:
+    """The same with rate constants spread over five decades."""
+    constants = problem.scheme.pre_exponential
+    event(f"{len(constants)} reactions, spread 1e{int(np.log10(constants.max() / constants.min()))}")
+    check_against_scipy(problem)
+
+
+def test_robertson_like_network_agrees_with_an_implicit_solver() -> None:
+    """A -> B, 2 B -> B + C, B + C -> A + C with constants from 0.04 to 1e4: as SciPy's Radau has it."""
+    steps: list[Step] = [
+        ({0: 1}, {1: 1}, 0.04, 0.0),
+        ({1: 2}, {1: 1, 2: 1}, 1e4, 0.0),
+        ({1: 1, 2: 1}, {0: 1, 2: 1}, 1e2, 0.0),
+    ]
+    scheme = Scheme.of(steps, 3)
+    reference = scipy_amounts(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, "Radau")
+    assert run(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, DEFAULT) == pytest.approx(reference, abs=2e-3)
+    assert run(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, (1e-7, 1e-10)) == pytest.approx(reference, abs=1e-6)
+
+
+@given(problems(decades=(-1.5, 4.0)), st.sampled_from([DEFAULT, (1e-1, 1e-2)]))
+@settings(max_examples=150)
+def test_conservation_and_positivity(problem: Problem, tolerance: tuple[float, float]) -> None:
+    """Every linear invariant of the network holds to 1e-12 and no amount is negative, even at careless tolerances."""
+    result = run(problem.scheme, problem.amounts, problem.volume, problem.dt, tolerance)
+    assert np.isfinite(result).all()
+    assert result.min() >= 0.0
+    invariants = null_space(problem.scheme.stoichiometry)
+    np.testing.assert_allclose(result @ invariants, problem.amounts @ invariants, rtol=0.0, atol=1e-12 * 10.0)
+
+
+# -- the Wurtz facts ----------------------------------------------------------------------------------------------
+
+CHLORIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
+
+
+def wurtz(reagents: Sequence[str]) -> tuple[Glassware, Network]:
+    """4 mol ether, 1 mol of each reagent and 3 mol Na; the shipped network with k = 1 for all six reactions."""
+    glass = Glassware("wurtz_dodecane", 1)
+    network = build_network(glass.scenario)
+    assert len(network.pre_exponential) == 6
+    glass.fill(0, {"diethyl_ether": 4.0, "Na": 3.0, **dict.fromkeys(reagents, 1.0)}, 2.0)
+    return glass, network._replace(pre_exponential=np.ones(6), activation_energy=np.zeros(6))
+
+
+@pytest.mark.parametrize("reagents", [CHLORIDES[:1], CHLORIDES[1:2], CHLORIDES[:2], CHLORIDES], ids=" ".join)
+def test_wurtz_network_agrees_with_scipy(reagents: Sequence[str]) -> None:
+    """The six shipped reactions at the vessel's liquid volume, for a total time of 0.2."""
+    glass, network = wurtz(reagents)
+    names = glass.layout.materials
+    steps: list[Step] = [
+        (
+            {names.index(n): x for n, x in r.reactants.items()},
+            {names.index(n): x for n, x in r.products.items()},
+            1.0,
+            0.0,
+        )
+        for r in glass.scenario.family.reaction
+    ]
+    volume = glass.volume(0, "diethyl_ether", *reagents)  # the metal is no liquid
+    reference = scipy_amounts(Scheme.of(steps, len(names)), glass.amounts(0), volume, 0.2)
+    row, work = glass.rows[0], np.zeros(react_work_size(network))
+    start = row.copy()
+    react(row, network, volume, ROOM, 0.2, 1e-8, 1e-11, work)
+    assert glass.amounts(0) == pytest.approx(reference, abs=2e-6)
+    row[:] = start
+    react(row, network, volume, ROOM, 0.2, *DEFAULT, work)
+    assert glass.amounts(0) == pytest.approx(reference, abs=5e-3)
+
+
+def published(reagents: Sequence[str], goal: str) -> float:
+    """mol of the goal after 0.2 where the volume is that of everything in the vessel, solids too, as it changes."""
+    glass, network = wurtz(reagents)
+    work = np.zeros(react_work_size(network))
+    for _ in range(200):
+        react(glass.rows[0], network, glass.volume(0), ROOM, 0.001, 1e-8, 1e-11, work)
+    return glass.amount(0, goal)
+
+
+def test_the_facts_that_pin_the_wurtz_constants() -> None:
+    """PHYSICS section 1: 0.449 and 0.270 mol of product, 2.077 of salt, mean 0.605; 0.445 when everything is added."""
+    symmetric, mixed = published(CHLORIDES[:1], "dodecane"), published(CHLORIDES[:2], "5-methylundecane")
+    salt = published(CHLORIDES, "NaCl")
+    assert symmetric == pytest.approx(0.449, abs=1e-3)
+    assert mixed == pytest.approx(0.270, abs=1e-3)
+    assert salt == pytest.approx(2.077, abs=5e-3)
+    assert (3 * symmetric + 3 * mixed + salt) / 7 == pytest.approx(0.605, abs=1e-3)
+    # Two moles of salt for each mole of product: the six products together are half the salt.
+    assert (salt / 2 + salt) / 7 == pytest.approx(0.445, abs=1e-3)
+
+
+def test_product_volumes_come_from_the_data_files() -> None:
+    """The helper's molar volumes are the arrays' (so the facts above were computed for the shipped materials)."""
+    glass = Glassware("wurtz_dodecane", 1)
+    expected = [molar_volume(glass.scenario, name) for name in glass.layout.materials]
+    assert glass.chem.molar_volume == pytest.approx(expected, rel=1e-12)

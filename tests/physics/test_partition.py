@@ -1,0 +1,275 @@
+"""Partition: the settled limit in closed form, the three-case update by hand, conservation through any sequence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from helpers import Glassware, four_solvents, molar_volume
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chemlab.shelf import CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX
+
+FOUR = Glassware(four_solvents(), 2)
+SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")
+
+
+def star(glass: Glassware, contents: dict[str, float], solute: str, clock: float) -> dict[str, float]:
+    """S*_L(t) / [S] of PHYSICS section 3 for each solvent in ``contents``, written out again."""
+    materials = glass.scenario.materials
+    litres = {name: contents[name] * molar_volume(glass.scenario, name) for name in contents if name in SOLVENTS}
+    gaps = {name: abs(materials[solute].polarity - materials[name].polarity) for name in litres}
+    whole, gap_sum = sum(litres.values()), sum(gaps.values())
+    weighted = sum(litres[name] * gaps[name] for name in litres)
+    a = math.exp(30.0 * (T_MIX - clock))
+    shares = {}
+    for name, volume in litres.items():
+        w = (1.0 - gaps[name] / gap_sum) / (1.0 - weighted / (whole * gap_sum))
+        shares[name] = volume / whole * (a + (1.0 - a) * w)
+    return shares
+
+
+def where(glass: Glassware, position: int, solute: str, solvents: tuple[str, ...]) -> list[float]:
+    return [glass.in_solvent(position, solute, name) for name in solvents]
+
+
+# -- closed forms -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solute", ["Na+", "Cl-", "dodecane", "1-chlorohexane"])
+def test_two_solvents_at_rest_share_by_volume_and_distance(solute: str) -> None:
+    """Settled, n1 / n2 = (V1 / V2) (d2 / d1), d being the difference in polarity: the formula for two solvents."""
+    glass = Glassware("wurtz_dodecane", 1)
+    glass.mixed(0, {"water": 6.0, "diethyl_ether": 3.0, "NaCl": 0.5, "dodecane": 0.2, "1-chlorohexane": 0.1})
+    glass.turn(0, 100.0)
+    materials = glass.scenario.materials
+    gaps = [abs(materials[solute].polarity - materials[name].polarity) for name in ("water", "diethyl_ether")]
+    in_water, in_ether = where(glass, 0, solute, ("water", "diethyl_ether"))
+    expected = glass.volume(0, "water") / glass.volume(0, "diethyl_ether") * gaps[1] / gaps[0]
+    assert in_water / in_ether == pytest.approx(expected, rel=1e-12)
+    assert in_water + in_ether == pytest.approx(glass.amount(0, solute), rel=1e-12)
+
+
+def test_likes_dissolve_likes() -> None:
+    """Settled, salt is more concentrated in water than in ether, oil more in ether than in water."""
+    glass = Glassware("wurtz_dodecane", 1)
+    glass.mixed(0, {"water": 6.0, "diethyl_ether": 3.0, "NaCl": 0.5, "dodecane": 0.2})
+    glass.turn(0, 100.0)
+    volumes = np.array([glass.volume(0, "water"), glass.volume(0, "diethyl_ether")])
+    salt = np.array(where(glass, 0, "Na+", ("water", "diethyl_ether"))) / volumes
+    oil = np.array(where(glass, 0, "dodecane", ("water", "diethyl_ether"))) / volumes
+    assert salt[0] > 2.0 * salt[1]
+    assert oil[1] > 2.0 * oil[0]
+
+
+@pytest.mark.parametrize("solute", ["Na+", "dodecane"])
+def test_four_solvents_at_rest_follow_the_formula(solute: str) -> None:
+    """Settled and mixed, four solvents hold what S*_L says."""
+    contents = {"water": 6.0, "diethyl_ether": 3.0, "hexane": 1.0, "ethyl_acetate": 2.0}
+    FOUR.mixed(0, {**contents, "NaCl": 0.5, "dodecane": 0.2}, 2.0)
+    total, mixed = FOUR.amount(0, solute), star(FOUR, contents, solute, T_MIX)
+    assert where(FOUR, 0, solute, SOLVENTS) == pytest.approx([total * mixed[name] for name in SOLVENTS], rel=1e-12)
+    litres = [FOUR.volume(0, name) for name in SOLVENTS]
+    assert [mixed[name] for name in SOLVENTS] == pytest.approx(np.array(litres) / sum(litres), rel=1e-12)
+    FOUR.turn(0, 100.0)
+    rest = star(FOUR, contents, solute, CLOCK_SETTLED)
+    assert where(FOUR, 0, solute, SOLVENTS) == pytest.approx([total * rest[name] for name in SOLVENTS], rel=1e-12)
+
+
+@pytest.mark.parametrize("clock", [T_MIX, 0.0, CLOCK_SETTLED])
+def test_one_solvent_holds_everything(clock: float) -> None:
+    """With one solvent every solute is in it, at any clock and wherever it was before."""
+    FOUR.fill(0, {"hexane": 2.0, "dodecane": 0.3, "Na+": 0.1, "Cl-": 0.1}, clock=clock)
+    FOUR.dissolved(0)[:] = 0.02
+    FOUR.partition(0)
+    for solute in FOUR.layout.dissolved:
+        total = FOUR.amount(0, solute)
+        assert where(FOUR, 0, solute, SOLVENTS) == [0.0, 0.0, pytest.approx(total, rel=1e-15), 0.0]
+
+
+def test_no_solvent_dissolves_nothing() -> None:
+    """Without any solvent no solute is listed as dissolved, though it is there."""
+    FOUR.fill(0, {"dodecane": 0.3, "1-chlorohexane": 0.2})
+    FOUR.dissolved(0)[:] = 0.02
+    FOUR.partition(0)
+    assert (FOUR.dissolved(0) == 0.0).all()
+    assert FOUR.amount(0, "dodecane") == 0.3
+
+
+def test_vessel_as_filled_holds_the_settled_distribution() -> None:
+    """A vessel put on the shelf with two solvents and a solute in it is at rest: the solute is where S* has it."""
+    contents = {"water": 6.0, "diethyl_ether": 3.0}
+    FOUR.fill(0, {**contents, "dodecane": 0.2})
+    FOUR.phases(0)
+    FOUR.partition(0)
+    rest = star(FOUR, contents, "dodecane", CLOCK_SETTLED)
+    expected = [0.2 * rest["water"], 0.2 * rest["diethyl_ether"]]
+    assert where(FOUR, 0, "dodecane", SOLVENTS[:2]) == pytest.approx(expected, rel=1e-9)
+
+
+# -- the three-case update ----------------------------------------------------------------------------------------
+
+PAIR = {"water": 6.0, "hexane": 3.0}
+
+
+def start(clock: float, in_water: float, in_hexane: float) -> None:
+    """A vessel whose dodecane is known to be so much in water and so much in hexane at ``clock``."""
+    row = FOUR.fill(0, {**PAIR, "dodecane": in_water + in_hexane}, clock=clock)
+    row[CLOCK_WAS] = clock
+    k = FOUR.layout.dissolved.index("dodecane")
+    FOUR.dissolved(0)[k] = 0.0
+    FOUR.dissolved(0)[k, FOUR.layout.solvents.index("water")] = in_water
+    FOUR.dissolved(0)[k, FOUR.layout.solvents.index("hexane")] = in_hexane
+
+
+def in_water() -> float:
+    return FOUR.in_solvent(0, "dodecane", "water")
+
+
+def test_settling_keeps_the_deviation() -> None:
+    """t > t': S(t) = S*(t) + S(t') - S*(t')."""
+    before, after = T_MIX + 0.01, T_MIX + 0.05
+    start(before, 0.05, 0.15)
+    FOUR.turn(0, 0.04)
+    stars = [star(FOUR, PAIR, "dodecane", t)["water"] for t in (before, after)]
+    assert stars[0] > stars[1]
+    assert 0.05 + 0.2 * (stars[1] - stars[0]) > 0.0  # so nothing is clipped
+    assert in_water() == pytest.approx(0.05 + 0.2 * (stars[1] - stars[0]), rel=1e-12)
+    assert FOUR.in_solvent(0, "dodecane", "hexane") == pytest.approx(0.2 - in_water(), rel=1e-12)
+    assert FOUR.rows[0, CLOCK_WAS] == FOUR.rows[0, CLOCK] == pytest.approx(after, abs=1e-15)
+
+
+def test_mixing_shrinks_the_deviation() -> None:
+    """t < t': S(t) = S*(t) + (t - t_mix) / (t' - t_mix) (S(t') - S*(t'))."""
+    before, after = T_MIX + 0.08, T_MIX + 0.02
+    start(before, 0.15, 0.05)
+    FOUR.turn(0, -0.06)
+    stars = [star(FOUR, PAIR, "dodecane", t)["water"] for t in (before, after)]
+    expected = 0.2 * stars[1] + (0.02 / 0.08) * (0.15 - 0.2 * stars[0])
+    assert 0.0 < expected < 0.2
+    assert in_water() == pytest.approx(expected, rel=1e-12)
+    assert FOUR.in_solvent(0, "dodecane", "hexane") == pytest.approx(0.2 - expected, rel=1e-12)
+
+
+def test_standing_still_changes_nothing() -> None:
+    """t = t': S stays, whatever S* is."""
+    start(T_MIX + 0.3, 0.18, 0.02)
+    FOUR.partition(0)
+    assert in_water() == pytest.approx(0.18, rel=1e-14)
+
+
+def test_mixing_to_the_end_forgets_the_past() -> None:
+    """At t_mix the solute is spread by volume, wherever it was."""
+    start(CLOCK_SETTLED, 0.2, 0.0)
+    FOUR.turn(0, -100.0)
+    share = FOUR.volume(0, "water") / FOUR.volume(0, "water", "hexane")
+    assert in_water() == pytest.approx(0.2 * share, rel=1e-12)
+
+
+def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
+    """Where the update asks for less than nothing in water, all of it is in hexane."""
+    before = T_MIX + 0.01
+    start(before, 0.0, 0.2)
+    FOUR.turn(0, 0.5)
+    assert star(FOUR, PAIR, "dodecane", T_MIX + 0.51)["water"] < star(FOUR, PAIR, "dodecane", before)["water"]
+    assert where(FOUR, 0, "dodecane", ("water", "hexane")) == [0.0, pytest.approx(0.2, rel=1e-15)]
+
+
+def test_settling_in_steps_is_settling_at_once() -> None:
+    """The deviation is kept in every step, so one step of 0.5 and ten of 0.05 end in the same place."""
+    for steps in (1, 10):
+        FOUR.mixed(0, {**PAIR, "dodecane": 0.2, "NaCl": 0.1})
+        for _ in range(steps):
+            FOUR.turn(0, 0.5 / steps)
+        if steps == 1:
+            once = FOUR.dissolved(0).copy()
+    np.testing.assert_allclose(FOUR.dissolved(0), once, rtol=1e-10, atol=1e-15)
+
+
+# -- conservation -------------------------------------------------------------------------------------------------
+
+move = st.tuples(
+    st.sampled_from(["settle", "mix", "add", "pour back", "drain"]),
+    st.floats(0.001, 1.0),
+    st.sampled_from([*SOLVENTS, "dodecane", "1-chlorohexane"]),
+)
+
+
+@given(
+    st.dictionaries(st.sampled_from(SOLVENTS), st.floats(0.01, 5.0), min_size=1),
+    st.lists(move, min_size=1, max_size=12),
+)
+@settings(max_examples=150)
+def test_every_solute_is_conserved(contents: dict[str, float], moves: list[tuple[str, float, str]]) -> None:
+    """Through any sequence of operations solutes are neither lost nor made (1e-12), and none is negative."""
+    glass = Glassware(FOUR.scenario, 2)
+    glass.fill(0, {**contents, "dodecane": 0.2, "3-chlorohexane": 0.05, "Na+": 0.1, "Cl-": 0.06, "OH-": 0.04}, 1.5)
+    glass.partition(0)
+    solutes = [glass.index(name) for name in glass.layout.dissolved]
+    solvents = [glass.index(name) for name in glass.layout.solvents]
+    totals = glass.shelf.total()[0].copy()
+    for kind, size, material in moves:
+        if kind == "settle":
+            glass.turn(0, 5.0 * size)
+        elif kind == "mix":
+            glass.turn(0, -5.0 * size)
+        elif kind == "add":
+            glass.add(0, material, 3.0 * size)
+            totals[glass.index(material)] += 3.0 * size
+        elif kind == "pour back":
+            glass.pour(1, 0, size)
+        else:
+            glass.drain(0, 1, 100.0 * size)
+        for position in (0, 1):
+            glass.partition(position)
+            dissolved, amounts = glass.dissolved(position), glass.amounts(position)
+            assert dissolved.min() >= 0.0
+            if amounts[solvents].max() > 1e-12:
+                np.testing.assert_allclose(dissolved.sum(axis=1), amounts[solutes], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(glass.shelf.total()[0], totals, rtol=1e-12, atol=1e-15)
+
+
+@given(
+    st.dictionaries(st.sampled_from(SOLVENTS), st.floats(1e-6, 5.0), min_size=2),
+    st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4).filter(lambda parts: sum(parts) > 0.01),
+    st.floats(T_MIX, CLOCK_SETTLED),
+    st.floats(T_MIX, CLOCK_SETTLED),
+)
+def test_no_solvent_ever_holds_less_than_nothing(
+    contents: dict[str, float], parts: list[float], was: float, clock: float
+) -> None:
+    """From any distribution and between any two clocks: nothing negative, everything there."""
+    row = FOUR.fill(0, {**contents, "dodecane": 0.3}, 3.0, clock=clock)
+    row[CLOCK_WAS] = was
+    k = FOUR.layout.dissolved.index("dodecane")
+    FOUR.dissolved(0)[k] = 0.3 * np.array(parts) / sum(parts)
+    FOUR.partition(0)
+    assert FOUR.dissolved(0)[k].min() >= 0.0
+    assert FOUR.dissolved(0)[k].sum() == pytest.approx(0.3, rel=1e-12)
+    absent = [FOUR.layout.solvents.index(name) for name in SOLVENTS if name not in contents]
+    assert (FOUR.dissolved(0)[k, absent] == 0.0).all()
+
+
+def test_three_washes_remove_most_but_not_all_salt() -> None:
+    """The paper's extraction start: ether, salt, product; 0.1 L of water, shaken, settled and drained, three times."""
+    glass = Glassware("wurtz_dodecane", 2)
+    capacity = glass.scenario.benches["ext"].start.capacity_l
+    glass.mixed(0, {"diethyl_ether": 4.0, "NaCl": 1.0, "dodecane": 1.0}, capacity)
+    glass.fill(1, {}, 10.0)
+    for _ in range(3):
+        glass.add(0, "water", 0.1 / molar_volume(glass.scenario, "water"))
+        glass.phases(0)
+        glass.turn(0, -100.0)
+        glass.turn(0, 100.0)
+        names, shares = glass.profile(0)
+        lower = shares[names.index("solids")].sum() + shares[names.index("water")].sum()
+        glass.drain(0, 1, lower)
+        glass.phases(0)
+        glass.partition(0)
+    assert (glass.waste == 0.0).all()
+    left = glass.amount(0, "NaCl") + min(glass.amount(0, "Na+"), glass.amount(0, "Cl-"))
+    assert 0.80 < 1.0 - left < 0.999
+    assert glass.amount(0, "diethyl_ether") == pytest.approx(4.0, abs=0.05)  # the ether stays in its vessel
+    assert glass.amount(0, "dodecane") > 0.9  # and so does most of the product

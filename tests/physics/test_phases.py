@@ -1,0 +1,203 @@
+"""Phases: the closed-form salt equilibrium against SciPy's stiff solvers; metal in water by stoichiometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import Glassware, four_solvents
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from chemlab.physics.events import METAL_IN_WATER
+from chemlab.shelf import AMOUNTS, CLOCK_SETTLED
+
+GLASS = Glassware(four_solvents(), 1)
+SALTS = {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}
+IONIC = ("NaCl", "NaOH", "Na+", "Cl-", "OH-")
+SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")
+
+
+def steady_state(contents: dict[str, float], method: str = "Radau") -> dict[str, float]:
+    """Amounts where the rate equations of PHYSICS section 5 come to rest, by SciPy, k = 1e4, in 1 L."""
+    k = 1e4
+    order = {name: i for i, name in enumerate(IONIC)}
+    solvents = [contents.get(name, 0.0) for name in SOLVENTS]
+
+    def slope(_: float, amount: np.ndarray) -> np.ndarray:
+        change = np.zeros(len(IONIC))
+        for salt, (cation, anion) in SALTS.items():
+            dissolving = sum(k * amount[order[salt]] * solvent for solvent in solvents)
+            rate = dissolving - k * amount[order[cation]] * amount[order[anion]]
+            change[[order[cation], order[anion]]] += rate
+            change[order[salt]] -= rate
+        return change
+
+    begin = [contents.get(name, 0.0) for name in IONIC]
+    # The slowest rates here are k x 1e-2 mol: a time of 1 is hundreds of the longest time constants.
+    solution = solve_ivp(slope, (0.0, 1.0), begin, method=method, rtol=1e-9, atol=1e-12)
+    assert solution.success
+    return dict(zip(IONIC, solution.y[:, -1], strict=True))
+
+
+def settled(contents: dict[str, float], capacity: float = 5.0) -> dict[str, float]:
+    """Amounts of salts and ions in a vessel after its phase step."""
+    GLASS.fill(0, contents, capacity)
+    GLASS.phases(0)
+    return {name: GLASS.amount(0, name) for name in IONIC}
+
+
+# -- the equilibrium ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["BDF", "Radau"])
+@pytest.mark.parametrize(
+    "contents",
+    [
+        {"NaCl": 1.0, "diethyl_ether": 4.0},
+        {"NaCl": 3.0, "water": 1.0, "diethyl_ether": 0.5, "hexane": 0.2},
+        {"Na+": 0.8, "Cl-": 0.5, "water": 0.3},
+        {"NaCl": 1.0, "NaOH": 0.4, "diethyl_ether": 2.0},
+        {"NaCl": 0.3, "NaOH": 1.4, "Na+": 0.2, "OH-": 0.5, "water": 1.0, "ethyl_acetate": 0.7},
+    ],
+    ids=["one salt", "three solvents", "from ions", "two salts", "two salts and ions"],
+)
+def test_salts_come_to_the_rest_of_their_rate_equations(contents: dict[str, float], method: str) -> None:
+    """The quadratic gives the steady state that SciPy's stiff solvers reach."""
+    assert settled(contents) == pytest.approx(steady_state(contents, method), abs=1e-6)
+
+
+small = st.floats(0.01, 3.0)
+
+
+@given(
+    st.dictionaries(st.sampled_from(SOLVENTS), small, min_size=1),
+    st.dictionaries(st.sampled_from(IONIC), small, min_size=2),
+)
+@settings(max_examples=25)
+def test_any_mixture_comes_to_the_rest_of_its_rate_equations(
+    solvents: dict[str, float], ionic: dict[str, float]
+) -> None:
+    """The same for random amounts of both salts and all ions, neutral or not, in up to four solvents."""
+    contents = {**solvents, **ionic}
+    assert settled(contents, 20.0) == pytest.approx(steady_state(contents), abs=1e-6)
+
+
+def test_one_salt_by_hand() -> None:
+    """1 mol NaCl in 2 mol of solvent: (1 - c) 2 = c^2, so c = sqrt(3) - 1."""
+    found = settled({"NaCl": 1.0, "water": 1.5, "hexane": 0.5})
+    free = np.sqrt(3.0) - 1.0
+    assert found == pytest.approx({"NaCl": 1.0 - free, "NaOH": 0.0, "Na+": free, "Cl-": free, "OH-": 0.0}, abs=1e-14)
+
+
+def test_without_solvent_everything_is_solid() -> None:
+    """No solvent: all ion pairs are salt; only a surplus of one kind stays an ion."""
+    found = settled({"Na+": 0.5, "Cl-": 0.3, "OH-": 0.2, "NaCl": 0.1, "dodecane": 1.0})
+    assert found == pytest.approx({"NaCl": 0.4, "NaOH": 0.2, "Na+": 0.0, "Cl-": 0.0, "OH-": 0.0}, abs=1e-15)
+    lone = settled({"Na+": 0.7, "Cl-": 0.3})
+    assert lone == pytest.approx({"NaCl": 0.3, "NaOH": 0.0, "Na+": 0.4, "Cl-": 0.0, "OH-": 0.0}, abs=1e-15)
+
+
+def test_much_solvent_dissolves_nearly_all() -> None:
+    """With S mol of solvent to 1 mol of salt, about 1 / S of it stays solid; so 50 mol leave about 2 %."""
+    assert settled({"NaCl": 1.0, "water": 50.0})["NaCl"] == pytest.approx(1.0 / 50.0, rel=0.05)
+
+
+contents_of_anything = st.dictionaries(
+    st.sampled_from([*SOLVENTS, *IONIC, "Na", "dodecane"]), st.one_of(st.floats(1e-6, 4.0), st.just(1e-13)), max_size=8
+)
+
+
+@given(contents_of_anything)
+@example({"Na+": 1.0, "Cl-": 1.0, "water": 1e-13})
+@settings(max_examples=300)
+def test_phases_conserve_atoms_and_charge_and_come_to_rest(contents: dict[str, float]) -> None:
+    """Atoms and charge are kept (1e-12), nothing is negative, and a second step changes nothing (1e-12)."""
+    glass = Glassware(GLASS.scenario, 1)
+    row = glass.fill(0, contents, 20.0)
+    before = glass.atoms()
+    glass.phases(0)
+    glass.partition(0)
+    glass.check()
+    np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12, atol=1e-12)
+    once, waste, events = row.copy(), glass.waste.copy(), glass.events.copy()
+    glass.phases(0)
+    np.testing.assert_allclose(row, once, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(glass.waste, waste, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(glass.events, events, rtol=0.0, atol=1e-12)
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.0, 3.0), st.floats(-4.0, 4.0))
+def test_dissolving_changes_no_volume_and_no_heat_content(salt: float, lye: float, power: float) -> None:
+    """Ions were given the volume and heat capacity of their salt, so a phase step moves neither (1e-6)."""
+    GLASS.fill(0, {"NaCl": salt, "NaOH": lye, "water": 10.0**power})
+    before = GLASS.volume(0), GLASS.heat_capacity(0)
+    GLASS.phases(0)
+    assert (GLASS.volume(0), GLASS.heat_capacity(0)) == pytest.approx(before, rel=1e-6)
+
+
+def test_new_ions_dissolve_where_they_tend_to_be() -> None:
+    """What comes into solution is listed as dissolved at once: all of it, more per litre in water than in ether."""
+    row = GLASS.fill(0, {"NaCl": 1.0, "water": 5.0, "diethyl_ether": 2.0})
+    GLASS.phases(0)
+    GLASS.partition(0)
+    in_water, in_ether = (GLASS.in_solvent(0, "Na+", name) for name in ("water", "diethyl_ether"))
+    assert in_water + in_ether == pytest.approx(GLASS.amount(0, "Na+"), rel=1e-12)
+    assert in_water / GLASS.volume(0, "water") > in_ether / GLASS.volume(0, "diethyl_ether")
+    assert row[AMOUNTS + GLASS.index("NaCl")] > 0.0
+
+
+def test_nothing_happens_to_an_empty_vessel_or_to_oil() -> None:
+    """No salt, no ions, no metal: the phase step changes no bit."""
+    for contents in ({}, {"dodecane": 1.0}, {"water": 2.0, "hexane": 1.0}, {"Na": 1.0, "hexane": 3.0}):
+        row = GLASS.fill(0, contents)
+        before = row.copy()
+        GLASS.phases(0)
+        assert (row == before).all()
+
+
+# -- metal in water -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("metal", "water", "reacted"), [(0.4, 5.0, 0.4), (2.0, 0.5, 0.5), (1.0, 1.0, 1.0)], ids=["metal", "water", "both"]
+)
+def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, reacted: float) -> None:
+    """2 Na + 2 H2O -> 2 Na+ + 2 OH- + H2: by stoichiometry, the gas in the waste, the metal an event."""
+    glass = Glassware("wurtz_dodecane", 1)
+    glass.fill(0, {"Na": metal, "water": water, "diethyl_ether": 1.0, "NaCl": 0.2})
+    before = glass.atoms()
+    glass.phases(0)
+    assert glass.amount(0, "Na") == pytest.approx(metal - reacted, abs=1e-14)
+    assert glass.amount(0, "water") == pytest.approx(water - reacted, abs=1e-14)
+    assert glass.waste[glass.index("H2")] == pytest.approx(reacted / 2.0, rel=1e-14)
+    assert glass.amount(0, "H2") == 0.0
+    assert glass.amount(0, "OH-") + glass.amount(0, "NaOH") == pytest.approx(reacted, rel=1e-12)
+    sodium = sum(glass.amount(0, name) for name in ("Na+", "NaCl", "NaOH"))
+    assert sodium == pytest.approx(reacted + 0.2, rel=1e-12)
+    assert glass.events[METAL_IN_WATER] == pytest.approx(reacted, rel=1e-14)
+    np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12, atol=1e-12)
+    waste = glass.waste.copy()
+    waste[glass.index("H2")] = 0.0
+    assert (waste == 0.0).all()
+
+
+def test_metal_and_water_react_completely_bit_for_bit() -> None:
+    """What is limiting is gone entirely: no trace of metal stays that would react again and again."""
+    glass = Glassware("wurtz_dodecane", 1)
+    glass.fill(0, {"Na": 1.0 / 3.0, "water": 7.0})
+    glass.phases(0)
+    assert glass.amount(0, "Na") == 0.0
+    seen = glass.events[METAL_IN_WATER]
+    glass.phases(0)
+    assert glass.events[METAL_IN_WATER] == seen
+
+
+def test_metal_rests_in_ether() -> None:
+    """Sodium does not dissolve and does not react with anything but water."""
+    glass = Glassware("wurtz_dodecane", 1)
+    row = glass.fill(0, {"Na": 1.0, "diethyl_ether": 4.0, "1-chlorohexane": 1.0}, clock=CLOCK_SETTLED)
+    before = row.copy()
+    glass.phases(0)
+    assert (row == before).all()
+    assert (glass.events == 0.0).all()

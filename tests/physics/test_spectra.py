@@ -1,0 +1,111 @@
+"""Spectra: linear in concentration, clipped to [0, 1], and a linear fit finds every material again."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import Glassware
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chemlab.physics.spectra import spectrum
+from chemlab.scenario import Scenario
+
+WAVELENGTHS = np.linspace(200.0, 800.0, 200)
+
+
+def peaks(scenario: Scenario) -> npt.NDArray[np.float64]:
+    """[M, 200] absorption per mol/L: each material's Gaussian peaks, from the data files."""
+    basis = np.zeros((len(scenario.materials), len(WAVELENGTHS)))
+    for i, material in enumerate(scenario.materials.values()):
+        for peak in material.absorption:
+            basis[i] += peak.height_l_mol * np.exp(-0.5 * ((WAVELENGTHS - peak.center_nm) / peak.width_nm) ** 2)
+    return basis
+
+
+def seen(glass: Glassware, contents: dict[str, float], capacity: float = 3.0) -> npt.NDArray[np.float64]:
+    row, out = glass.fill(0, contents, capacity), np.zeros(200)
+    spectrum(row, glass.chem, out)
+    return out
+
+
+def chemicals(scenario: Scenario) -> list[str]:
+    """Reactants and products of the scenario's reactions."""
+    found = [name for step in scenario.family.reaction for name in (*step.reactants, *step.products)]
+    return list(dict.fromkeys(found))
+
+
+def litres_of_liquid(glass: Glassware) -> float:
+    return glass.volume(0, *(n for n, m in glass.scenario.materials.items() if m.role not in ("solid", "gas")))
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
+def test_absorption_is_concentration_times_peaks(scenario: str) -> None:
+    """A dilute vessel absorbs the sum over materials of mol per litre of liquid times their peaks."""
+    glass = Glassware(scenario, 1)
+    contents = {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(chemicals(glass.scenario))}}
+    found = seen(glass, contents)
+    expected = (glass.amounts(0) / litres_of_liquid(glass)) @ peaks(glass.scenario)
+    assert expected.max() < 1.0
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_absorption_is_linear_in_concentration() -> None:
+    """Twice the dilute solute at the same volume of liquid (metal is no liquid) absorbs twice as much."""
+    glass = Glassware("wurtz_dodecane", 1)
+    blank = seen(glass, {"diethyl_ether": 8.0})
+    once, twice = (seen(glass, {"diethyl_ether": 8.0, "Na": mol}) - blank for mol in (0.2, 0.4))
+    assert once.max() > 0.01
+    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-9, atol=1e-12)
+
+
+def test_absorption_depends_on_concentration_not_on_amount() -> None:
+    """Three times everything is the same spectrum."""
+    glass = Glassware("fictitious", 1)
+    contents = {"diethyl_ether": 2.0, "A": 0.1, "E": 0.05}
+    tripled = {name: 3.0 * mol for name, mol in contents.items()}
+    np.testing.assert_allclose(seen(glass, tripled), seen(glass, contents), rtol=1e-12, atol=1e-15)
+
+
+@given(st.dictionaries(st.sampled_from([*"ABCDEFGHI", "diethyl_ether"]), st.floats(0.0, 1e4), max_size=8))
+def test_absorption_is_clipped_to_the_unit_interval(contents: dict[str, float]) -> None:
+    """Whatever is in the vessel, every value is finite and from 0 to 1."""
+    found = seen(Glassware("fictitious", 1), contents)
+    assert np.isfinite(found).all()
+    assert 0.0 <= found.min() <= found.max() <= 1.0
+
+
+def test_strong_absorption_is_cut_at_one() -> None:
+    """Where concentration times peak exceeds 1 the spectrum is exactly 1, elsewhere it is unchanged."""
+    glass = Glassware("wurtz_dodecane", 1)
+    found = seen(glass, {"Na": 3.0, "diethyl_ether": 1.0})
+    expected = (glass.amounts(0) / litres_of_liquid(glass)) @ peaks(glass.scenario)
+    assert expected.max() > 1.5
+    assert (found[expected >= 1.0] == 1.0).all()
+    np.testing.assert_allclose(found[expected < 1.0], expected[expected < 1.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("contents", [{}, {"NaCl": 1.0, "Na": 1.0}], ids=["empty", "dry solids"])
+def test_without_liquid_there_is_nothing_to_see(contents: dict[str, float]) -> None:
+    """No liquid, no spectrum: zeros."""
+    assert (seen(Glassware("wurtz_dodecane", 1), contents) == 0.0).all()
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
+@given(data=st.data())
+@settings(max_examples=25)
+def test_a_linear_fit_recovers_every_reactant_and_product(scenario: str, data: st.DataObject) -> None:
+    """Least squares on a clean float32 spectrum, as agents see it, finds each concentration to 1e-4 mol/L."""
+    glass = Glassware(scenario, 1)
+    wanted = chemicals(glass.scenario)
+    amounts = data.draw(st.lists(st.floats(0.0, 0.1), min_size=len(wanted), max_size=len(wanted)))
+    found = seen(glass, {"diethyl_ether": 8.0, **dict(zip(wanted, amounts, strict=True))}).astype(np.float32)
+    assert found.max() < 1.0
+    basis = peaks(glass.scenario)
+    absorbing = np.flatnonzero(basis.any(axis=1))
+    fit, _, rank, _ = np.linalg.lstsq(basis[absorbing].T, found.astype(np.float64), rcond=None)
+    assert rank == len(absorbing)
+    names = [glass.layout.materials[i] for i in absorbing]
+    concentration = [fit[names.index(name)] for name in wanted]
+    np.testing.assert_allclose(concentration, np.array(amounts) / litres_of_liquid(glass), rtol=0.0, atol=1e-4)

@@ -1,0 +1,300 @@
+"""Pouring, draining, adding, spilling: equal shares, exact amounts, temperatures by heat capacity, clocks by volume."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import PIXELS, Glassware, four_solvents, molar_volume
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from chemlab.physics.events import SPILL
+from chemlab.physics.transfer import clear, liquid_volume, place, remove_fraction, solid_volume, volume
+from chemlab.shelf import AMOUNTS, CAPACITY, CLOCK, CLOCK_SETTLED, CLOCK_WAS, PRESENT, T_MIX, TEMPERATURE
+
+SCENARIO = four_solvents()
+MATERIALS = ["water", "diethyl_ether", "hexane", "dodecane", "1-chlorohexane", "NaCl"]
+contents = st.dictionaries(st.sampled_from(MATERIALS), st.floats(1e-3, 4.0), min_size=1)
+
+
+def glass_with(first: dict[str, float], second: dict[str, float], capacity: float = 50.0) -> Glassware:
+    """Two vessels in phase equilibrium, the first at 320 K and half settled, the second at 290 K and mixed."""
+    glass = Glassware(SCENARIO, 2)
+    for position, (given_contents, temperature, clock) in enumerate(((first, 320.0, 0.5), (second, 290.0, T_MIX))):
+        glass.fill(position, given_contents, capacity, temperature, clock)
+        glass.phases(position)
+        glass.partition(position)
+    return glass
+
+
+# -- volumes ------------------------------------------------------------------------------------------------------
+
+
+def test_volumes_are_mass_over_density() -> None:
+    """Everything, the solids, and the rest: litres from the data files' densities; gases count not."""
+    glass = Glassware("wurtz_dodecane", 1)
+    row = glass.fill(0, {"water": 2.0, "dodecane": 0.5, "NaCl": 1.0, "Na": 0.3, "Na+": 0.1, "Cl-": 0.1, "H2": 5.0})
+    solids = sum(n * molar_volume(glass.scenario, name) for name, n in {"NaCl": 1.0, "Na": 0.3}.items())
+    liquid = {"water": 2.0, "dodecane": 0.5, "Na+": 0.1, "Cl-": 0.1}
+    liquids = sum(n * molar_volume(glass.scenario, name) for name, n in liquid.items())
+    assert solid_volume(row, glass.chem) == pytest.approx(solids, rel=1e-14)
+    assert liquid_volume(row, glass.chem) == pytest.approx(liquids, rel=1e-12)
+    assert volume(row, glass.chem) == pytest.approx(solids + liquids, rel=1e-14)
+
+
+# -- pouring ------------------------------------------------------------------------------------------------------
+
+
+@given(contents, contents, st.floats(0.0, 1.0))
+def test_pouring_takes_an_equal_share_of_everything(
+    first: dict[str, float], second: dict[str, float], f: float
+) -> None:
+    """A fraction f of every amount, dissolved ones too, goes over; the rest stays."""
+    glass = glass_with(first, second)
+    before = glass.rows[:, AMOUNTS:].copy()
+    glass.pour(0, 1, f)
+    np.testing.assert_allclose(glass.rows[0, AMOUNTS:], (1.0 - f) * before[0], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(glass.rows[1, AMOUNTS:], before[1] + f * before[0], rtol=1e-12, atol=1e-15)
+    assert (glass.waste == 0.0).all()
+    assert glass.rows[0, TEMPERATURE] == 320.0
+    assert glass.rows[0, CLOCK] == 0.5
+
+
+@given(contents, st.floats(0.05, 0.95), st.booleans())
+def test_two_pours_into_an_empty_vessel_are_one(first: dict[str, float], f: float, small: bool) -> None:
+    """A part and then all of the rest: the same rows as everything at once, every column, spilt or not (1e-12)."""
+    litres = sum(mol * molar_volume(SCENARIO, name) for name, mol in first.items())
+    once, twice = glass_with(first, {}), glass_with(first, {})
+    for glass in (once, twice):
+        glass.rows[1, CAPACITY] = 0.8 * litres if small else 50.0
+    once.pour(0, 1, 1.0)
+    twice.pour(0, 1, f)
+    twice.pour(0, 1, 1.0)
+    np.testing.assert_allclose(twice.rows, once.rows, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(twice.waste, once.waste, rtol=1e-12, atol=1e-12)
+    assert twice.events[SPILL] == pytest.approx(once.events[SPILL], rel=1e-12, abs=1e-12)
+    for glass in (once, twice):
+        glass.partition(1)
+    np.testing.assert_allclose(twice.rows, once.rows, rtol=1e-12, atol=1e-12)
+
+
+def test_half_and_half_is_the_whole() -> None:
+    """Pouring half, then the other half (0.5, then 1.0 of what is left): the paper's invariant."""
+    once, twice = (glass_with({"water": 3.0, "hexane": 1.0, "NaCl": 0.5, "dodecane": 0.2}, {}) for _ in range(2))
+    once.pour(0, 1, 1.0)
+    twice.pour(0, 1, 0.5)
+    twice.pour(0, 1, 1.0)
+    np.testing.assert_allclose(twice.rows, once.rows, rtol=1e-12, atol=1e-12)
+    assert (twice.rows[0, AMOUNTS:] == 0.0).all()
+
+
+@pytest.mark.parametrize("second", [{}, {"water": 2.0, "dodecane": 0.1}])
+def test_pouring_nothing_changes_nothing(second: dict[str, float]) -> None:
+    """A zero fraction, or an empty source: no bit of either vessel, the waste or the events changes."""
+    for first, fraction in (({"hexane": 2.0, "NaCl": 0.3}, 0.0), ({}, 1.0)):
+        glass = glass_with(first, second)
+        before = glass.rows.copy()
+        glass.pour(0, 1, fraction)
+        assert (glass.rows == before).all()
+        assert (glass.waste == 0.0).all()
+        assert (glass.events == 0.0).all()
+
+
+@given(contents, contents, st.floats(0.01, 1.0))
+def test_pouring_mixes_temperatures_by_heat_capacity(
+    first: dict[str, float], second: dict[str, float], f: float
+) -> None:
+    """T = (C1 T1 + f C0 T0) / (C1 + f C0)."""
+    glass = glass_with(first, second)
+    arriving, there = f * glass.heat_capacity(0), glass.heat_capacity(1)
+    glass.pour(0, 1, f)
+    assert glass.rows[1, TEMPERATURE] == pytest.approx(
+        (290.0 * there + 320.0 * arriving) / (there + arriving), rel=1e-12
+    )
+
+
+@given(contents, contents, st.floats(0.01, 1.0))
+def test_receiving_stirs_by_volume(first: dict[str, float], second: dict[str, float], f: float) -> None:
+    """t - t_mix shrinks by the share of volume that was already there."""
+    glass = glass_with(first, second)
+    glass.turn(1, 3.0)
+    there, arriving = glass.volume(1), f * glass.volume(0)
+    glass.pour(0, 1, f)
+    assert glass.rows[1, CLOCK] - T_MIX == pytest.approx(3.0 * there / (there + arriving), rel=1e-9)
+
+
+# -- spilling -----------------------------------------------------------------------------------------------------
+
+
+@given(contents, contents, st.floats(0.05, 0.95))
+def test_what_does_not_fit_spills_proportionally(
+    first: dict[str, float], second: dict[str, float], share: float
+) -> None:
+    """The receiver ends brim-full; an equal share of everything is in the waste, and its litres are the event."""
+    glass = glass_with(first, second)
+    together, litres = glass.rows[:, AMOUNTS:].sum(axis=0), glass.volume(0) + glass.volume(1)
+    capacity = glass.volume(1) + share * glass.volume(0)
+    glass.rows[1, CAPACITY] = capacity
+    glass.pour(0, 1, 1.0)
+    kept, m = capacity / litres, len(glass.layout.materials)
+    assert glass.volume(1) == pytest.approx(capacity, rel=1e-12)
+    np.testing.assert_allclose(glass.rows[1, AMOUNTS:], kept * together, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(glass.waste, (1.0 - kept) * together[:m], rtol=1e-10, atol=1e-14)
+    assert glass.events[SPILL] == pytest.approx(litres - capacity, rel=1e-9, abs=1e-12)
+    assert (glass.rows[0, AMOUNTS:] == 0.0).all()
+
+
+def test_a_brim_full_vessel_does_not_spill() -> None:
+    """Exactly as much as the vessel holds: no event, no waste."""
+    glass = glass_with({"water": 1.0}, {})
+    glass.rows[1, CAPACITY] = glass.volume(0)
+    glass.pour(0, 1, 1.0)
+    assert (glass.events == 0.0).all()
+    assert (glass.waste == 0.0).all()
+
+
+# -- adding -------------------------------------------------------------------------------------------------------
+
+
+def test_adding_mixes_stirs_and_spills() -> None:
+    """Added material counts in full: amount, temperature, clock; beyond the capacity it spills with the rest."""
+    glass = glass_with({"hexane": 2.0}, {})
+    there, volume_there = glass.heat_capacity(0), glass.volume(0)
+    glass.add(0, "water", 3.0, 280.0)
+    cp = 3.0 * glass.scenario.materials["water"].heat_capacity_j_mol_k
+    assert glass.amount(0, "water") == 3.0
+    assert glass.rows[0, TEMPERATURE] == pytest.approx((320.0 * there + 280.0 * cp) / (there + cp), rel=1e-12)
+    arrived = 3.0 * molar_volume(SCENARIO, "water")
+    expected = (0.5 - T_MIX) * volume_there / (volume_there + arrived)
+    assert glass.rows[0, CLOCK] - T_MIX == pytest.approx(expected, rel=1e-12)
+    glass.rows[0, CAPACITY] = 0.5
+    glass.add(0, "water", 30.0)
+    assert glass.volume(0) == pytest.approx(0.5, rel=1e-12)
+    total = glass.shelf.total()[0]
+    assert total[glass.index("water")] == pytest.approx(33.0, rel=1e-14)
+    assert total[glass.index("hexane")] == pytest.approx(2.0, rel=1e-14)
+    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.chem.molar_volume), rel=1e-9)
+
+
+def test_adding_nothing_changes_nothing() -> None:
+    """Zero moles: no bit changes, whatever their temperature."""
+    glass = glass_with({"hexane": 2.0}, {})
+    before = glass.rows.copy()
+    glass.add(0, "water", 0.0, 280.0)
+    glass.add(1, "water", 0.0, 280.0)
+    assert (glass.rows == before).all()
+
+
+# -- draining -----------------------------------------------------------------------------------------------------
+
+
+@given(contents, st.floats(T_MIX, CLOCK_SETTLED), st.floats(0.0, 100.0))
+@settings(max_examples=150)
+def test_draining_takes_what_the_profile_says(first: dict[str, float], clock: float, pixels: float) -> None:
+    """Of every layer goes the share that lies in the lowest pixels, with what is dissolved in it; solids likewise."""
+    glass = Glassware(SCENARIO, 2)
+    litres = sum(mol * molar_volume(SCENARIO, name) for name, mol in first.items())
+    glass.fill(0, first, 1.6 * litres, 320.0, clock)
+    glass.fill(1, {}, 50.0)
+    glass.phases(0)
+    glass.partition(0)
+    amounts, dissolved, capacity = glass.amounts(0).copy(), glass.dissolved(0).copy(), glass.heat_capacity(0)
+    names, shares = glass.drain(0, 1, pixels)
+    below = np.clip(pixels - np.arange(PIXELS), 0.0, 1.0)  # how much of each pixel is drained
+    gone = {
+        name: float(row @ below / row.sum()) if row.sum() > 0.0 else 0.0
+        for name, row in zip(names, shares, strict=True)
+    }
+    solvents = [name for name in names if name in glass.layout.solvents]
+    expected = np.zeros_like(amounts)
+    for i, (name, material) in enumerate(glass.scenario.materials.items()):
+        if name in gone:
+            expected[i] = amounts[i] * gone[name]
+        elif material.role == "solid" or (material.role == "ion" and not solvents):
+            expected[i] = amounts[i] * gone["solids"]
+        elif material.role in ("solute", "ion"):
+            k = glass.layout.dissolved.index(name)
+            expected[i] = sum(dissolved[k, glass.layout.solvents.index(s)] * gone[s] for s in solvents)
+    np.testing.assert_allclose(glass.amounts(1), expected, rtol=1e-10, atol=1e-13)
+    np.testing.assert_allclose(glass.amounts(0) + glass.amounts(1), amounts, rtol=1e-12, atol=1e-15)
+    for layer, name in enumerate(glass.layout.solvents):
+        np.testing.assert_allclose(
+            glass.dissolved(1)[:, layer], dissolved[:, layer] * gone.get(name, 0.0), rtol=1e-10, atol=1e-13
+        )
+    if glass.heat_capacity(1) > 1e-6 * capacity:
+        assert glass.rows[1, TEMPERATURE] == pytest.approx(320.0, rel=1e-9)
+
+
+@given(contents, st.floats(T_MIX, CLOCK_SETTLED))
+def test_draining_all_pixels_takes_everything(first: dict[str, float], clock: float) -> None:
+    """100 pixels of 100: the source is empty to rounding, everything is in the target."""
+    glass = Glassware(SCENARIO, 2)
+    glass.fill(0, first, 20.0, clock=clock)
+    glass.fill(1, {}, 50.0)
+    glass.phases(0)
+    glass.partition(0)
+    amounts = glass.amounts(0).copy()
+    glass.drain(0, 1, 100.0)
+    np.testing.assert_allclose(glass.amounts(1), amounts, rtol=1e-12, atol=1e-13)
+    assert glass.amounts(0).max() < 1e-13
+
+
+def test_draining_settled_layers_by_height() -> None:
+    """Settled, the lowest layer's height in pixels drains that layer exactly: water first, hexane stays."""
+    glass = Glassware(SCENARIO, 2)
+    glass.fill(0, {"water": 10.0, "hexane": 4.0}, 10.0 * molar_volume(SCENARIO, "water") / 0.2, clock=CLOCK_SETTLED)
+    glass.fill(1, {}, 2.0)
+    glass.drain(0, 1, 10.0)  # of the water's 20 pixels
+    assert glass.amount(1, "water") == pytest.approx(5.0, rel=1e-12)
+    assert glass.amount(1, "hexane") == 0.0
+    glass.drain(0, 1, 10.0)
+    assert glass.amount(1, "water") == pytest.approx(10.0, rel=1e-12)
+    assert glass.amount(0, "hexane") == pytest.approx(4.0, rel=1e-12)
+
+
+def test_draining_nothing_changes_nothing() -> None:
+    """No pixels, or a vessel with nothing but air in it: no bit of amounts, temperatures and clocks changes."""
+    for first, pixels in (({"water": 3.0, "NaCl": 0.2}, 0.0), ({}, 40.0)):
+        glass = glass_with(first, {"hexane": 1.0})
+        before = glass.rows.copy()
+        glass.drain(0, 1, pixels)
+        assert (glass.rows == before).all()
+        assert (glass.waste == 0.0).all()
+
+
+def test_drained_vessel_overflows_into_the_waste() -> None:
+    """A target too small for what is drained keeps its capacity's worth; nothing is lost."""
+    glass = Glassware(SCENARIO, 2)
+    glass.fill(0, {"water": 30.0, "dodecane": 0.5}, 1.0)
+    glass.fill(1, {"hexane": 1.0}, 0.3)
+    for position in (0, 1):
+        glass.partition(position)
+    before = glass.atoms()
+    glass.drain(0, 1, 60.0)
+    assert glass.volume(1) == pytest.approx(0.3, rel=1e-12)
+    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.chem.molar_volume), rel=1e-9)
+    np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12)
+
+
+# -- vessels ------------------------------------------------------------------------------------------------------
+
+
+def test_a_clean_vessel_is_empty_and_mixed() -> None:
+    """Place: empty, at ambient temperature, fully mixed; clear: nothing stands there at all."""
+    glass = glass_with({"water": 3.0}, {})
+    row = glass.rows[0]
+    place(row, 0.7, glass.chem)
+    assert row[[TEMPERATURE, CAPACITY, CLOCK, CLOCK_WAS, PRESENT]].tolist() == [298.15, 0.7, T_MIX, T_MIX, 1.0]
+    assert (row[AMOUNTS:] == 0.0).all()
+    clear(row)
+    assert (row == 0.0).all()
+
+
+@given(contents, st.floats(0.0, 1.0))
+def test_taking_a_sample_takes_an_equal_share(first: dict[str, float], f: float) -> None:
+    """A fraction of everything goes into an array of amounts; what stays keeps its composition."""
+    glass = glass_with(first, {})
+    before, into = glass.rows[0].copy(), np.zeros(len(glass.layout.materials))
+    remove_fraction(glass.rows[0], f, glass.chem, into)
+    np.testing.assert_allclose(glass.rows[0, AMOUNTS:], (1.0 - f) * before[AMOUNTS:], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(into, f * before[AMOUNTS : AMOUNTS + len(into)], rtol=1e-14, atol=0.0)

@@ -1,0 +1,201 @@
+"""Material files: what the loader refuses and what its messages say. (What the shipped files contain: test_materials_data.)"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pydantic
+import pytest
+
+from chemlab.materials import DataError, atoms_of, load_materials, read_toml, shipped_materials
+
+GOO = """
+[goo]
+name = "grey goo"
+formula = "X2"
+composition = { X = 2 }
+charge = 0
+cas = "50-00-0"
+molar_mass_g_mol = 100.0
+density_kg_l = 0.9
+heat_capacity_j_mol_k = 200.0
+melting_point_k = 250.0
+boiling_point_k = 400.0
+vaporization_enthalpy_j_mol = 35000.0
+polarity = 0.2
+role = "solute"
+color = "#112233"
+shade = 0.5
+absorption = [{ height_l_mol = 0.1, center_nm = 300.0, width_nm = 10.0 }]
+
+[goo.source]
+molar_mass_g_mol = "made up"
+density_kg_l = "made up"
+heat_capacity_j_mol_k = "made up"
+melting_point_k = "made up"
+boiling_point_k = "made up"
+vaporization_enthalpy_j_mol = "made up"
+polarity = "made up too"
+"""
+
+
+def changed(old: str, new: str) -> str:
+    """GOO with one piece replaced, which must be there exactly once."""
+    assert GOO.count(old) == 1, old
+    return GOO.replace(old, new)
+
+
+def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(GOO)
+    goo = load_materials([file])["goo"]
+    written = read_toml(file)["goo"]
+    read = goo.model_dump()
+    assert {key: read[key] for key in written if key != "absorption"} == {
+        key: value for key, value in written.items() if key != "absorption"
+    }
+    assert [peak.model_dump() for peak in goo.absorption] == written["absorption"]
+
+
+def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(GOO)
+    goo = load_materials([file])["goo"]
+    with pytest.raises(pydantic.ValidationError, match="frozen"):
+        goo.density_kg_l = 2.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("charge = 0\n", 'charge = 0\nodour = "foul"\n', ["odour", "not permitted", "'foul'"]),
+        ("density_kg_l = 0.9", "density_kg_l = -0.9", ["density_kg_l", "greater than 0", "-0.9"]),
+        ("density_kg_l = 0.9", "density_kg_l = 99.0", ["density_kg_l", "less than or equal to 25", "99.0"]),
+        ("density_kg_l = 0.9\n", "", ["density_kg_l", "required"]),
+        ("density_kg_l = 0.9", 'density_kg_l = "light"', ["density_kg_l", "number", "'light'"]),
+        ("density_kg_l = 0.9", "density_kg_l = nan", ["density_kg_l", "nan"]),
+        ("heat_capacity_j_mol_k = 200.0", "heat_capacity_j_mol_k = 0.0", ["heat_capacity_j_mol_k", "greater than 0"]),
+        ("composition = { X = 2 }", "composition = { X = -2 }", ["composition", "positive"]),
+        ("composition = { X = 2 }", "composition = {}", ["composition", "positive"]),
+        ("composition = { X = 2 }", "composition = { X = nan }", ["composition"]),
+        (
+            "boiling_point_k = 400.0",
+            "boiling_point_k = 249.0",
+            ["boiling_point_k", "249.0", "melting_point_k", "250.0"],
+        ),
+        ("boiling_point_k = 400.0", "boiling_point_k = 250.0", ["boiling_point_k = 250.0", "above"]),
+        ('polarity = "made up too"\n', "", ["source", "cite", "polarity"]),
+        ('polarity = "made up too"\n', 'polarity = ""\n', ["source", "cite", "polarity"]),
+        ("charge = 0", "charge = 1", ["role 'solute'", "charge 1"]),
+        ('role = "solute"', 'role = "ion"', ["role 'ion'", "charge 0"]),
+        ('role = "solute"', 'role = "plasma"', ["role", "'solvent', 'solute', 'ion', 'solid' or 'gas'", "'plasma'"]),
+        ('cas = "50-00-0"', 'cas = "fifty"', ["cas", "pattern", "'fifty'"]),
+        ('color = "#112233"', 'color = "grey"', ["color", "pattern", "'grey'"]),
+        ("shade = 0.5", "shade = 1.5", ["shade", "less than or equal to 1", "1.5"]),
+        ("center_nm = 300.0", "center_nm = 30.0", ["absorption.0.center_nm", "100", "30.0"]),
+        ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "not permitted"]),
+    ],
+)
+def test_a_wrong_entry_is_named_with_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(changed(old, new))
+    with pytest.raises(DataError) as caught:
+        load_materials([file])
+    for part in [f"{file}: goo", *parts]:
+        assert part in str(caught.value)
+
+
+def test_every_wrong_key_has_a_line(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(changed("shade = 0.5", "shade = 7.0").replace("polarity = 0.2", "polarity = -3.0"))
+    with pytest.raises(DataError) as caught:
+        load_materials([file])
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith(f"{file}: goo: ") for line in lines)
+
+
+def test_a_gas_may_have_its_boiling_point_below_its_melting_point(tmp_path: Path) -> None:
+    # Carbon dioxide and acetylene sublime: the rule is for liquids and solids.
+    file = tmp_path / "goo.toml"
+    file.write_text(
+        changed('role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
+    )
+    assert load_materials([file])["goo"].boiling_point_k == 200.0
+
+
+def test_data_errors_are_value_errors() -> None:
+    assert issubclass(DataError, ValueError)
+
+
+def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
+    for name in ("a.toml", "b.toml"):
+        (tmp_path / name).write_text(GOO)
+    with pytest.raises(DataError) as caught:
+        load_materials([tmp_path])
+    for part in (str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "goo", "already defined"):
+        assert part in str(caught.value)
+
+
+def test_a_material_defined_twice_in_one_file(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(GOO + GOO)
+    with pytest.raises(DataError, match="not valid TOML") as caught:
+        load_materials([file])
+    assert str(file) in str(caught.value)
+    assert "goo" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[goo\nname = 1", "= 3", 'name = "open'])
+def test_malformed_toml_names_the_file_and_the_line(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(DataError, match=r"not valid TOML.*line \d|not valid TOML.*end of document") as caught:
+        load_materials([file])
+    assert str(file) in str(caught.value)
+
+
+def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(b"\xff\xfe\x00 not UTF-8")
+    with pytest.raises(DataError, match="not valid TOML") as caught:
+        load_materials([file])
+    assert str(file) in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file") as caught:
+        load_materials([tmp_path / "nowhere.toml"])
+    assert str(tmp_path / "nowhere.toml") in str(caught.value)
+
+
+def test_a_value_where_a_table_belongs(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text("goo = 3\n")
+    with pytest.raises(DataError, match=r"a material is a table \[goo\], given 3") as caught:
+        load_materials([file])
+    assert str(file) in str(caught.value)
+
+
+def test_a_folder_stands_for_its_files(tmp_path: Path) -> None:
+    (tmp_path / "b.toml").write_text(GOO)
+    (tmp_path / "a.toml").write_text(GOO.replace("goo", "slime"))
+    (tmp_path / "notes.txt").write_text("no material")
+    assert list(load_materials([tmp_path])) == ["slime", "goo"]
+
+
+def test_the_shipped_materials_are_those_of_the_shipped_files() -> None:
+    import chemlab
+
+    folder = Path(chemlab.__file__).parent / "data" / "materials"
+    names = {name for file in folder.glob("*.toml") for name in read_toml(file)}
+    assert set(shipped_materials()) == names
+
+
+def test_atoms_of_counts_elements_and_charge() -> None:
+    table = shipped_materials()
+    assert atoms_of({"NaCl": 2.0}, table) == {"charge": 0.0, "Na": 2.0, "Cl": 2.0}
+    assert atoms_of({"Na+": 3.0, "Cl-": 1.0}, table) == {"charge": 2.0, "Na": 3.0, "Cl": 1.0}
+    # C6H13Cl + C12H26, one mole and half a mole.
+    assert atoms_of({"1-chlorohexane": 1.0, "dodecane": 0.5}, table) == {"charge": 0.0, "C": 12.0, "H": 26.0, "Cl": 1.0}
+    assert atoms_of({}, table) == {"charge": 0.0}

@@ -1,0 +1,149 @@
+"""Reaction files: what the loader refuses, what its messages say, and that shipped families balance."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from chemlab.materials import DataError, shipped_materials
+from chemlab.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
+
+SHIPPED = sorted(path.stem for path in shipped_reactions_folder().glob("*.toml"))
+
+FAMILY = """
+name = "mine"
+
+[[reaction]]
+reactants = { "1-chlorohexane" = 2, Na = 2 }
+products = { dodecane = 1, NaCl = 2 }
+orders = { "1-chlorohexane" = 1, Na = 0.5 }
+pre_exponential = 10.0
+activation_energy_j_mol = 6000.0
+source = "made up"
+
+[[salt]]
+solid = "NaCl"
+cation = "Na+"
+anion = "Cl-"
+source = "made up"
+
+[[violent]]
+reactants = { Na = 2, water = 2 }
+products = { "Na+" = 2, "OH-" = 2, H2 = 1 }
+source = "made up too"
+"""
+
+
+def load(folder: Path, text: str) -> ReactionFamily:
+    """The family in ``text``, through a file and a relative path."""
+    (folder / "mine.toml").write_text(text)
+    return load_reactions("mine.toml", shipped_materials(), folder)
+
+
+def changed(old: str, new: str) -> str:
+    """FAMILY with one piece replaced, which must be there exactly once."""
+    assert FAMILY.count(old) == 1, old
+    return FAMILY.replace(old, new)
+
+
+def test_a_family_arrives_as_written(tmp_path: Path) -> None:
+    family = load(tmp_path, FAMILY)
+    assert family.name == "mine"
+    (step,) = family.reaction
+    assert step.reactants == {"1-chlorohexane": 2.0, "Na": 2.0}
+    assert step.orders == {"1-chlorohexane": 1.0, "Na": 0.5}
+    assert (step.pre_exponential, step.activation_energy_j_mol) == (10.0, 6000.0)
+    assert family.materials() == {
+        "1-chlorohexane", "Na", "dodecane", "NaCl", "Na+", "Cl-", "water", "OH-", "H2",
+    }  # fmt: skip
+
+
+def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
+    family = load(tmp_path, changed('orders = { "1-chlorohexane" = 1, Na = 0.5 }\n', ""))
+    assert family.reaction[0].orders == {"1-chlorohexane": 2.0, "Na": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("dodecane = 1", "dodecan = 1", ["unknown material 'dodecan'", "dodecane"]),
+        ('anion = "Cl-"', 'anion = "Br-"', ["unknown material 'Br-'"]),
+        ("dodecane = 1", "dodecane = 2", ["reaction.0", "not balanced", "C 12 on the left, 24 on the right"]),
+        ("NaCl = 2 }", "NaCl = 1 }", ["reaction.0", "not balanced", "Cl 2 on the left, 1 on the right"]),
+        ('"OH-" = 2, H2 = 1', '"OH-" = 2', ["violent.0", "not balanced", "H 4 on the left, 2 on the right"]),
+        ('anion = "Cl-"', 'anion = "OH-"', ["salt.0", "not balanced", "Cl 1 on the left, 0 on the right"]),
+        # Atoms balance, the charge does not.
+        (
+            'reactants = { Na = 2, water = 2 }\nproducts = { "Na+" = 2, "OH-" = 2, H2 = 1 }',
+            'reactants = { Na = 2, water = 2 }\nproducts = { "Na" = 2, "OH-" = 2, H2 = 1 }',
+            ["violent.0", "not balanced", "charge 0 on the left, -2 on the right"],
+        ),
+        ("orders = { ", "orders = { water = 1, ", ["reaction.0", "orders.water", "not a reactant"]),
+        ("Na = 0.5", "Na = 0.0", ["reaction.0", "orders.Na = 0.0", "above 0"]),
+        ("Na = 0.5", "Na = -1.0", ["reaction.0", "orders.Na = -1.0", "above 0"]),
+        ('"1-chlorohexane" = 1, ', "", ["reaction.0", "orders must name every reactant"]),
+        ('"1-chlorohexane" = 2, Na = 2', '"1-chlorohexane" = -2, Na = 2', ["reaction.0", "reactants", "positive"]),
+        ("dodecane = 1, NaCl = 2", "", ["reaction.0", "products", "positive"]),
+        ("pre_exponential = 10.0", "pre_exponential = -10.0", ["reaction.0.pre_exponential", "greater than 0", "-10.0"]),
+        ("= 6000.0", "= -6000.0", ["reaction.0.activation_energy_j_mol", "greater than or equal to 0", "-6000.0"]),
+        ("= 6000.0", "= 6e9", ["reaction.0.activation_energy_j_mol", "less than or equal to 500000"]),
+        ('source = "made up too"', 'source = ""', ["violent.0.source", "at least 1 character"]),
+        ('source = "made up too"\n', "", ["violent.0.source", "required"]),
+        ('name = "mine"', 'name = "mine"\nspeed = "fast"', ["speed", "not permitted", "'fast'"]),
+        ("pre_exponential = 10.0", "pre_exponential = 10.0\ncatalyst = 1", ["reaction.0.catalyst", "not permitted"]),
+        # A number that is none would pass every comparison of the balance.
+        ("dodecane = 1", "dodecane = nan", ["reaction.0"]),
+    ],
+)  # fmt: skip
+def test_a_wrong_family_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
+    with pytest.raises(DataError) as caught:
+        load(tmp_path, changed(old, new))
+    for part in [str(tmp_path / "mine.toml"), *parts]:
+        assert part in str(caught.value)
+
+
+def test_two_salts_may_share_a_cation_but_no_anion(tmp_path: Path) -> None:
+    hydroxide = '\n[[salt]]\nsolid = "NaOH"\ncation = "Na+"\nanion = "OH-"\nsource = "made up"\n'
+    assert len(load(tmp_path, FAMILY + hydroxide).salt) == 2
+    twice = '\n[[salt]]\nsolid = "NaCl"\ncation = "Na+"\nanion = "Cl-"\nsource = "made up"\n'
+    with pytest.raises(DataError, match="share an anion"):
+        load(tmp_path, FAMILY + twice)
+
+
+def test_an_unknown_family_lists_the_shipped_ones() -> None:
+    with pytest.raises(DataError, match="unknown family 'alchemy'") as caught:
+        load_reactions("alchemy", shipped_materials())
+    for name in SHIPPED:
+        assert name in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file") as caught:
+        load_reactions("nowhere.toml", shipped_materials(), tmp_path)
+    assert str(tmp_path / "nowhere.toml") in str(caught.value)
+
+
+def test_malformed_toml_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="not valid TOML") as caught:
+        load(tmp_path, "[[reaction]\n")
+    assert str(tmp_path / "mine.toml") in str(caught.value)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_families_conserve_atoms_charge_and_mass(name: str) -> None:
+    table = shipped_materials()
+    family = load_reactions(name, table)
+    steps = [(step.reactants, step.products) for step in (*family.reaction, *family.violent)]
+    steps += [({salt.solid: 1.0}, {salt.cation: 1.0, salt.anion: 1.0}) for salt in family.salt]
+    assert steps
+    for reactants, products in steps:
+        change: dict[str, float] = defaultdict(float)
+        for sign, side in ((-1.0, reactants), (1.0, products)):
+            for material, number in side.items():
+                for element, count in table[material].composition.items():
+                    change[element] += sign * number * count
+                change["charge"] += sign * number * table[material].charge
+                change["mass in g"] += sign * number * table[material].molar_mass_g_mol
+        assert change == pytest.approx(dict.fromkeys(change, 0.0), abs=1e-3)

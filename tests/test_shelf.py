@@ -1,0 +1,204 @@
+"""The shelf: views, snapshots, totals, and the text of a vessel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from chemlab.laboratory.aec import raw_env
+from chemlab.scenario import load_scenario, scenario_names
+from chemlab.shelf import (
+    AMOUNTS,
+    CAPACITY,
+    CLOCK_SETTLED,
+    PRESENT,
+    T_MIX,
+    TEMPERATURE,
+    Shelf,
+    build_chemistry,
+    build_network,
+)
+
+SCENARIO = "wurtz_dodecane"
+
+
+@pytest.fixture
+def shelf() -> Shelf:
+    """Two laboratories with three places each, the middle one of the second laboratory taken."""
+    shelf = Shelf.empty(load_scenario(SCENARIO), 2, 3)
+    shelf.fill(1, 1, 1.5, {"water": 10.0, "diethyl_ether": 2.0, "NaCl": 0.5})
+    return shelf
+
+
+def litres(name: str, mol: float) -> float:
+    """Volume of ``mol`` of a material, from the cited molar mass and density."""
+    material = load_scenario(SCENARIO).materials[name]
+    return mol * material.molar_mass_g_mol / (1000.0 * material.density_kg_l)
+
+
+def test_every_view_shares_the_vessels_memory(shelf: Shelf) -> None:
+    vessel = shelf.vessel(1, 1)
+    for view in (shelf.rows, shelf.amounts, shelf.dissolved, vessel.row):
+        assert np.shares_memory(view, shelf.vessels)
+    water = shelf.layout.index("water")
+    # The same number by every way there is: laboratory 1 of three places each, place 1.
+    shelf.amounts[1, 1, water] = 7.0
+    assert shelf.vessels[1, 1, AMOUNTS + water] == 7.0
+    assert shelf.rows[4, AMOUNTS + water] == 7.0
+    assert vessel.row[AMOUNTS + water] == 7.0
+    assert vessel.amounts()["water"] == 7.0
+    shelf.rows[4, TEMPERATURE] = 350.0
+    assert vessel.temperature_k == 350.0
+
+
+def test_dissolved_amounts_are_the_last_columns(shelf: Shelf) -> None:
+    layout = shelf.layout
+    k, solvent = layout.dissolved.index("dodecane"), layout.solvents.index("diethyl_ether")
+    shelf.dissolved[0, 2, k, solvent] = 0.25
+    column = AMOUNTS + len(layout.materials) + k * len(layout.solvents) + solvent
+    assert shelf.vessels[0, 2, column] == 0.25
+    assert np.count_nonzero(shelf.vessels[0]) == 1
+    assert column < layout.width == shelf.vessels.shape[-1]
+
+
+def test_a_filled_vessel_is_at_rest(shelf: Shelf) -> None:
+    vessel = shelf.vessel(1, 1)
+    assert vessel.present
+    assert vessel.capacity_l == 1.5
+    assert vessel.temperature_k == load_scenario(SCENARIO).ambient_temperature_k
+    assert vessel.settling == 1.0
+    assert vessel.amounts(1e-9) == {"water": 10.0, "diethyl_ether": 2.0, "NaCl": 0.5}
+    expected = litres("water", 10.0) + litres("diethyl_ether", 2.0) + litres("NaCl", 0.5)
+    assert vessel.volume_l == pytest.approx(expected, rel=1e-12)
+
+
+def test_filling_replaces_what_stood_there(shelf: Shelf) -> None:
+    vessel = shelf.fill(1, 1, 0.5, {"diethyl_ether": 1.0})
+    assert vessel.amounts(1e-9) == {"diethyl_ether": 1.0}
+    assert vessel.capacity_l == 0.5
+    # Only that place: nothing else stands anywhere.
+    assert np.flatnonzero(shelf.vessels[..., PRESENT]).tolist() == [4]
+    assert np.flatnonzero(shelf.vessels[..., CAPACITY]).tolist() == [4]
+
+
+def test_an_unknown_material_cannot_be_filled_in(shelf: Shelf) -> None:
+    with pytest.raises(ValueError, match="not in tuple|unknown"):
+        shelf.fill(0, 0, 1.0, {"gold": 1.0})
+
+
+def test_the_settling_clock_runs_from_mixed_to_settled() -> None:
+    # PHYSICS section 2: t_mix = -ln(2 sqrt(2 pi)).
+    assert pytest.approx(-math.log(2.0 * math.sqrt(2.0 * math.pi)), rel=1e-15) == T_MIX
+    assert CLOCK_SETTLED > T_MIX
+
+
+def test_a_snapshot_is_a_copy_and_restoring_it_brings_everything_back(shelf: Shelf) -> None:
+    shelf.stock[1, 0], shelf.waste[0, 2] = 3.0, 0.5
+    before = [array.copy() for array in (shelf.vessels, shelf.stock, shelf.waste)]
+    memory = shelf.vessels.ctypes.data
+    snapshot = shelf.snapshot()
+    shelf.vessels += 1.0
+    shelf.stock[:] = 9.0
+    shelf.waste[:] = -1.0
+    shelf.restore(snapshot)
+    for array, was in zip((shelf.vessels, shelf.stock, shelf.waste), before, strict=True):
+        np.testing.assert_array_equal(array, was)
+    # In place: whoever holds a view sees the restored numbers.
+    assert shelf.vessels.ctypes.data == memory
+    assert np.shares_memory(shelf.rows, shelf.vessels)
+    assert not any(np.shares_memory(saved, shelf.vessels) for saved in snapshot)
+
+
+def test_total_counts_vessels_bottles_and_waste_of_each_laboratory(shelf: Shelf) -> None:
+    water, salt = shelf.layout.index("water"), shelf.layout.index("NaCl")
+    shelf.stock[1, water] = 4.0
+    shelf.waste[1, water] = 0.25
+    shelf.fill(1, 2, 1.0, {"water": 1.0})
+    total = shelf.total()
+    assert total.shape == (2, len(shelf.layout.materials))
+    assert total[1, water] == pytest.approx(10.0 + 1.0 + 4.0 + 0.25, rel=1e-15)
+    assert total[1, salt] == pytest.approx(0.5, rel=1e-15)
+    assert not total[0].any()
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_played_episode_conserves_every_element_and_the_charge(name: str) -> None:
+    env = raw_env(name)
+    labs, materials = env.laboratories, list(env.scenario.materials.values())
+    elements = sorted({element for material in materials for element in material.composition})
+    atoms = np.array([[*(m.composition.get(e, 0.0) for e in elements), m.charge] for m in materials])
+    rng = np.random.default_rng(3)
+    submits = {labs.actions.encode("submit", slot) for slot in range(env.scenario.shelf.slots)}
+    env.reset(seed=3)
+    start = labs.shelf.total()[0] @ atoms
+    turns = 0
+    while labs.desk.status[0] == 0:
+        mask = env.infos[env.agent_selection].get("action_mask")
+        if mask is None:
+            env.step(rng.random(env.action_space(env.agent_selection).shape))
+        else:
+            legal = np.flatnonzero(mask)
+            if env.agent_selection == "manager_0":
+                legal = np.array([action for action in legal if action not in submits])
+            env.step(int(rng.choice(legal)))
+        turns += 1
+    assert turns > env.scenario.limits.manager_actions
+    np.testing.assert_allclose(labs.shelf.total()[0] @ atoms, start, rtol=1e-9, atol=1e-9)
+    assert labs.shelf.vessels[0, :, AMOUNTS : AMOUNTS + len(materials)].min() >= 0.0
+
+
+def test_the_text_of_a_vessel(shelf: Shelf) -> None:
+    volume = litres("water", 10.0) + litres("diethyl_ether", 2.0) + litres("NaCl", 0.5)
+    kelvin = f"{load_scenario(SCENARIO).ambient_temperature_k:.1f} K"
+    vessel = shelf.vessel(1, 1)
+    contents = "10.000 mol water, 2.000 mol diethyl_ether, 0.500 mol NaCl"
+    assert str(vessel) == f"{volume:.3f} of 1.50 L at {kelvin}: {contents}"
+    assert str(shelf.fill(0, 0, 1.2, {})) == f"0.000 of 1.20 L at {kelvin}: empty"
+    assert str(shelf.vessel(0, 2)) == "(no vessel)"
+    # Traces are left out.
+    shelf.fill(1, 1, 1.5, {"water": 1.0, "NaCl": 1e-5})
+    assert str(vessel).endswith(": 1.000 mol water")
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_arrays_say_what_the_materials_say(name: str) -> None:
+    scenario = load_scenario(name)
+    layout, chemistry = build_chemistry(scenario)
+    assert layout.materials == tuple(scenario.materials)
+    for i, material in enumerate(scenario.materials.values()):
+        assert chemistry.molar_volume[i] == pytest.approx(
+            material.molar_mass_g_mol / material.density_kg_l / 1000.0, rel=1e-12
+        )
+        assert chemistry.boiling_point[i] == material.boiling_point_k
+    roles = {key: material.role for key, material in scenario.materials.items()}
+    assert layout.solvents == tuple(key for key, role in roles.items() if role == "solvent")
+    assert layout.dissolved == tuple(key for key, role in roles.items() if role in ("solute", "ion"))
+    volatile = [layout.materials[i] for i in chemistry.volatile]
+    assert set(volatile) == {key for key, role in roles.items() if role in ("solvent", "solute")}
+    points = [scenario.materials[key].boiling_point_k for key in volatile]
+    assert points == sorted(points)
+    # Peaks are Gaussians of the file's height: the spectrum of 1 mol/L at a wavelength is their sum.
+    wavelengths = np.linspace(200.0, 800.0, 200)
+    for i, material in enumerate(scenario.materials.values()):
+        expected = np.zeros(200)
+        for peak in material.absorption:
+            expected += peak.height_l_mol * np.exp(-(((wavelengths - peak.center_nm) / peak.width_nm) ** 2) / 2.0)
+        np.testing.assert_allclose(chemistry.basis[i], expected, rtol=1e-12, atol=1e-300)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_network_says_what_the_reactions_say(name: str) -> None:
+    scenario = load_scenario(name)
+    network = build_network(scenario)
+    names = [list(scenario.materials)[i] for i in network.species]
+    for r, step in enumerate(scenario.family.reaction):
+        for s, material in enumerate(names):
+            change = step.products.get(material, 0.0) - step.reactants.get(material, 0.0)
+            assert network.stoichiometry[r, s] == change
+    steps = scenario.family.reaction
+    assert network.pre_exponential.tolist() == [step.pre_exponential for step in steps]
+    assert network.activation_energy.tolist() == [step.activation_energy_j_mol for step in steps]
+    # Only materials that take part are there.
+    assert set(names) == {material for step in steps for material in (*step.reactants, *step.products)}
