@@ -40,16 +40,16 @@ class ChemlabVecEnv(VecEnv):
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (False: an experiment's end is a terminal state), ``cost`` (weighted
-    safety events of the step) and ``illegal_action``; at an episode's end also ``terminal_observation``, ``score`` and
-    ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged without one. Where
-    nothing happened, the member's info is one and the same dictionary at every step: copy it before changing it.
+    Infos: a member's info has ``TimeLimit.truncated`` (False: an experiment's end is a terminal state), ``cost``
+    (weighted safety events of the step) and ``illegal_action``; at an episode's end also ``terminal_observation``,
+    ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
+    without one. Where nothing happened, a member's info is the same dictionary at every step: copy before changing it.
 
-    Masks: ``env_method("action_masks")`` is one mask a member; where actions are continuous there is no such attribute, so
-    that sb3-contrib's ``is_masking_supported`` says so.
+    Masks: ``env_method("action_masks")`` is one mask a member; where actions are continuous there is no such attribute,
+    so that sb3-contrib's ``is_masking_supported`` says so.
 
-    Seeds: :meth:`seed` with s gives member i the seed s + i at the next reset, so that it plays what a single environment
-    reset with s + i plays.
+    Seeds: :meth:`seed` with s gives member i the seed s + i at the next reset, so that it plays what a single
+    environment reset with s + i plays.
 
     Raises:
         ValueError: another autoreset mode, or arguments beside an existing batch.

@@ -1,4 +1,4 @@
-"""Material files: what the loader refuses and what its messages say. (What the shipped files contain: test_materials_data.)"""
+"""Material files: what the loader refuses and what its messages say."""
 
 from __future__ import annotations
 

@@ -116,7 +116,8 @@ def _at(kind: str, cas: str, temperature: float, key: str, boiling: float | None
     correlation = _correlation(kind, cas, boiling)
     assert key in correlation.all_methods, f"{kind} of {cas} has no {key}"
     value = correlation.calculate(temperature, key)
-    assert isinstance(value, float) and math.isfinite(value)
+    assert isinstance(value, float)
+    assert math.isfinite(value)
     return value
 
 
@@ -527,7 +528,7 @@ def test_fields_are_complete(key: str) -> None:
     for field in (*NUMERIC, "shade"):
         assert isinstance(material[field], float), field
     for field in PROPERTIES:
-        assert math.isfinite(material[field]) and material[field] > 0.0, field
+        assert 0.0 < material[field] < math.inf, field
     assert material[BOIL] > material[MELT]
     assert re.fullmatch(r"#[0-9a-f]{6}", material["color"])
     for band in material["absorption"]:

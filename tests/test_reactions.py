@@ -86,7 +86,7 @@ def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
         ('"1-chlorohexane" = 1, ', "", ["reaction.0", "orders must name every reactant"]),
         ('"1-chlorohexane" = 2, Na = 2', '"1-chlorohexane" = -2, Na = 2', ["reaction.0", "reactants", "positive"]),
         ("dodecane = 1, NaCl = 2", "", ["reaction.0", "products", "positive"]),
-        ("pre_exponential = 10.0", "pre_exponential = -10.0", ["reaction.0.pre_exponential", "greater than 0", "-10.0"]),
+        ("pre_exponential = 10.0", "pre_exponential = -10.0", ["reaction.0.pre_exponential", "than 0", "-10.0"]),
         ("= 6000.0", "= -6000.0", ["reaction.0.activation_energy_j_mol", "greater than or equal to 0", "-6000.0"]),
         ("= 6000.0", "= 6e9", ["reaction.0.activation_energy_j_mol", "less than or equal to 500000"]),
         ('source = "made up too"', 'source = ""', ["violent.0.source", "at least 1 character"]),

@@ -7,13 +7,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import chemlab.scenarios
 import gymnasium
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 import chemlab
-import chemlab.scenarios
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.materials import DataError, read_toml

@@ -84,7 +84,7 @@ def test_filling_replaces_what_stood_there(shelf: Shelf) -> None:
 
 
 def test_an_unknown_material_cannot_be_filled_in(shelf: Shelf) -> None:
-    with pytest.raises(ValueError, match="not in tuple|unknown"):
+    with pytest.raises(ValueError, match=r"not in tuple|unknown"):
         shelf.fill(0, 0, 1.0, {"gold": 1.0})
 
 

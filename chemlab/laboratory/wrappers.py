@@ -152,7 +152,7 @@ class VectorPotentialShaping(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, 
         return phi
 
 
-class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, ObservationArray, Any], RecordConstructorArgs):
+class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordConstructorArgs):
     """A bench as a goal-conditioned environment, for hindsight experience replay (HER).
 
     | Key | Shape | Meaning |
@@ -163,8 +163,8 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, ObservationArray, 
 
     :meth:`compute_reward` is the sum of achieved x desired: the desired goal is a list of prices per unit of score, and
     a one-hot asks for a single product. An experiment relabelled with its own achieved goal was asked for what it made,
-    in proportion. Scores are the bench's own measure (mol, or mol x purity), not scaled: what is lost counts negatively,
-    so a range of [0, 1] would not hold it and keep the sum equal to the score.
+    in proportion. Scores are the bench's own measure (mol, or mol x purity), not scaled: what is lost counts
+    negatively, so a range of [0, 1] could not hold it and keep the sum equal to the score.
 
     The amounts are hidden while an experiment runs, so the achieved goal is zeros until the end; relabel with the
     ``final`` strategy (``HerReplayBuffer(goal_selection_strategy="final")``), as ``future`` would mostly pick zeros.
@@ -243,7 +243,7 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, ObservationArray, 
         arena.station.goal[:] = goal
         return found
 
-    def _view(self, observation: ObservationArray, achieved: FloatArray) -> GoalObservation:
+    def _view(self, observation: Any, achieved: FloatArray) -> GoalObservation:
         desired = np.zeros(self._goals, dtype=np.float32)
         desired[self._bench_env.arena.station.goal[0]] = 1.0
         return {
@@ -352,9 +352,8 @@ class _Noise:
         if unknown:
             raise ValueError(f"channels: bench {bench.key!r} has {', '.join(where)}, given {unknown[0]!r}")
         self._scale = scale
-        self._index = np.array(
-            [i for name in chosen for i in range(where[name].start, where[name].stop)], dtype=np.int64
-        )
+        indices = [i for name in chosen for i in range(where[name].start, where[name].stop)]
+        self._index = np.array(indices, dtype=np.int64)
         self._space = bench.observation_space
         self._streams: list[np.random.Generator | None] = [None] * members
 
@@ -402,8 +401,8 @@ class RandomStartCurriculum(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstru
         env: an environment with continuous actions in a finite box, or with discrete ones and, where some are illegal,
             an ``action_masks`` method.
         steps: the largest number of random actions.
-        schedule: share (0 to 1) of ``steps`` to use after a number of ended episodes; by default it takes 1,000 episodes to
-            reach all of them.
+        schedule: share (0 to 1) of ``steps`` to use after a number of ended episodes; by default 1,000 episodes lead to
+            all of them.
 
     Seeds: ``reset(seed=s)`` starts the random actions afresh too, from a stream of their own. The number of ended
     episodes goes on.

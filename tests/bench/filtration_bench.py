@@ -28,7 +28,7 @@ class FiltrationOptions(BaseModel):
 
 
 class FiltrationBench(Bench):
-    """Filtration bench: ``filter`` moves all liquids, and what is dissolved in them, from the funnel to the filtrate."""
+    """Filtration bench: ``filter`` moves all liquids, with what they dissolve, from the funnel to the filtrate."""
 
     options_model = FiltrationOptions
     positions = ("funnel", "filtrate")

@@ -10,16 +10,16 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import chemlab.scenarios
 import gymnasium
 import numpy as np
 import pytest
+from chemlab.agents.policy import make_policies
 from pettingzoo.test import api_test, seed_test
 from pettingzoo.test.save_obs_test import test_save_obs as check_save_obs
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
-import chemlab.scenarios
-from chemlab.agents.policy import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
@@ -421,7 +421,8 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
 # -- actions outside their space ------------------------------------------------------------------------------------
 
 WRONG_NUMBERS: list[Any] = [
-    -1, None, "0", b"0", 0.0, 1.5, float("nan"), float("inf"), True, np.True_, np.float32(0.0), np.array(0.0), np.array([0, 1]),
+    -1, None, "0", b"0", 0.0, 1.5, float("nan"), float("inf"), True, np.True_, np.float32(0.0), np.array(0.0),
+    np.array([0, 1]),
     np.array([0]), np.array([[0]]), np.array(True), [0], (0,), {}, [], object(), 10**400, 1j,
 ]  # fmt: skip
 
@@ -433,7 +434,8 @@ def wrong_boxes(size: int) -> list[Any]:
         None, 0, 0.5, True, "0.5", b"0.5", {}, [], object(), 10**400, np.array(0.5),
         fine[:-1], np.append(fine, 0.5), fine[None], fine[:, None], [list(fine), list(fine)],
         np.where(np.arange(size) == 1, np.nan, fine), np.where(np.arange(size) == 0, np.inf, fine),
-        np.where(np.arange(size) == 2, 1.0001, fine), np.where(np.arange(size) == 2, -0.0001, fine), fine.astype(int) + 2,
+        np.where(np.arange(size) == 2, 1.0001, fine), np.where(np.arange(size) == 2, -0.0001, fine),
+        fine.astype(int) + 2,
         ["half"] * size, [None] * size, [0.5] * (size - 1) + [[0.5]], [0.5] * (size - 1) + ["x"],
         [0.5] * (size - 1) + [10**400], ["0.5"] * size, fine + 0.1j, list(fine + 0.1j),
     ]  # fmt: skip

@@ -1,0 +1,198 @@
+"""The scripted policies: what they reach, how safely, and that they see nothing but what an agent may see."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import gc
+import weakref
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.agents.policy import Policy, make_policies
+from chemlab.agents.run import EpisodeResult, Turn, play_episode
+from chemlab.laboratory.aec import raw_env
+from chemlab.scenario import scenario_names
+
+SCENARIOS = scenario_names()
+DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
+
+
+@functools.lru_cache(maxsize=None)
+def results(scenario: str, policy: str, episodes: int) -> tuple[EpisodeResult, ...]:
+    """Episodes with seeds 0, 1, ... of one set of policies."""
+    env = raw_env(scenario)
+    policies = make_policies(policy, env.laboratories, seed=0)
+    return tuple(play_episode(env, policies, seed, policy) for seed in range(episodes))
+
+
+def mean_score(found: tuple[EpisodeResult, ...]) -> float:
+    """Mean result of the manager."""
+    return float(np.mean([result.score for result in found]))
+
+
+# -- what they reach ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DODECANE)
+def test_dodecane_is_made_purely(name: str) -> None:
+    """LABORATORY.md: the heuristic manager submits at least 0.40 mol at a purity of at least 0.95."""
+    found = results(name, "heuristic", 100)
+    assert {result.goal for result in found} == {"dodecane"}
+    assert all(result.terminated and not result.truncated for result in found)
+    good = sum(result.submitted_mol >= 0.40 and result.purity >= 0.95 for result in found)
+    assert good >= 95
+    # No more than the sodium and the chlorohexane allow.
+    assert max(result.submitted_mol for result in found) <= 0.5
+
+
+def test_random_actions_make_next_to_nothing() -> None:
+    found = results("wurtz_dodecane", "random", 100)
+    assert mean_score(found) < 0.1
+    assert float(np.mean([result.submitted_mol * result.purity for result in found])) < 0.05
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
+    # Of a result that is 1 at best: by three tenths, in the mean over as many episodes as there are goals, and more.
+    assert mean_score(results(name, "heuristic", 21)) > mean_score(results(name, "random", 21)) + 0.3
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scripted_chemists_are_safe(name: str) -> None:
+    for result in results(name, "heuristic", 21):
+        assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
+        assert result.safety_events.get("spill_l", 0.0) == 0.0
+        assert result.safety_events.get("relief_valve_mol", 0.0) == 0.0
+
+
+def test_random_actions_are_not_safe() -> None:
+    """Otherwise the test above would say nothing: sodium can meet water, vessels can overflow."""
+    found = results("wurtz_dodecane", "random", 100)
+    assert sum(result.safety_events.get("metal_in_water_mol", 0.0) for result in found) > 1.0
+    assert sum(result.safety_events.get("spill_l", 0.0) for result in found) > 1.0
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_heuristics_play_legal_actions_alone(name: str) -> None:
+    env = raw_env(name)
+    policies = make_policies("heuristic", env.laboratories)
+    turns: list[Turn] = []
+    for seed in range(7):
+        result = play_episode(env, policies, seed, watch=turns.append)
+        assert result.costs["illegal_actions"] == 0.0
+    assert not any(turn.info["illegal_action"] for turn in turns)
+    assert {turn.agent for turn in turns} >= {"manager_0", *(f"{key}_0" for key in env.scenario.benches)}
+
+
+def test_a_result_is_what_was_played() -> None:
+    env = raw_env("wurtz_dodecane")
+    policies = make_policies("heuristic", env.laboratories)
+    turns: list[Turn] = []
+    result = play_episode(env, policies, 3, "heuristic", watch=turns.append)
+    assert (result.scenario, result.policy, result.seed, result.goal) == ("wurtz_dodecane", "heuristic", 3, "dodecane")
+    assert result.manager_actions == sum(turn.agent == "manager_0" for turn in turns)
+    assert result.score == pytest.approx(
+        result.submitted_mol * result.purity / 0.5 - sum(result.costs.values()), rel=1e-12
+    )
+    # The manager is not mixed with anybody here: its reward is its result.
+    assert result.rewards["manager_0"] == pytest.approx(result.score, rel=1e-12)
+    for agent in ("rxn_0", "ext_0", "dit_0"):
+        own = sum(turn.reward for turn in turns if turn.agent == agent)
+        assert result.rewards[agent] == pytest.approx(own, rel=1e-12)
+    # A tick is one turn of each busy bench; this manager keeps one bench busy at a time.
+    assert result.ticks == sum(turn.agent != "manager_0" for turn in turns)
+    assert result.as_dict()["score"] == result.score
+    assert all(turn.meaning for turn in turns)
+
+
+# -- what they see --------------------------------------------------------------------------------------------------
+
+Call = tuple[str, Any, Any, Any, Any, Any]
+
+
+class Recorder:
+    """A policy that plays another and keeps copies of what that was given and answered."""
+
+    def __init__(self, agent: str, policy: Policy, calls: list[Call]) -> None:
+        self._agent, self._policy, self._calls = agent, policy, calls
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        given = copy.deepcopy((observation, mask, step, members))
+        action = self._policy.act(observation, mask, step, members)
+        self._calls.append((self._agent, *given, np.array(action)))
+        return action
+
+
+def recorded(name: str, seeds: range) -> list[list[Call]]:
+    """Every call of a policy in scripted episodes, by episode."""
+    env = raw_env(name)
+    policies = make_policies("heuristic", env.laboratories)
+    found = []
+    for seed in seeds:
+        calls: list[Call] = []
+        play_episode(env, {agent: Recorder(agent, policy, calls) for agent, policy in policies.items()}, seed)
+        found.append(calls)
+    return found
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_heuristics_need_no_laboratory(name: str) -> None:
+    """Given what they were given, they decide the same when laboratory, shelf and stations are gone."""
+    episodes = recorded(name, range(3))
+    env = raw_env(name)
+    policies = make_policies("heuristic", env.laboratories)
+    gone = [weakref.ref(thing) for thing in (env, env.laboratories, env.laboratories.shelf, *env.laboratories.stations)]
+    del env
+    gc.collect()
+    assert all(reference() is None for reference in gone), "a policy holds on to the laboratory"
+    for calls in episodes:
+        for agent, observation, mask, step, members, action in calls:
+            given = copy.deepcopy((observation, mask, step, members))
+            np.testing.assert_array_equal(policies[agent].act(*given), action)
+            # Nor do they change what they are given.
+            for one, other in zip(given, (observation, mask, step, members), strict=True):
+                np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
+    """Episodes side by side in one batch, whose members come and go, get the actions each gets alone."""
+    episodes = recorded(name, range(4))
+    env = raw_env(name)
+    policies = make_policies("heuristic", env.laboratories)
+    batched = 0
+    for agent in env.possible_agents:
+        logs = [[call for call in calls if call[0] == agent] for calls in episodes]
+        for turn in range(max(map(len, logs))):
+            # Members in another order every turn, numbered apart.
+            rows = [i for i, log in enumerate(logs) if turn < len(log)]
+            rows = rows[turn % len(rows) :] + rows[: turn % len(rows)]
+            calls = [logs[i][turn] for i in rows]
+            observation = np.concatenate([call[1] for call in calls])
+            mask = None if calls[0][2] is None else np.concatenate([call[2] for call in calls])
+            step = np.concatenate([call[3] for call in calls])
+            actions = policies[agent].act(observation, mask, step, np.array(rows) + 10)
+            np.testing.assert_array_equal(actions, np.concatenate([call[5] for call in calls]))
+            batched += len(rows) > 1
+    assert batched > 10
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_step_zero_makes_a_policy_forget(name: str) -> None:
+    """Policies in the middle of an episode play the next one like fresh ones."""
+    env = raw_env(name)
+    used = make_policies("heuristic", env.laboratories)
+    fresh = make_policies("heuristic", env.laboratories)
+    play_episode(env, used, 0)
+    # Broken off: a few turns only.
+    env.reset(seed=1)
+    members = env.laboratories.members
+    for step in range(3):
+        if env.agent_selection != "manager_0":
+            break
+        seen, mask = env.observe("manager_0")[None], env.infos["manager_0"]["action_mask"][None]
+        env.step(used["manager_0"].act(seen, mask, np.array([step]), members)[0])
+    assert play_episode(env, used, 2).as_dict() == play_episode(env, fresh, 2).as_dict()

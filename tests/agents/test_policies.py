@@ -1,0 +1,127 @@
+"""Policies in general: making them, and the random one, which is uniform over legal actions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chemlab.agents.policy import RandomPolicy, bench_heuristic, make_policies, policy_names
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.scenario import load_scenario, scenario_names
+
+
+def chi_square(counts: Any) -> float:
+    """Statistic of counts against equal chances; as many degrees of freedom as counts, less one."""
+    counts = np.asarray(counts, dtype=np.float64)
+    return float(((counts - counts.mean()) ** 2 / counts.mean()).sum())
+
+
+def act(policy: RandomPolicy, mask: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Actions for a batch of masks."""
+    n = len(mask)
+    return policy.act(np.zeros((n, 1), dtype=np.float32), mask, np.zeros(n, dtype=np.int64), np.arange(n))
+
+
+@given(
+    st.lists(st.lists(st.booleans(), min_size=9, max_size=9).filter(any), min_size=1, max_size=6), st.integers(0, 2**32)
+)
+def test_random_actions_are_legal(legal: list[list[bool]], seed: int) -> None:
+    mask = np.array(legal, dtype=np.int8)
+    actions = act(RandomPolicy(0, seed), mask)
+    assert actions.shape == (len(mask),)
+    assert np.issubdtype(actions.dtype, np.integer)
+    assert mask[np.arange(len(mask)), actions].all()
+
+
+def test_random_actions_are_uniform_over_the_legal_ones() -> None:
+    legal = [0, 1, 7, 8, 20, 33, 40]
+    mask = np.zeros((7000, 41), dtype=np.int8)
+    mask[:, legal] = 1
+    counts = np.bincount(act(RandomPolicy(0, 1), mask), minlength=41)
+    assert counts.nonzero()[0].tolist() == legal
+    assert chi_square(counts[legal]) < 30.0  # 6 degrees of freedom: beyond 30 once in 25,000
+
+
+def test_the_only_legal_action_is_taken() -> None:
+    mask = np.eye(12, dtype=np.int8)
+    assert act(RandomPolicy(0, 3), mask).tolist() == list(range(12))
+
+
+def test_random_numbers_are_uniform_and_in_the_box() -> None:
+    policy = RandomPolicy(6, 2)
+    n = 5000
+    actions = policy.act(np.zeros((n, 1), dtype=np.float32), None, np.zeros(n, dtype=np.int64), np.arange(n))
+    assert actions.shape == (n, 6)
+    assert actions.min() >= 0.0
+    assert actions.max() < 1.0
+    for column in actions.T:
+        assert chi_square(np.histogram(column, bins=10, range=(0.0, 1.0))[0]) < 40.0  # 9 degrees of freedom
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_acting_on_a_batch_is_acting_one_by_one(continuous: bool) -> None:
+    rng = np.random.default_rng(0)
+    mask = (rng.random((50, 30)) < 0.4).astype(np.int8)
+    mask[:, 0] = 1
+    seen, step, members = np.zeros((50, 5), dtype=np.float32), np.zeros(50, dtype=np.int64), np.arange(50)
+    whole, single = RandomPolicy(4, 11), RandomPolicy(4, 11)
+    together = whole.act(seen, None if continuous else mask, step, members)
+    alone = [
+        single.act(seen[i : i + 1], None if continuous else mask[i : i + 1], step[i : i + 1], members[i : i + 1])
+        for i in range(50)
+    ]
+    np.testing.assert_array_equal(together, np.concatenate(alone))
+
+
+@pytest.mark.parametrize("policy", policy_names())
+@pytest.mark.parametrize("name", scenario_names())
+def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
+    env = raw_env(name)
+    policies = make_policies(policy, env.laboratories, seed=0)
+    assert list(policies) == env.possible_agents
+    for number, agent in enumerate(env.possible_agents):
+        space = env.action_space(agent)
+        seen = np.zeros((3, *env.observation_space(agent).shape), dtype=np.float32)  # type: ignore[misc]
+        mask = np.ones((3, int(space.n)), dtype=np.int8) if isinstance(space, gymnasium.spaces.Discrete) else None
+        actions = policies[agent].act(seen, mask, np.zeros(3, dtype=np.int64), np.arange(3))
+        assert len(actions) == 3
+        for action in actions:
+            env.laboratories.checked(number, action)  # raises where it is outside the space
+
+
+def test_random_policies_are_seeded_and_independent() -> None:
+    env = raw_env("wurtz_dodecane")
+    mask = np.ones((200, 31), dtype=np.int8)
+    first, again, other = (make_policies("random", env.laboratories, seed=seed) for seed in (1, 1, 2))
+    streams = [
+        act(policies[agent], mask).tolist() for policies in (first, again, other) for agent in ("ext_0", "dit_0")
+    ]  # type: ignore[arg-type]
+    ext, dit, ext_again, dit_again, ext_other, _ = streams
+    assert (ext, dit) == (ext_again, dit_again)
+    assert ext != dit
+    assert ext != ext_other
+
+
+def test_an_unknown_policy_is_refused() -> None:
+    env = raw_env("fictitious")
+    with pytest.raises(ValueError, match="'clairvoyant'") as caught:
+        make_policies("clairvoyant", env.laboratories)
+    for name in policy_names():
+        assert name in str(caught.value)
+
+
+def test_a_bench_without_a_script_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "bench"))
+    values = load_scenario("fictitious").model_dump()
+    values["benches"]["fil"] = {"kind": "filtration_bench:FiltrationBench", "step_limit": 5}
+    bench = BenchArena(load_scenario(values), "fil").bench
+    with pytest.raises(ValueError, match="no scripted policy for kind 'filtration_bench:FiltrationBench'") as caught:
+        bench_heuristic(bench)
+    assert "'fil'" in str(caught.value)

@@ -1,0 +1,611 @@
+"""The manager's side: its action table, what starting, recalling, measuring and discarding do, what it is charged and sees.
+
+Contents are put into vessels by hand, so that readings, purities and costs have closed forms.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import chemlab.scenarios
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from chemlab.bench.base import channel_slices
+from chemlab.bench.instruments import BALANCE_RANGE_KG
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.manager import COST_ITEMS, ManagerActions
+from chemlab.materials import read_toml
+from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.shelf import AMOUNTS, Shelf
+
+WURTZ = "wurtz_dodecane"
+
+
+def mapping(name: str = WURTZ) -> dict[str, Any]:
+    """A shipped scenario's content, to be changed."""
+    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+
+
+def laboratory(values: dict[str, Any] | str = WURTZ, seed: int = 0) -> raw_env:
+    """A laboratory at the start of an episode."""
+    env = raw_env(load_scenario(values))
+    env.reset(seed=seed)
+    return env
+
+
+def manager(env: raw_env, *action: str | int) -> None:
+    """Let the manager, which must have the turn, do something legal."""
+    assert env.agent_selection == "manager_0"
+    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
+    assert not env.infos["manager_0"]["illegal_action"]
+
+
+def allowed(env: raw_env, *action: str | int) -> bool:
+    """Whether the manager's mask allows an action."""
+    return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
+
+
+def do(env: raw_env, meaning: str) -> None:
+    """Let the selected bench, which has discrete actions, do what ``meaning`` says."""
+    bench = env.laboratories.benches[env.possible_agents.index(env.agent_selection) - 1]
+    env.step(bench.action_meanings.index(meaning))
+
+
+def litres(scenario: Scenario, contents: dict[str, float]) -> float:
+    """Volume of amounts in mol, from the cited molar masses and densities."""
+    materials = scenario.materials
+    return sum(
+        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
+    )
+
+
+def seen(env: raw_env, name: str) -> npt.NDArray[np.float32]:
+    """One part of what the manager sees."""
+    return env.observe("manager_0")[channel_slices(env.laboratories.channels)[name]]
+
+
+def occupied(env: raw_env) -> list[int]:
+    """Slots on which the manager sees a vessel."""
+    return [s for s in range(env.scenario.shelf.slots) if seen(env, f"slot_{s}_occupied")[0] == 1.0]
+
+
+# -- the action table -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
+    scenario = load_scenario(name)
+    actions = ManagerActions.of(scenario)
+    decoded = [actions.decode(number) for number in range(len(actions))]
+    assert [actions.encode(*action) for action in decoded] == list(range(len(actions)))  # type: ignore[arg-type]
+    assert len(set(actions.action_meanings)) == len(actions)
+    slots = range(scenario.shelf.slots)
+    expected = {("start", b, s, g) for b in scenario.bench_agents() for s in slots for g in scenario.goals}
+    expected |= {("measure", s, i) for s in slots for i in scenario.instruments}
+    expected |= {(kind, s) for kind in ("discard", "submit") for s in slots}
+    expected |= {("recall", b) for b in scenario.bench_agents()} | {("wait",)}
+    assert set(decoded) == expected
+
+
+@pytest.mark.parametrize(
+    ("action", "part"),
+    [
+        (("ponder",), "'ponder'"),
+        (("start", "rxn_0", 0), "takes 3"),
+        (("start", "rxn_9", 0, "dodecane"), "'rxn_9'"),
+        (("start", "rxn_0", 8, "dodecane"), "8"),
+        (("start", "rxn_0", 0, "gold"), "'gold'"),
+        (("measure", 0, "nose"), "'nose'"),
+        (("discard", -1), "-1"),
+        (("wait", 3), "takes 0"),
+    ],
+)
+def test_an_action_that_does_not_exist_is_refused(action: tuple[Any, ...], part: str) -> None:
+    with pytest.raises(ValueError, match="manager action") as caught:
+        ManagerActions.of(load_scenario(WURTZ)).encode(*action)
+    assert part in str(caught.value)
+
+
+# -- starting and returning -----------------------------------------------------------------------------------------
+
+
+def test_starting_reserves_slots_and_is_masked_without_them() -> None:
+    values = mapping()
+    values["shelf"]["slots"] = 4
+    env = laboratory(values)
+    starts = {bench: ("start", bench, 1, "dodecane") for bench in ("rxn_0", "ext_0", "dit_0")}
+    # Two vessels, two free slots: an extraction takes the vessel and reserves both free slots for its beakers.
+    assert all(allowed(env, *start) for start in starts.values())
+    manager(env, "start", "ext_0", 0, "dodecane")
+    assert occupied(env) == [1]
+    assert not allowed(env, *starts["ext_0"])  # busy
+    assert not allowed(env, *starts["dit_0"])  # no slots for its beakers
+    assert allowed(env, *starts["rxn_0"])  # nothing comes back but the vessel itself
+    for slot in (0, 2, 3):  # nothing stands there
+        assert not allowed(env, "start", "rxn_0", slot, "dodecane")
+        assert not allowed(env, "measure", slot, "balance")
+        assert not allowed(env, "discard", slot)
+        assert not allowed(env, "submit", slot)
+    # Its beakers stayed empty: they are gone, and their slots are free again.
+    manager(env, "recall", "ext_0")
+    assert occupied(env) == [0, 1]
+    assert all(allowed(env, *start) for start in starts.values())
+
+
+def test_the_slot_a_vessel_left_is_kept_for_it() -> None:
+    values = mapping()
+    values["shelf"]["slots"] = 3
+    env = laboratory(values)
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    # One free slot and one that is kept: not enough for the two beakers of an extraction.
+    assert not allowed(env, "start", "ext_0", 1, "dodecane")
+
+
+def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None:
+    env = laboratory()
+    shelf = env.laboratories.shelf
+    shelf.fill(0, 1, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
+    manager(env, "start", "ext_0", 1, "dodecane")
+    assert occupied(env) == [0]
+    manager(env, "wait")
+    do(env, "pour EV -> B2, 0.4 fraction")
+    do(env, "end the experiment")
+    # EV stands where it came from; B1 stayed empty; B2 is on the first free slot.
+    assert env.agent_selection == "manager_0"
+    assert occupied(env) == [0, 1, 2]
+    assert shelf.vessel(0, 1).amounts(1e-9) == pytest.approx({"diethyl_ether": 2.4, "dodecane": 0.6}, rel=1e-12)
+    assert shelf.vessel(0, 2).amounts(1e-9) == pytest.approx({"diethyl_ether": 1.6, "dodecane": 0.4}, rel=1e-12)
+    # Slots keep their vessel's history: none, ext as main vessel, ext as B2.
+    keys = ["none", *env.scenario.benches]
+    history = {
+        s: (keys[int(seen(env, f"slot_{s}_last_bench").argmax())], seen(env, f"slot_{s}_last_role")) for s in (0, 1, 2)
+    }
+    assert [history[s][0] for s in (0, 1, 2)] == ["none", "ext", "ext"]
+    assert history[0][1].tolist() == [0, 0, 0]
+    assert history[1][1].tolist() == [1, 0, 0]
+    assert history[2][1].tolist() == [0, 0, 1]
+
+
+def test_a_vessel_on_the_shelf_rests() -> None:
+    env = laboratory()
+    labs = env.laboratories
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0, "NaCl": 1.0})
+    manager(env, "start", "dit_0", 0, "dodecane")
+    manager(env, "wait")
+    do(env, "heat DV, 20 kJ")
+    do(env, "heat DV, 20 kJ")
+    assert labs.shelf.rows[labs.stations[2].places[0, 0], 0] > 300.0
+    do(env, "end the experiment")
+    ambient = env.scenario.ambient_temperature_k
+    for slot in occupied(env):
+        vessel = labs.shelf.vessel(0, slot)
+        assert vessel.temperature_k == ambient
+        assert vessel.settling == 1.0
+        # Precipitation equilibrium: [salt][solvent] = [cation][anion]; the volume cancels (PHYSICS section 5).
+        mol = dict(zip(env.scenario.materials, labs.shelf.amounts[0, slot], strict=True))
+        assert mol["NaCl"] * mol["diethyl_ether"] == pytest.approx(mol["Na+"] * mol["Cl-"], rel=1e-9, abs=1e-12)
+
+
+def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
+    env = laboratory()
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "start", "rxn_0", 1, "dodecane")
+    assert occupied(env) == []
+    assert allowed(env, "recall", "ext_0")
+    assert not allowed(env, "recall", "dit_0")
+    manager(env, "recall", "ext_0")
+    assert env.laboratories.busy[:, 0].tolist() == [True, False, False]
+    assert occupied(env) == [0]
+    assert not allowed(env, "recall", "ext_0")
+    assert allowed(env, "start", "ext_0", 0, "dodecane")
+    # The reaction goes on; when it is recalled too, there is nothing to wait for.
+    assert allowed(env, "wait")
+    manager(env, "recall", "rxn_0")
+    assert not allowed(env, "wait")
+    assert env.laboratories.desk.ticks[0] == 0
+
+
+def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
+    values = mapping()
+    values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
+    env = laboratory(values)
+    env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "start", "rxn_0", 1, "dodecane")
+    manager(env, "wait")
+    env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
+    do(env, "pour EV -> B2, 1 fraction")  # 0.64 L into 0.2 L
+    filled = litres(env.scenario, {"diethyl_ether": 4.0, "dodecane": 1.0})
+    assert env.infos["ext_0"]["events"] == pytest.approx({"spill_l": filled - 0.2}, rel=1e-9)
+    assert env.infos["ext_0"]["cost"] == pytest.approx(
+        values["safety"]["weights"]["spill_l"] * (filled - 0.2), rel=1e-9
+    )
+    while env.agent_selection != "manager_0":
+        env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]) if env.agent_selection == "rxn_0" else 39)
+    manager(env, "recall", "ext_0")
+    # Pure dodecane (ether does not count) before and after; what is left of it is what fits into B2.
+    assert env.rewards["ext_0"] == pytest.approx(0.2 / filled - 1.0, rel=1e-9)
+    assert env.infos["ext_0"]["score"] == env.rewards["ext_0"]
+    assert not env.laboratories.busy.any()
+    assert env.agent_selection == "manager_0"
+
+
+def test_a_spill_can_be_priced_into_the_rewards() -> None:
+    values = mapping()
+    values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
+    values["safety"]["reward_price"] = 0.125
+    values["safety"]["weights"]["spill_l"] = 2.0
+    env = laboratory(values)
+    env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0})
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "wait")
+    do(env, "pour EV -> B2, 1 fraction")
+    spilled = litres(env.scenario, {"diethyl_ether": 4.0}) - 0.2
+    assert env.infos["ext_0"]["cost"] == pytest.approx(2.0 * spilled, rel=1e-9)
+    assert env.rewards["ext_0"] == pytest.approx(-0.125 * 2.0 * spilled, rel=1e-9)
+    assert env.laboratories.costs()["safety"] == pytest.approx(0.125 * 2.0 * spilled, rel=1e-9)
+
+
+# -- measuring ------------------------------------------------------------------------------------------------------
+
+
+def test_a_reading_arrives_with_age_zero_and_grows_old_with_ticks() -> None:
+    env = laboratory()
+    contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
+    env.laboratories.shelf.fill(0, 1, 1.2, contents)
+    limit = env.scenario.limits.ticks
+    assert seen(env, "slot_1_balance_age")[0] == 1.0  # never measured
+    assert seen(env, "slot_1_balance")[0] == 0.0
+    manager(env, "measure", 1, "balance")
+    grams = sum(mol * env.scenario.materials[name].molar_mass_g_mol for name, mol in contents.items())
+    assert seen(env, "slot_1_balance")[0] == pytest.approx(grams / 1000.0 / BALANCE_RANGE_KG, rel=1e-6)
+    assert seen(env, "slot_1_balance_age")[0] == 0.0
+    # Only this slot and this instrument.
+    assert seen(env, "slot_1_uv_vis_age")[0] == 1.0
+    assert seen(env, "slot_0_balance_age")[0] == 1.0
+    manager(env, "start", "dit_0", 0, "dodecane")
+    assert seen(env, "slot_1_balance_age")[0] == 0.0  # a manager's action is no tick
+    manager(env, "wait")
+    for tick in range(1, 4):
+        do(env, "cool DV, 2 kJ")
+        assert seen(env, "slot_1_balance_age")[0] == pytest.approx(tick / limit, rel=1e-6)
+    do(env, "end the experiment")
+    manager(env, "measure", 1, "balance")
+    assert seen(env, "slot_1_balance_age")[0] == 0.0
+
+
+def test_what_the_instruments_read() -> None:
+    contents = {"water": 5.0, "diethyl_ether": 4.0, "dodecane": 1.0}
+    values = mapping()
+    values["shelf"]["vessel"] = [{"capacity_l": 1.2, "contents": contents}]
+    env = laboratory(values)
+    scenario, labs = env.scenario, env.laboratories
+    for instrument in ("gas_chromatograph", "layer_camera", "uv_vis"):
+        manager(env, "measure", 0, instrument)
+    # Chromatograph: mole fractions of the volatile materials, in the order its channel names; the residue is last.
+    channel = next(channel for channel in labs.channels if channel.name == "slot_0_gas_chromatograph")
+    names = channel.meaning.removeprefix("last reading: ").split(", ")
+    fractions = dict(zip(names, seen(env, "slot_0_gas_chromatograph").tolist(), strict=True))
+    for name, mol in contents.items():
+        assert fractions.pop(name) == pytest.approx(mol / 10.0, rel=1e-6)
+    assert set(fractions.values()) == {0.0}
+    # Camera: bottom first, water below ether (with the dodecane in it) below air, sharp.
+    shades = [scenario.materials[name].shade for name in ("water", "diethyl_ether", "air")]
+    picture = seen(env, "slot_0_layer_camera")
+    nearest = np.abs(picture[:, None] - np.array(shades)).argmin(axis=1)
+    assert np.abs(picture - np.array(shades)[nearest]).max() < 1e-6
+    assert (np.diff(nearest) >= 0).all()
+    volume = litres(scenario, contents)
+    assert (nearest < 2).sum() == pytest.approx(100.0 * volume / 1.2, abs=1.0)
+    # UV-Vis: concentrations times the Gaussian peaks, clipped.
+    wavelengths, light = np.linspace(200.0, 800.0, 200), np.zeros(200)
+    for name, mol in contents.items():
+        for peak in scenario.materials[name].absorption:
+            light += (
+                mol / volume * peak.height_l_mol * np.exp(-(((wavelengths - peak.center_nm) / peak.width_nm) ** 2) / 2)
+            )
+    np.testing.assert_allclose(seen(env, "slot_0_uv_vis"), np.clip(light, 0.0, 1.0), rtol=1e-5, atol=1e-6)
+    assert light.max() > 0.05
+
+
+def test_a_sample_goes_to_waste() -> None:
+    values = mapping()
+    values["instruments"]["gas_chromatograph"]["sample_fraction"] = 0.25
+    env = laboratory(values)
+    labs = env.laboratories
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
+    total = labs.shelf.total()
+    manager(env, "measure", 0, "gas_chromatograph")
+    assert labs.shelf.vessel(0, 0).amounts(1e-9) == pytest.approx({"diethyl_ether": 3.0, "dodecane": 0.75}, rel=1e-12)
+    waste = {n: float(x) for n, x in zip(env.scenario.materials, labs.shelf.waste[0], strict=True) if x > 0.0}
+    assert waste == pytest.approx({"diethyl_ether": 1.0, "dodecane": 0.25}, rel=1e-12)
+    np.testing.assert_allclose(labs.shelf.total(), total, rtol=1e-12)
+    # A balance takes none.
+    manager(env, "measure", 0, "balance")
+    assert labs.shelf.vessel(0, 0).amounts(1e-9) == pytest.approx({"diethyl_ether": 3.0, "dodecane": 0.75}, rel=1e-12)
+
+
+def test_measuring_ends_with_the_budget() -> None:
+    values = mapping()
+    values["limits"]["budget"] = 0.025
+    env = laboratory(values)
+    manager(env, "measure", 0, "gas_chromatograph")  # 0.01 each
+    manager(env, "measure", 0, "gas_chromatograph")
+    assert seen(env, "budget")[0] == pytest.approx(0.005 / 0.025, rel=1e-5)
+    assert not allowed(env, "measure", 0, "gas_chromatograph")
+    assert allowed(env, "measure", 0, "uv_vis")
+    manager(env, "measure", 0, "uv_vis")  # 0.002
+    manager(env, "measure", 0, "uv_vis")
+    manager(env, "measure", 0, "balance")  # 0.0005
+    manager(env, "measure", 0, "balance")
+    assert not any(allowed(env, "measure", slot, name) for slot in (0, 1) for name in values["instruments"])
+
+
+def test_noise_of_an_instrument_comes_from_the_seed() -> None:
+    values = mapping()
+    values["instruments"]["balance"]["noise"] = 0.01
+    readings = []
+    for seed in (1, 1, 2):
+        env = laboratory(values, seed)
+        manager(env, "measure", 0, "balance")
+        readings.append(float(seen(env, "slot_0_balance")[0]))
+    assert readings[0] == readings[1] != readings[2]
+    truth = 4.0 * env.scenario.materials["diethyl_ether"].molar_mass_g_mol / 1000.0 / BALANCE_RANGE_KG
+    assert all(0.0 < abs(reading - truth) < 0.06 for reading in readings)  # six standard deviations
+
+
+# -- stock, waste, costs --------------------------------------------------------------------------------------------
+
+
+def test_stock_is_finite_and_shared() -> None:
+    values = mapping()
+    values["benches"]["rxn"]["count"] = 2
+    env = laboratory(values)
+    labs, index = env.laboratories, env.laboratories.shelf.layout.index
+    total = labs.shelf.total()[0]
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    manager(env, "start", "rxn_1", 1, "dodecane")
+    manager(env, "wait")
+    left = channel_slices(labs.benches[0].channels)["reagents"]
+    assert env.observe("rxn_1")[left].tolist() == [1.0, 1.0, 1.0, 1.0]
+    # 1-chlorohexane: all; 2-chlorohexane: a quarter; sodium: all 3 mol of it; no 3-chlorohexane.
+    env.step(np.array([0.5, 0.5, 1.0, 0.25, 0.0, 1.0]))
+    for agent in ("rxn_0", "rxn_1"):
+        np.testing.assert_allclose(env.observe(agent)[left], [0.0, 0.75, 1.0, 0.0], atol=1e-6)
+    assert labs.shelf.stock[0, index("1-chlorohexane")] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(
+        seen(env, "stock"),
+        [{"1-chlorohexane": 0.0, "2-chlorohexane": 0.75, "Na": 0.0}.get(name, 1.0) for name in values["stock"]],
+        atol=1e-6,
+    )
+    # The other bench asks for everything and gets what there is: nothing of the first, of the second the rest.
+    env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0]))
+    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.stations[1].places[0, 0]], strict=True))
+    assert contents["2-chlorohexane"] == pytest.approx(0.75, rel=1e-12)
+    assert contents["1-chlorohexane"] == contents["Na"] == contents["dodecane"] == 0.0
+    atoms = np.array([m.composition.get("Cl", 0.0) for m in env.scenario.materials.values()])
+    assert labs.shelf.total()[0] @ atoms == pytest.approx(total @ atoms, rel=1e-12)
+
+
+def test_an_empty_bottle_is_masked() -> None:
+    values = mapping()
+    water = {"water": 1.0 / litres(load_scenario(WURTZ), {"water": 1.0}) * 0.5}  # half a litre
+    values["stock"].update(water)
+    env = laboratory(values)
+    labs = env.laboratories
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 1.0})
+    manager(env, "start", "ext_0", 0, "dodecane")
+    manager(env, "wait")
+    adding = labs.benches[1].action_meanings.index("add water to EV, 0.4 L")
+    do(env, "add water to EV, 0.4 L")
+    assert env.infos["ext_0"]["action_mask"][adding] == 1
+    do(env, "add water to EV, 0.4 L")  # 0.1 L is what is left
+    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.stations[1].places[0, 0]], strict=True))
+    assert contents["water"] == pytest.approx(water["water"], rel=1e-9)
+    assert env.infos["ext_0"]["action_mask"][adding] == 0
+
+
+def test_discarding_fills_the_waste_and_frees_the_slot() -> None:
+    env = laboratory()
+    labs = env.laboratories
+    contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
+    labs.shelf.fill(0, 1, 1.2, contents)
+    manager(env, "measure", 1, "balance")
+    manager(env, "discard", 1)
+    assert occupied(env) == [0]
+    waste = {n: float(x) for n, x in zip(env.scenario.materials, labs.shelf.waste[0], strict=True) if x > 0.0}
+    assert waste == pytest.approx(contents, rel=1e-12)
+    price = env.scenario.costs.waste_per_l
+    assert labs.costs()["waste"] == pytest.approx(price * litres(env.scenario, contents), rel=1e-9)
+    # What was known of the vessel is forgotten with it.
+    assert seen(env, "slot_1_balance")[0] == 0.0
+    assert seen(env, "slot_1_balance_age")[0] == 1.0
+    # Without the last vessel there would be nothing left to do.
+    assert not allowed(env, "discard", 0)
+
+
+def test_costs_are_itemized_and_add_up() -> None:
+    values = mapping()
+    env = laboratory(values)
+    scenario, labs = env.scenario, env.laboratories
+    costs = scenario.costs
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
+    manager(env, "measure", 0, "uv_vis")
+    manager(env, "measure", 1, "balance")
+    env.step(labs.actions.encode("wait"))  # illegal: no bench is busy
+    env.step(labs.actions.encode("recall", "rxn_0"))  # illegal too
+    manager(env, "start", "ext_0", 1, "dodecane")
+    manager(env, "wait")
+    do(env, "add water to EV, 0.1 L")
+    do(env, "add diethyl_ether to EV, 0.2 L")
+    do(env, "settle, 6 clock")
+    do(env, "end the experiment")
+    thrown = labs.shelf.vessel(0, 1).amounts()
+    manager(env, "discard", 1)
+    manager(env, "submit", 0)
+    mol = {name: litre / litres(scenario, {name: 1.0}) for name, litre in (("water", 0.1), ("diethyl_ether", 0.2))}
+    expected = {
+        "instruments": values["instruments"]["uv_vis"]["price"] + values["instruments"]["balance"]["price"],
+        "stock": sum(costs.stock_per_mol[name] * used for name, used in mol.items()),
+        "waste": costs.waste_per_l * litres(scenario, thrown),
+        "time": 4 * costs.tick,
+        "illegal_actions": 2 * costs.illegal_action,
+        "safety": 0.0,
+    }
+    assert tuple(expected) == COST_ITEMS
+    assert env.infos["manager_0"]["costs"] == pytest.approx(expected, rel=1e-9)
+    assert all(value > 0.0 for key, value in expected.items() if key != "safety")
+    # 1 mol of dodecane in 4 mol, of at most 0.5.
+    assert env.rewards["manager_0"] == pytest.approx(1.0 * 0.25 / 0.5 - sum(expected.values()), rel=1e-9)
+
+
+def test_a_submission_of_nothing_is_worth_nothing() -> None:
+    env = laboratory()
+    env.laboratories.shelf.fill(0, 0, 1.2, {})
+    manager(env, "submit", 0)
+    assert env.rewards["manager_0"] == 0.0
+    assert env.infos["manager_0"]["purity"] == 0.0
+
+
+def test_dissolved_salt_counts_as_salt() -> None:
+    env = raw_env("salt_from_oil")
+    env.reset(seed=0)
+    env.laboratories.shelf.fill(0, 0, 1.2, {"water": 6.0, "Na+": 2.0, "Cl-": 2.0})
+    manager(env, "submit", 0)
+    # Two pairs of ions are 2 mol of salt in 8 mol, of at most 1.
+    assert env.rewards["manager_0"] == pytest.approx(2.0 * (2.0 / 8.0) / 1.0, rel=1e-12)
+
+
+# -- what the manager may not see -----------------------------------------------------------------------------------
+
+
+def test_the_manager_sees_vessels_from_outside_alone() -> None:
+    """Vessels of one volume, temperature and capacity look alike until they are measured, whatever is in them."""
+    scenario = load_scenario(WURTZ)
+    labs = Laboratories(scenario, 3)
+    both = labs.members
+    for member in both:
+        labs.seed(int(member), 0)
+    labs.reset(both)
+    volume = 0.6
+    mixtures = (
+        {"water": 1.0},
+        {"diethyl_ether": 1.0, "dodecane": 3.0},
+        {"1-chlorohexane": 1.0, "Na": 1.0, "NaCl": 0.5},
+    )
+    for member, mixture in enumerate(mixtures):
+        scale = volume / litres(scenario, mixture)
+        for slot, capacity in ((0, 1.2), (1, 0.9)):
+            labs.shelf.fill(member, slot, capacity, {name: scale * mol for name, mol in mixture.items()})
+
+    def alike() -> bool:
+        sights = labs.observe(0, both)
+        masks = labs.mask(0, both)
+        assert masks is not None
+        return all(np.allclose(sight, sights[0], rtol=0.0, atol=1e-7) for sight in sights[1:]) and bool(
+            (masks == masks[0]).all()
+        )
+
+    def act(*action: str | int) -> None:
+        labs.act(0, both, np.full(3, labs.actions.encode(*action)))  # type: ignore[arg-type]
+
+    assert alike()
+    act("start", "dit_0", 0, "NaCl")
+    assert alike()
+    act("recall", "dit_0")  # back on the shelf, with a history now
+    assert alike()
+    act("discard", 1)
+    assert alike()
+    before = labs.snapshot()
+    for instrument in scenario.instruments:
+        labs.restore(before)
+        act("measure", 0, instrument)
+        assert not alike(), f"{instrument} tells nothing"
+
+
+def test_hidden_contents_are_hidden_in_every_number() -> None:
+    """Changing only the contents behind the manager's back changes nothing it sees."""
+    env = laboratory()
+    scenario, labs = env.scenario, env.laboratories
+    rng = np.random.default_rng(0)
+    names = ["water", "diethyl_ether", "dodecane", "NaCl", "1-chlorohexane", "4-ethyldecane"]
+    sight = None
+    for _ in range(20):
+        mixture = {name: float(rng.random()) for name in names}
+        scale = 0.5 / litres(scenario, mixture)
+        labs.shelf.fill(0, 0, 1.2, {name: scale * mol for name, mol in mixture.items()})
+        now = env.observe("manager_0")
+        if sight is not None:
+            np.testing.assert_allclose(now, sight, rtol=0.0, atol=1e-7)
+        sight = now
+
+
+def test_the_outside_of_a_vessel_is_what_it_is() -> None:
+    env = laboratory()
+    labs = env.laboratories
+    shelf: Shelf = labs.shelf
+    largest = max([v.capacity_l for v in env.scenario.shelf.vessel] + [b.auxiliary_capacity_l for b in labs.benches])
+    shelf.fill(0, 3, 0.75 * largest, {"water": 10.0})
+    shelf.vessels[0, 3, 0] = 350.0
+    assert seen(env, "slot_3_occupied")[0] == 1.0
+    assert seen(env, "slot_3_capacity")[0] == pytest.approx(0.75, rel=1e-6)
+    fill = litres(env.scenario, {"water": 10.0}) / (0.75 * largest)
+    assert seen(env, "slot_3_fill")[0] == pytest.approx(fill, rel=1e-6)
+    channel = next(channel for channel in labs.channels if channel.name == "slot_3_temperature")
+    assert seen(env, "slot_3_temperature")[0] == pytest.approx(
+        (350.0 - channel.low) / (channel.high - channel.low), rel=1e-6
+    )
+    # An empty slot is zeros, but for readings that have never been taken and a vessel that has been nowhere.
+    assert seen(env, "slot_4_occupied")[0] == seen(env, "slot_4_fill")[0] == seen(env, "slot_4_capacity")[0] == 0.0
+
+
+def test_the_manager_sees_its_benches() -> None:
+    env = laboratory()
+    goals = list(env.scenario.goals)
+    manager(env, "start", "dit_0", 1, "NaCl")
+    manager(env, "wait")
+    do(env, "cool DV, 2 kJ")
+    assert seen(env, "dit_0_busy")[0] == 1.0
+    assert seen(env, "dit_0_goal").tolist() == [float(goal == "NaCl") for goal in goals]
+    assert seen(env, "dit_0_steps_left")[0] == pytest.approx(49 / 50, rel=1e-6)
+    for part in ("busy", "goal", "steps_left"):
+        assert not seen(env, f"rxn_0_{part}").any()
+    limits = env.scenario.limits
+    assert seen(env, "actions")[0] == pytest.approx(1.0 - 2 / limits.manager_actions, rel=1e-6)
+    assert seen(env, "ticks")[0] == pytest.approx(1.0 - 1 / limits.ticks, rel=1e-6)
+
+
+def test_the_manager_is_the_same_in_a_batch() -> None:
+    """A laboratory of a batch is bit for bit the laboratory alone: nothing is shared but the scenario."""
+    scenario = load_scenario("wurtz_any")
+    batch = Laboratories(scenario, 3)
+    alone = [Laboratories(scenario, 1) for _ in range(3)]
+    for member in range(3):
+        batch.seed(member, member)
+        alone[member].seed(0, member)
+        alone[member].reset(alone[member].members)
+    batch.reset(batch.members)
+    rngs = [np.random.default_rng(member) for member in range(3)]
+    for _ in range(150):
+        for member, (lab, rng) in enumerate(zip(alone, rngs, strict=True)):
+            if lab.desk.status[0]:
+                continue
+            number = lab.turn()
+            assert batch.turn(member) == number
+            members = np.array([member])
+            mask, same = lab.mask(number, lab.members), batch.mask(number, members)
+            np.testing.assert_array_equal(lab.observe(number, lab.members), batch.observe(number, members))
+            if mask is None:
+                action: Any = rng.random((1, *lab.action_space(number).shape))  # type: ignore[misc]
+            else:
+                np.testing.assert_array_equal(mask, same)
+                action = np.array([rng.choice(np.flatnonzero(mask[0]))])
+            lab.act(number, lab.members, action)
+            batch.act(number, members, action)
+            np.testing.assert_array_equal(lab.rewards[0], batch.rewards[member])
+            width = AMOUNTS + len(scenario.materials)
+            np.testing.assert_array_equal(lab.shelf.vessels[0, :, :width], batch.shelf.vessels[member, :, :width])
