@@ -7,7 +7,7 @@ snapshot and restoring one are array copies. :class:`Chemistry` holds the scenar
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -268,6 +268,13 @@ class Shelf:
 
     def __post_init__(self) -> None:
         self.rows = self.vessels.reshape(-1, self.vessels.shape[-1])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "rows"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()  # in a copy, too, the rows are the vessels and not a second set of them
 
     @classmethod
     def empty(cls, scenario: Scenario, laboratories: int, vessels: int) -> Shelf:

@@ -30,7 +30,6 @@ with its own seed from a list), whatever the batch size and the number of thread
 
 from __future__ import annotations
 
-import copy as copying
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -140,16 +139,13 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         arena.act(checked)
         cost, reward = self.bench.consequences(arena.station, arena.members)
         total = float(reward[0])
-        info: dict[str, Any] = {}
+        # The last observation and mask are still of the running experiment: look first.
+        observation, info = self._observe(), self._info(float(cost[0]))
         if arena.station.ended[0]:
-            observation = self._observe()
             score = float(arena.finish(arena.members)[0])
             info["score"] = score
             total += score
             self._over = True
-        else:
-            observation = self._observe()
-        info.update(self._info(float(cost[0])))
         return observation, total, self._over, False, info
 
     def _observe(self) -> npt.NDArray[np.float32]:
@@ -187,6 +183,10 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
             array[...] = saved
         self._over, self._seeded = bool(state[-1][0]), bool(state[-1][1])
         return self._observe()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.arena.shelf.__post_init__()  # a copied view is an array of its own
 
     def render(self) -> str | None:
         """The bench's vessels as text (render mode ``ansi``); the true contents are not shown."""
@@ -266,6 +266,7 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         self._rewards = np.zeros(num_envs)
         self._costs = np.zeros(num_envs)
         self._scores = np.zeros(num_envs)
+        self._illegal = np.zeros(num_envs, dtype=np.bool_)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._pending = np.zeros(num_envs, dtype=np.bool_)
         self._begun = False
@@ -292,6 +293,8 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=np.bool_)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ValueError(f"reset_mask must be {self.num_envs} booleans, given {mask.dtype} of shape {mask.shape}")
+        if not (self._begun or mask.all()):
+            raise ValueError("reset_mask: the first reset must be of all members")
         super().reset(seed=seed if isinstance(seed, int) else None)
         if seed is None and not self._begun:
             seeds: list[int | None] = [int(s) for s in self.np_random.integers(2**63, size=self.num_envs)]
@@ -308,7 +311,7 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         goal = options.get("goal")
         self.arena.reset(np.flatnonzero(mask), None if goal is None else goals.index(goal))
         self._pending[mask] = False
-        self._costs[mask] = 0.0
+        self._costs[mask], self._illegal[mask] = 0.0, False
         self._begun = True
         for members, bench in self._chunks:
             self._look(members, bench)
@@ -384,12 +387,13 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
                 arena.reset(members[waiting], None, bench)
             acting = members[~waiting]
             self._rewards[members[waiting]] = 0.0
-            self._costs[members[waiting]] = 0.0
+            self._costs[members[waiting]], self._illegal[members[waiting]] = 0.0, False
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
         bench.act(shelf, station, acting, chosen)
         cost, reward = bench.consequences(station, acting)
         self._rewards[acting], self._costs[acting] = reward, cost
+        self._illegal[acting] = station.illegal[acting]  # a reset in the same step forgets it there
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
@@ -428,7 +432,7 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         infos: dict[str, Any] = {
             "cost": self._costs.copy(),
             "_cost": everyone,
-            "illegal_action": self.arena.station.illegal.copy(),
+            "illegal_action": self._illegal.copy(),
             "_illegal_action": everyone,
         }
         if self.bench.action_count:
@@ -459,6 +463,7 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
             self._rewards,
             self._costs,
             self._scores,
+            self._illegal,
             self._ended,
             self._pending,
         ]
@@ -484,9 +489,6 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}  # threads cannot be pickled or copied; they are started again when needed
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> BenchVectorEnv:
-        other = object.__new__(type(self))
-        memo[id(self)] = other
-        for name, value in self.__getstate__().items():
-            setattr(other, name, copying.deepcopy(value, memo))
-        return other
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.arena.shelf.__post_init__()  # a copied view is an array of its own

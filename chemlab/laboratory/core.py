@@ -103,9 +103,8 @@ class Laboratories:
         self.stations: list[Station] = []
         for b, bench in enumerate(self.benches):
             places = np.arange(n)[:, None] * self.vessels_per_laboratory + first[b] + np.arange(positions[b])
-            station = Station.empty(self.bench_agents[b], bench, places)
-            station.busy, station.goal, station.steps = self.busy[b], self._goals[b], self._steps[b]
-            self.stations.append(station)
+            self.stations.append(Station.empty(self.bench_agents[b], bench, places))
+        self._share_arrays()
         self.desk = Desk.empty(n, slots, stations, int(self.instruments.start[-1]), len(self.instruments.names))
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in self.shelf.layout.materials])
         self.rules = self._build_rules(positions, first)
@@ -126,6 +125,15 @@ class Laboratories:
         self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
         self.members: IntArray = np.arange(n)
+
+    def _share_arrays(self) -> None:
+        """Each station's busy, goal and steps are its row of the arrays that the manager's kernels read."""
+        for b, station in enumerate(self.stations):
+            station.busy, station.goal, station.steps = self.busy[b], self._goals[b], self._steps[b]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._share_arrays()
 
     def _build_rules(self, positions: IntArray, first: IntArray) -> Rules:
         spec, layout = self.scenario, self.shelf.layout

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from chemlab.agents.policy import Policy, make_policies
 from chemlab.agents.run import EpisodeResult, Turn, play_episode
+
 from chemlab.laboratory.aec import raw_env
 from chemlab.scenario import scenario_names
 
@@ -20,7 +20,7 @@ SCENARIOS = scenario_names()
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def results(scenario: str, policy: str, episodes: int) -> tuple[EpisodeResult, ...]:
     """Episodes with seeds 0, 1, ... of one set of policies."""
     env = raw_env(scenario)

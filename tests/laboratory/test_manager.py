@@ -1,4 +1,4 @@
-"""The manager's side: its action table, what starting, recalling, measuring and discarding do, what it is charged and sees.
+"""The manager: its action table, what starting, recalling, measuring and discarding do, its charges, and what it sees.
 
 Contents are put into vessels by hand, so that readings, purities and costs have closed forms.
 """

@@ -1,0 +1,736 @@
+"""Single benches as Gymnasium environments: what every registered id must do, alone and in batches.
+
+Batches are compared with single environments, copies with originals, and spaces with the laboratory's; rewards are
+recomputed from the bench's own measure of the vessels.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import pickle
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import chemlab.scenarios
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import DataError, read_toml
+from chemlab.scenario import load_scenario, scenario_names
+
+IDS = sorted(
+    name for name, spec in gymnasium.registry.items() if name.startswith("chemlab/") and "bench" in (spec.kwargs or {})
+)
+DISCRETE = [name for name in IDS if gymnasium.spec(name).kwargs["bench"] != "rxn"]
+CONTINUOUS = [name for name in IDS if name not in DISCRETE]
+STEPS = 120
+"""More than two experiments of any bench."""
+
+
+def single(name: str, **arguments: Any) -> BenchEnv:
+    """The bare single environment of an id."""
+    return BenchEnv(**{**gymnasium.spec(name).kwargs, **arguments})
+
+
+def batch(name: str, num_envs: int, **arguments: Any) -> BenchVectorEnv:
+    """The bare batch of an id."""
+    return BenchVectorEnv(num_envs, **{**gymnasium.spec(name).kwargs, **arguments})
+
+
+def plan(name: str, members: int, steps: int = STEPS, seed: int = 0) -> npt.NDArray[Any]:
+    """[steps, members, ...] random actions, legal or not; discrete experiments last a while before one ends them."""
+    space = single(name).action_space
+    rng = np.random.default_rng(seed)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        actions: npt.NDArray[Any] = rng.integers(space.n - 1, size=(steps, members))
+        actions[rng.random(actions.shape) < 0.03] = space.n - 1
+        return actions
+    return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
+
+
+def random_legal(env: BenchEnv, rng: np.random.Generator) -> Any:
+    """A random legal action."""
+    if isinstance(env.action_space, gymnasium.spaces.Discrete):
+        return int(rng.choice(np.flatnonzero(env.action_masks())))
+    return rng.random(env.action_space.shape)
+
+
+def episode(env: BenchEnv, seed: int, actions: npt.NDArray[Any]) -> Iterator[tuple[Any, ...]]:
+    """(observation, reward, terminated, mask) at the reset and after each step, begun anew (unseeded) where it ends."""
+    observation, info = env.reset(seed=seed)
+    yield observation, 0.0, False, info.get("action_mask")
+    over = False
+    for action in actions:
+        if over:
+            observation, info = env.reset()
+            over = False
+            yield observation, 0.0, False, info.get("action_mask")
+        else:
+            observation, reward, over, truncated, info = env.step(action)
+            assert not truncated
+            yield observation, reward, over, info.get("action_mask")
+
+
+def assert_same_arrays(first: Any, second: Any) -> None:
+    """Two get_state() results are equal bit for bit."""
+    assert len(first) == len(second)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_every_bench_kind_is_registered() -> None:
+    assert len(IDS) >= 5
+    assert {gymnasium.spec(name).kwargs["bench"] for name in IDS} == {"rxn", "ext", "dit"}
+    for name in [*IDS, "chemlab/Bench-v0"]:
+        spec = gymnasium.spec(name)
+        assert isinstance(spec.entry_point, str), "entry points are strings, so that importing chemlab stays light"
+        assert isinstance(spec.vector_entry_point, str)
+
+
+# -- checkers, spaces, seeds ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_finds_nothing_wrong(name: str) -> None:
+    check_env(gymnasium.make(name, render_mode="ansi").unwrapped)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_sb3_finds_nothing_wrong(name: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the train extra")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # SB3 advises actions in [-1, 1]; the laboratory's are fractions.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized Box action space.*")
+        checker.check_env(gymnasium.make(name))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_spaces_are_the_laboratory_s(name: str) -> None:
+    arguments = gymnasium.spec(name).kwargs
+    laboratories = Laboratories(arguments["scenario"])
+    agent = laboratories.agents.index(f"{arguments['bench']}_0")
+    env, vector = gymnasium.make(name), batch(name, 3)
+    assert env.observation_space == laboratories.observation_space(agent)
+    assert env.action_space == laboratories.action_space(agent)
+    assert vector.single_observation_space == env.observation_space
+    assert vector.single_action_space == env.action_space
+    assert vector.observation_space == gymnasium.vector.utils.batch_space(env.observation_space, 3)
+    assert vector.action_space == gymnasium.vector.utils.batch_space(env.action_space, 3)
+    assert env.unwrapped.action_meanings == laboratories.benches[agent - 1].action_meanings  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_seed_decides_everything(name: str) -> None:
+    env, other = single(name), single(name)
+    other.reset(seed=99)
+    actions = plan(name, 1)[:, 0]
+    for one, two in zip(episode(env, 5, actions), episode(other, 5, actions), strict=True):
+        for first, second in zip(one, two, strict=True):
+            np.testing.assert_array_equal(first, second)
+
+
+def beginnings(env: BenchEnv, seed: int | None) -> bytes:
+    """The first observations of 20 experiments; seven goals are drawn, so equal ones by chance are out of question."""
+    return b"".join(env.reset(seed=seed if i == 0 else None)[0].tobytes() for i in range(20))
+
+
+def test_another_seed_is_another_experiment() -> None:
+    env = single("chemlab/WurtzExtraction-v0")
+    assert len({beginnings(env, seed) for seed in range(8)}) == 8
+    again = beginnings(env, 0)
+    assert beginnings(env, None) != again, "without a seed the streams go on"
+    assert beginnings(env, 0) == again
+
+
+def test_a_first_reset_without_a_seed_draws_one() -> None:
+    name = "chemlab/WurtzExtraction-v0"
+    assert len({beginnings(single(name), None) for _ in range(4)}) == 4
+    vector = batch(name, 4)
+    rows = [vector.reset()[0] for _ in range(20)]
+    assert len({b"".join(row[i].tobytes() for row in rows) for i in range(4)}) == 4
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_observations_stay_in_their_space(name: str) -> None:
+    env = single(name)
+    for seed in range(2):
+        for observation, reward, _, _ in episode(env, seed, plan(name, 1, seed=seed)[:, 0]):
+            assert observation in env.observation_space
+            assert np.isfinite(reward)
+
+
+DIGEST = """
+import hashlib, sys
+import numpy as np
+from chemlab.laboratory.bench_env import BenchVectorEnv
+
+digest = hashlib.sha256()
+for scenario, bench in zip(sys.argv[1::2], sys.argv[2::2]):
+    env = BenchVectorEnv(3, scenario, bench)
+    digest.update(env.reset(seed=11)[0].tobytes())
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        shape = env.action_space.shape
+        count = env.bench.action_count
+        actions = rng.integers(count - 1, size=3) if count else rng.random(shape)
+        observations, rewards, ended, _, _ = env.step(actions)
+        digest.update(observations.tobytes() + rewards.tobytes() + ended.tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_processes_agree() -> None:
+    arguments = [gymnasium.spec(name).kwargs[key] for name in IDS for key in ("scenario", "bench")]
+    command = [sys.executable, "-c", DIGEST, *arguments]
+    # Different hash seeds: nothing may depend on the order of a set.
+    found = {
+        subprocess.run(command, check=True, capture_output=True, text=True, env={"PYTHONHASHSEED": seed}).stdout
+        for seed in ("1", "2")
+    }
+    assert len(found) == 1
+    assert len(found.pop().strip()) == hashlib.sha256().digest_size * 2
+
+
+# -- copies and states ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("name", IDS)
+def test_copies_go_on_alike(name: str, how: Any) -> None:
+    actions = plan(name, 1)[:, 0]
+    env = single(name)
+    for _ in episode(env, 3, actions[:10]):
+        pass
+    twin = how(env)
+    untouched = how(env).get_state()
+    over, continued = env._over, []
+    for action in actions[10:40]:
+        continued.append(env.reset()[0] if over else env.step(action)[0])
+        over = env._over
+    assert_same_arrays(twin.get_state(), untouched)
+    over = twin._over
+    for action, expected in zip(actions[10:40], continued, strict=True):
+        np.testing.assert_array_equal(twin.reset()[0] if over else twin.step(action)[0], expected)
+        over = twin._over
+    assert_same_arrays(twin.get_state(), env.get_state())
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("name", ["chemlab/WurtzReaction-v0", "chemlab/WurtzExtraction-v0"])
+def test_copies_of_batches_go_on_alike(name: str, mode: AutoresetMode, threads: int, how: Any) -> None:
+    actions = plan(name, 5, 40)
+    env = batch(name, 5, autoreset_mode=mode, threads=threads)
+    env.reset(seed=3)
+    for action in actions[:15]:
+        env.step(action)
+    twin = how(env)
+    before = twin.get_state()
+    continued = [env.step(action) for action in actions[15:]]
+    assert_same_arrays(twin.get_state(), before)  # its arrays are its own
+    for action, expected in zip(actions[15:], continued, strict=True):
+        for one, other in zip(twin.step(action)[:4], expected[:4], strict=True):
+            np.testing.assert_array_equal(one, other)
+    env.close()
+    twin.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_states_can_be_put_back(name: str) -> None:
+    actions = plan(name, 1, 18)[:, 0]
+    env, other = single(name), single(name)
+    env.reset(seed=1)
+    other.reset(seed=2)
+    if isinstance(env.action_space, gymnasium.spaces.Discrete):
+        actions %= int(env.action_space.n) - 1  # nothing ends it
+    seen = [env.step(action)[0] for action in actions[:8]]
+    state = env.get_state()
+    future = [env.step(action)[:2] for action in actions[8:]]
+    for back in (env, other):
+        np.testing.assert_array_equal(back.set_state(state), seen[-1])
+        for action, (observation, reward) in zip(actions[8:], future, strict=True):
+            again, again_reward, *_ = back.step(action)
+            np.testing.assert_array_equal(again, observation)
+            assert again_reward == reward
+
+
+@pytest.mark.parametrize("name", ["chemlab/WurtzReaction-v0", "chemlab/WurtzDistillation-v0"])
+def test_states_of_batches_can_be_put_back(name: str) -> None:
+    actions = plan(name, 4, 60)
+    env, other = batch(name, 4), batch(name, 4, threads=2)
+    env.reset(seed=1)
+    for action in actions[:20]:
+        env.step(action)
+    state = env.get_state()
+    future = [env.step(action) for action in actions[20:]]
+    assert any(step[2].any() for step in future)
+    for back in (env, other):
+        back.set_state(state)
+        for action, expected in zip(actions[20:], future, strict=True):
+            for one, two in zip(back.step(action)[:4], expected[:4], strict=True):
+                np.testing.assert_array_equal(one, two)
+    other.close()
+
+
+# -- batches ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_members_are_single_environments(name: str) -> None:
+    seed = 40
+    actions = plan(name, 64)
+    members = [list(episode(single(name), seed + i, actions[:, i])) for i in range(0, 64, 9)]
+    # Every ninth of a batch is compared; all of them are, between batches of different sizes and threads.
+    whole: list[Any] = []
+    for num_envs, threads in ((64, 1), (64, 2), (7, 1), (7, 2), (1, 1), (1, 2)):
+        env = batch(name, num_envs, threads=threads)
+        observations, infos = env.reset(seed=seed)
+        rows = [(observations, np.zeros(num_envs), np.zeros(num_envs, dtype=bool), infos.get("action_mask"))]
+        for action in actions:
+            observations, rewards, terminated, truncated, infos = env.step(action[:num_envs])
+            assert not truncated.any()
+            rows.append((observations, rewards, terminated, infos.get("action_mask")))
+        whole = whole or rows
+        for row, first in zip(rows, whole, strict=True):
+            for one, two in zip(row, first, strict=True):
+                np.testing.assert_array_equal(one, two if two is None else two[:num_envs])
+        env.close()
+    assert sum(row[2].sum() for row in whole) >= 64
+    for t, row in enumerate(whole):
+        for j, member in enumerate(members):
+            for one, two in zip(row, member[t], strict=True):
+                if two is None:
+                    assert one is None
+                else:
+                    np.testing.assert_array_equal(one[9 * j], two)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_same_step_resets_at_once(name: str) -> None:
+    """Compared with single environments that are reset by hand as soon as they end."""
+    actions = plan(name, 3)
+    env = batch(name, 3, autoreset_mode="SameStep")
+    singles = [single(name) for _ in range(3)]
+    observations, _ = env.reset(seed=7)
+    for i, one in enumerate(singles):
+        np.testing.assert_array_equal(observations[i], one.reset(seed=7 + i)[0])
+    ends = 0
+    for action in actions:
+        observations, rewards, terminated, _, infos = env.step(action)
+        for i, one in enumerate(singles):
+            observation, reward, over, _, info = one.step(action[i])
+            assert rewards[i] == reward
+            assert terminated[i] == over
+            assert infos["illegal_action"][i] == info["illegal_action"]
+            assert infos["cost"][i] == info["cost"]
+            if over:
+                ends += 1
+                assert infos["_final_obs"][i]
+                np.testing.assert_array_equal(infos["final_obs"][i], observation)
+                assert infos["score"][i] == info["score"]
+                observation, info = one.reset()
+            np.testing.assert_array_equal(observations[i], observation)
+            if "action_mask" in info:
+                np.testing.assert_array_equal(infos["action_mask"][i], info["action_mask"])
+    assert ends >= 6
+
+
+def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
+    """The step that ends may itself be illegal: at the step limit."""
+    name = "chemlab/WurtzExtraction-v0"
+    env = batch(name, 1, autoreset_mode="SameStep")
+    _, infos = env.reset(seed=0)
+    illegal = int(np.flatnonzero(infos["action_mask"][0] == 0)[0])
+    for step in range(1, env.bench.spec.step_limit + 1):
+        _, rewards, terminated, _, infos = env.step(np.array([illegal]))
+        assert infos["illegal_action"][0], f"step {step}"
+        assert terminated[0] == (step == env.bench.spec.step_limit)
+    assert rewards[0] == pytest.approx(infos["score"][0] - env.arena.scenario.costs.illegal_action)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_disabled_autoreset_waits_for_a_mask(name: str) -> None:
+    actions = plan(name, 3)
+    env = batch(name, 3, autoreset_mode="Disabled")
+    singles = [single(name) for _ in range(3)]
+    env.reset(seed=7)
+    for i, one in enumerate(singles):
+        one.reset(seed=7 + i)
+    for action in actions:
+        observations, _, terminated, _, _ = env.step(action)
+        expected = [one.step(action[i])[0] for i, one in enumerate(singles)]
+        np.testing.assert_array_equal(observations, expected)
+        if terminated.any():
+            before = env.get_state()
+            with pytest.raises(ResetNeeded):
+                env.step(action)
+            assert_same_arrays(env.get_state(), before)
+            observations, _ = env.reset(options={"reset_mask": terminated})
+            for i in np.flatnonzero(terminated):
+                expected[i] = singles[i].reset()[0]
+            np.testing.assert_array_equal(observations, expected)  # the others are where they were
+
+
+def test_reset_mask_of_chosen_members_with_seeds() -> None:
+    name = "chemlab/WurtzDistillation-v0"
+    env = batch(name, 3, autoreset_mode="Disabled")
+    first, _ = env.reset(seed=0)
+    seeds = [5, 6, 7]
+    observations, _ = env.reset(seed=seeds, options={"reset_mask": np.array([False, True, False])})
+    np.testing.assert_array_equal(observations[[0, 2]], first[[0, 2]])
+    np.testing.assert_array_equal(observations[1], single(name).reset(seed=6)[0])
+
+
+def test_a_first_reset_is_of_all_members() -> None:
+    env = batch("chemlab/WurtzDistillation-v0", 2, autoreset_mode="Disabled")
+    with pytest.raises(ValueError, match="first reset"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+
+
+def test_lists_of_seeds() -> None:
+    name = "chemlab/WurtzExtraction-v0"
+    env = batch(name, 3)
+    env.reset(seed=0)
+    observations, _ = env.reset(seed=[9, None, 2])
+    np.testing.assert_array_equal(observations[0], single(name).reset(seed=9)[0])
+    np.testing.assert_array_equal(observations[2], single(name).reset(seed=2)[0])
+    goes_on = single(name)
+    goes_on.reset(seed=1)
+    np.testing.assert_array_equal(observations[1], goes_on.reset()[0])
+
+
+@pytest.mark.parametrize("options", [{"reset_mask": [True]}, {"reset_mask": np.ones(3)}, {"goals": "dodecane"}])
+def test_bad_reset_options(options: dict[str, Any]) -> None:
+    env = batch("chemlab/WurtzReaction-v0", 3)
+    env.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=r"reset_mask|reset options"):
+        env.reset(options=options)
+    assert_same_arrays(env.get_state(), before)
+
+
+def test_bad_numbers_of_seeds_members_and_threads() -> None:
+    with pytest.raises(ValueError, match="3 members, given 2"):
+        batch("chemlab/WurtzReaction-v0", 3).reset(seed=[1, 2])
+    with pytest.raises(ValueError, match="num_envs"):
+        batch("chemlab/WurtzReaction-v0", 0)
+    with pytest.raises(ValueError, match="threads"):
+        batch("chemlab/WurtzReaction-v0", 1, threads=0)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
+    actions = plan(name, 2, 5)
+    keeps, reuses = batch(name, 2), batch(name, 2, copy=False)
+    kept, kept_infos = keeps.reset(seed=0)
+    reused, _ = reuses.reset(seed=0)
+    first, first_mask = kept.copy(), kept_infos.get("action_mask", np.zeros(0)).copy()
+    for action in actions:
+        observations, *_ = keeps.step(action)
+        overwritten, *_ = reuses.step(action)
+        np.testing.assert_array_equal(observations, overwritten)
+    np.testing.assert_array_equal(kept, first)
+    np.testing.assert_array_equal(kept_infos.get("action_mask", np.zeros(0)), first_mask)
+    np.testing.assert_array_equal(reused, overwritten)
+    assert not np.array_equal(first, overwritten)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_make_vec(name: str) -> None:
+    env = gymnasium.make_vec(name, num_envs=8, vectorization_mode="vector_entry_point")
+    assert isinstance(env.unwrapped, BenchVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observations, _ = env.reset(seed=0)
+    assert observations in env.observation_space
+    env.action_space.seed(0)
+    for _ in range(3):
+        observations, rewards, *_ = env.step(env.action_space.sample())
+        assert observations in env.observation_space
+        assert rewards.shape == (8,)
+    env.close()
+
+
+# -- masks, goals, rewards --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DISCRETE)
+def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
+    env = single(name)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    price = env.arena.scenario.costs.illegal_action
+    assert price > 0.0
+    seen = {True: 0, False: 0}
+    for _ in range(200):
+        mask = env.action_masks()
+        assert mask[-1], "ending is always legal"
+        assert mask.sum() >= 2
+        action = int(rng.integers(len(mask) - 1))
+        shelf, steps = env.arena.shelf.rows.copy(), int(env.arena.station.steps[0])
+        _, reward, over, _, info = env.step(action)
+        if not over:
+            np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+        assert info["illegal_action"] == (not mask[action])
+        seen[info["illegal_action"]] += 1
+        assert env.arena.station.steps[0] == steps + 1, "a turn is a turn"
+        if info["illegal_action"] and not over:
+            np.testing.assert_array_equal(env.arena.shelf.rows, shelf)
+            assert reward == -price
+            assert info["cost"] == 0.0
+        if over:
+            assert info["action_mask"].any()
+            env.reset()
+    assert min(seen.values()) > 20
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_continuous_benches_have_no_mask(name: str) -> None:
+    env, vector = single(name), batch(name, 2)
+    assert "action_mask" not in env.reset(seed=0)[1]
+    assert "action_mask" not in vector.reset(seed=0)[1]
+    for one in (env, vector):
+        with pytest.raises(ValueError, match="rxn_0"):
+            one.action_masks()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_goals_can_be_chosen(name: str) -> None:
+    names = load_scenario(gymnasium.spec(name).kwargs["scenario"]).goals
+    for goals in (names[0], list(names[:2]), None):
+        wanted = {goals} if isinstance(goals, str) else set(goals or names)
+        env = batch(name, 256, goals=goals)
+        observations, _ = env.reset(seed=0)
+        hot = observations[:, -len(names) :]
+        np.testing.assert_array_equal(hot.sum(axis=1), 1.0)
+        assert {names[g] for g in hot.argmax(axis=1)} == wanted  # 256 draws miss one of 7 with probability 1e-16
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_goal_can_be_asked_for(name: str) -> None:
+    env, vector = single(name), batch(name, 3)
+    names = env.arena.scenario.goals
+    for g, goal in enumerate(names):
+        expected = np.eye(len(names))[g]
+        np.testing.assert_array_equal(env.reset(seed=0, options={"goal": goal})[0][-len(names) :], expected)
+        for row in vector.reset(seed=0, options={"goal": goal})[0]:
+            np.testing.assert_array_equal(row[-len(names) :], expected)
+    for one in (env, vector):
+        with pytest.raises(ValueError, match="goal.*given"):
+            one.reset(options={"goal": "gold"})  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_episode_pays_its_score_and_ends(name: str) -> None:
+    """The return is the bench's measure at the end minus at the start, less lost turns and priced events."""
+    env = single(name)
+    arena, rng = env.arena, np.random.default_rng(3)
+    price = arena.scenario.safety.reward_price
+    for seed in range(4):
+        env.reset(seed=seed)
+        start = float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+        total, cost, over, steps = 0.0, 0.0, False, 0
+        while not over:
+            _, reward, over, _, info = env.step(random_legal(env, rng))
+            assert ("score" in info) == over
+            total, cost, steps = total + reward, cost + info["cost"], steps + 1
+            assert (info["cost"] > 0.0) <= bool(info["events"])
+        end = float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+        assert info["score"] == pytest.approx(end - start, abs=1e-12)
+        assert total == pytest.approx(end - start - price * cost, abs=1e-12)
+        assert steps <= env.bench.spec.step_limit
+        if not env.bench.action_count:
+            assert steps == env.bench.spec.step_limit
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_step_after_the_end_is_refused(name: str) -> None:
+    env = single(name)
+    action = plan(name, 1, 1)[0, 0]
+    with pytest.raises(ResetNeeded):
+        env.step(action)
+    with pytest.raises(ResetNeeded):
+        batch(name, 2).step(np.stack([action] * 2))
+    env.reset(seed=0)
+    while not env.step(action)[2]:
+        pass
+    before = env.get_state()
+    with pytest.raises(ResetNeeded):
+        env.step(action)
+    assert_same_arrays(env.get_state(), before)
+    env.reset()
+    env.step(action)
+
+
+# -- bad actions ------------------------------------------------------------------------------------------------------
+
+BAD_NUMBERS = {
+    "nan": lambda good: np.where(np.arange(good.size).reshape(good.shape) == 0, np.nan, good),
+    "infinite": lambda good: np.where(np.arange(good.size).reshape(good.shape) == 0, np.inf, good),
+    "above": lambda good: good + 1.001,
+    "below": lambda good: good - 1.001,
+    "too short": lambda good: good[..., :-1],
+    "too deep": lambda good: good[..., None],
+    "nothing": lambda good: None,
+    "words": lambda good: np.full(good.shape, "0.5", dtype=object),
+    "complex": lambda good: good + 1j,
+}
+BAD_CHOICES = {
+    "above": lambda good, count: np.full_like(good, count),
+    "below": lambda good, count: np.full_like(good, -1),
+    "fraction": lambda good, count: good + 0.5,
+    "float": lambda good, count: good.astype(float),
+    "nan": lambda good, count: good * np.nan,
+    "too many": lambda good, count: np.stack([good, good]),
+    "nothing": lambda good, count: None,
+    "word": lambda good, count: "0",
+    "truth": lambda good, count: good.astype(bool),
+}
+
+
+def refused(env: Any, action: Any, expected: str) -> None:
+    """The action is refused in words, and nothing has changed."""
+    before = env.get_state()
+    with pytest.raises(ValueError, match=expected):
+        env.step(action)
+    assert_same_arrays(env.get_state(), before)
+
+
+@pytest.mark.parametrize("kind", BAD_NUMBERS)
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_bad_continuous_actions(name: str, kind: str) -> None:
+    env, vector = single(name), batch(name, 3)
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    size = int(env.action_space.shape[0])  # type: ignore[index]
+    refused(env, BAD_NUMBERS[kind](np.full(size, 0.5)), rf"rxn_0: .*{size} finite numbers from 0 to 1, given")
+    refused(vector, BAD_NUMBERS[kind](np.full((3, size), 0.5)), rf"rxn_0: .*3, {size}\] finite numbers .*, given")
+
+
+@pytest.mark.parametrize("kind", BAD_CHOICES)
+@pytest.mark.parametrize("name", DISCRETE)
+def test_bad_discrete_actions(name: str, kind: str) -> None:
+    env, vector = single(name), batch(name, 3)
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    count, agent = env.bench.action_count, env.arena.station.agent
+    refused(env, BAD_CHOICES[kind](np.array(1), count), rf"{agent}: .*integer from 0 to {count - 1}, given")
+    refused(
+        vector, BAD_CHOICES[kind](np.ones(3, dtype=int), count), rf"{agent}: .*3 integers from 0 to {count - 1}, given"
+    )
+
+
+@pytest.mark.parametrize("name", DISCRETE)
+def test_one_bad_action_spoils_a_batch(name: str) -> None:
+    vector = batch(name, 3)
+    vector.reset(seed=0)
+    refused(vector, np.array([0, vector.bench.action_count, 0]), "given")
+    refused(vector, np.zeros(2, dtype=int), "3 integers")
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint8])
+def test_any_integers_will_do(dtype: Any) -> None:
+    name = "chemlab/WurtzExtraction-v0"
+    env, vector = single(name), batch(name, 1)
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    for action in (35, 3, 20):
+        one = env.step(dtype(action))[0]
+        np.testing.assert_array_equal(vector.step(np.array([action], dtype=dtype))[0][0], one)
+
+
+# -- the generic id, starting states, rendering -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_any_bench_of_any_scenario(name: str) -> None:
+    laboratories = Laboratories(name)
+    for agent, bench in enumerate(laboratories.benches, start=1):
+        env = gymnasium.make("chemlab/Bench-v0", scenario=name, bench=bench.key)
+        assert env.observation_space == laboratories.observation_space(agent)
+        assert env.action_space == laboratories.action_space(agent)
+        observation, _ = env.reset(seed=0)
+        assert observation in env.observation_space
+
+
+def test_the_generic_id_is_the_named_one() -> None:
+    generic = gymnasium.make("chemlab/Bench-v0", scenario="salt_from_oil", bench="ext")
+    named = gymnasium.make("chemlab/SaltFromOilExtraction-v0")
+    np.testing.assert_array_equal(generic.reset(seed=1)[0], named.reset(seed=1)[0])
+    for action in plan("chemlab/SaltFromOilExtraction-v0", 1, 5)[:, 0] % 40:
+        for one, two in zip(generic.step(action)[:3], named.step(action)[:3], strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scenario": "no_such"}, "no_such"),
+        ({"bench": "lathe"}, r"rxn.*given 'lathe'"),
+        ({"goals": "gold"}, r"goals: .*given 'gold'"),
+        ({"goals": []}, r"goals"),
+        ({"starts": "moon"}, r"'paper' or 'lab', given 'moon'"),
+    ],
+)
+def test_unknown_arguments(arguments: dict[str, Any], message: str) -> None:
+    for make in (BenchEnv, BenchVectorEnv):
+        with pytest.raises(DataError, match=message):
+            make(**arguments)
+
+
+def test_unknown_render_mode() -> None:
+    with pytest.raises(ValueError, match=r"ansi.*given 'holography'"):
+        BenchEnv(render_mode="holography")
+
+
+def test_lab_starts_that_nobody_recorded() -> None:
+    content = read_toml(Path(chemlab.scenarios.__path__[0]) / "wurtz_dodecane.toml")
+    scenario = load_scenario({**content, "name": "never_played"})
+    with pytest.raises(DataError, match="run: chemlab starts never_played"):
+        BenchEnv(scenario, "ext", starts="lab")
+
+
+def test_rendering_shows_no_contents() -> None:
+    env = single("chemlab/WurtzExtraction-v0", render_mode="ansi")
+    env.reset(seed=0, options={"goal": "dodecane"})
+    text = env.render()
+    assert text is not None
+    assert all(position in text for position in env.bench.positions)
+    hidden = set(env.arena.scenario.materials) - {"dodecane"}  # the goal is known
+    body = text.split("\n", 1)[1]
+    assert not any(material in body for material in hidden)
+
+
+def test_models_of_one_s_own_reach_the_bench() -> None:
+    class Inert:
+        calls = itertools.count(1)
+
+        def __call__(self, *arguments: Any, **more: Any) -> Any:
+            next(self.calls)
+            return arguments[0]
+
+        react = __call__
+
+    env = BenchEnv("wurtz_dodecane", "rxn", reaction_model=Inert())  # type: ignore[arg-type]
+    env.reset(seed=0, options={"goal": "dodecane"})
+    total, over = 0.0, False
+    while not over:
+        _, reward, over, _, _ = env.step(np.array([1.0, 0.5, 1.0, 1.0, 1.0, 1.0]))
+        total += reward
+    assert next(Inert.calls) > 20
+    assert total == 0.0, "without reactions there is no product"
