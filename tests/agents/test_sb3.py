@@ -1,0 +1,364 @@
+"""The adapter to Stable-Baselines3: what it returns, compared with single environments, and learners that run on it."""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install "chemlab-marl[train]"')
+pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
+
+import torch
+from chemlab.agents.sb3 import ChemlabVecEnv
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.wrappers import GoalConditioned, VectorPotentialShaping
+
+BENCHES = ["rxn", "ext", "dit"]
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Any:
+    """Networks this small are slower on several threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def plan(bench: str, steps: int, members: int, seed: int = 0) -> Any:
+    """[steps, members, ...] random actions; 3 % of discrete ones end the experiment."""
+    space = BenchEnv(bench=bench).action_space
+    rng = np.random.default_rng(seed)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        actions = rng.integers(space.n - 1, size=(steps, members))
+        actions[rng.random(actions.shape) < 0.03] = space.n - 1
+        return actions
+    return rng.random((steps, members, *space.shape), dtype=np.float32)  # type: ignore[misc]
+
+
+# -- what it returns --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("copy", [True, False])
+@pytest.mark.parametrize("bench", BENCHES)
+def test_members_are_single_environments(bench: str, copy: bool) -> None:
+    venv = ChemlabVecEnv(4, bench=bench, copy=copy)
+    singles = [BenchEnv(bench=bench) for _ in range(4)]
+    assert venv.observation_space == singles[0].observation_space
+    assert venv.action_space == singles[0].action_space
+    assert venv.seed(20) == [20, 21, 22, 23]
+    seen = venv.reset()
+    for i, one in enumerate(singles):
+        np.testing.assert_array_equal(seen[i], one.reset(seed=20 + i)[0])
+    returns, lengths, ends = np.zeros(4), np.zeros(4), 0
+    kept: list[tuple[Any, Any]] = [(seen, seen.copy())]
+    for action in plan(bench, 110, 4):
+        seen, rewards, dones, infos = venv.step(action)
+        kept.append((seen, seen.copy()))
+        assert seen.dtype == rewards.dtype == np.float32
+        for i, one in enumerate(singles):
+            observation, reward, over, _, info = one.step(action[i])
+            returns[i] += reward
+            lengths[i] += 1
+            assert rewards[i] == np.float32(reward)
+            assert dones[i] == over
+            assert infos[i]["TimeLimit.truncated"] is False
+            assert infos[i]["cost"] == info["cost"]
+            assert infos[i]["illegal_action"] == info["illegal_action"]
+            assert ("terminal_observation" in infos[i]) == ("episode" in infos[i]) == ("score" in infos[i]) == over
+            if over:
+                ends += 1
+                np.testing.assert_array_equal(infos[i]["terminal_observation"], observation)
+                assert infos[i]["score"] == info["score"]
+                assert infos[i]["episode"]["r"] == pytest.approx(returns[i], abs=1e-6)  # rounded, as Monitor does
+                assert infos[i]["episode"]["l"] == lengths[i]
+                assert infos[i]["episode"]["t"] >= 0.0
+                returns[i], lengths[i] = 0.0, 0
+                observation = one.reset()[0]
+            np.testing.assert_array_equal(seen[i], observation)
+    assert ends >= 8
+    for once, then in kept:  # SB3 stores observations after the next step
+        np.testing.assert_array_equal(once, then)
+    venv.close()
+
+
+def test_what_a_member_did_is_not_told_of_another() -> None:
+    venv = ChemlabVecEnv(3, bench="ext")
+    venv.seed(0)
+    venv.reset()
+    masks = venv.action_masks()
+    illegal, end = int(np.flatnonzero(~masks[1])[0]), masks.shape[1] - 1
+    quiet = int(np.flatnonzero(masks[0])[0])
+    infos = venv.step(np.array([quiet, illegal, end]))[3]
+    assert [info["illegal_action"] for info in infos] == [False, True, False]
+    assert ["episode" in info for info in infos] == [False, False, True]
+    settle = np.array([next(i for i, words in enumerate(venv.get_attr("action_meanings")[0]) if "settle" in words)] * 3)
+    infos = venv.step(settle)[3]
+    assert not any(info["illegal_action"] or "episode" in info for info in infos)
+    assert len({id(info) for info in infos}) == 3
+    assert all(again is info for again, info in zip(venv.step(settle)[3], infos, strict=True)), "nothing is built anew"
+
+
+def test_seeds_are_used_once() -> None:
+    venv = ChemlabVecEnv(2, bench="rxn", goals=None)
+    venv.seed(5)
+    first = [venv.reset() for _ in range(12)]
+    assert len({one.tobytes() for one in first}) > 1, "goals are drawn anew"
+    venv.seed(5)
+    again = [venv.reset() for _ in range(12)]
+    np.testing.assert_array_equal(first, again)
+    venv.seed(6)
+    other = [venv.reset() for _ in range(12)]
+    np.testing.assert_array_equal(np.array(other)[:, 0], np.array(first)[:, 1])  # seed 6 is member 0's now
+
+
+def test_options() -> None:
+    venv = ChemlabVecEnv(3, bench="dit")
+    goals = venv.get_attr("bench")[0].goals.names
+    venv.seed(1)
+    venv.set_options({"goal": "NaCl"})
+    np.testing.assert_array_equal(venv.reset()[:, -len(goals) :].argmax(axis=1), [goals.index("NaCl")] * 3)
+    venv.seed(1)
+    venv.set_options([{"goal": "dodecane"}, {}, {"goal": "NaCl"}])
+    seen = venv.reset()
+    np.testing.assert_array_equal(seen[0], BenchEnv(bench="dit").reset(seed=1, options={"goal": "dodecane"})[0])
+    np.testing.assert_array_equal(seen[1], BenchEnv(bench="dit").reset(seed=2)[0])
+    np.testing.assert_array_equal(seen[2], BenchEnv(bench="dit").reset(seed=3, options={"goal": "NaCl"})[0])
+    venv.set_options({"goal": "gold"})
+    with pytest.raises(ValueError, match="gold"):
+        venv.reset()
+
+
+def test_a_bad_action_is_refused() -> None:
+    venv = ChemlabVecEnv(2, bench="rxn")
+    venv.reset()
+    with pytest.raises(ValueError, match=r"rxn_0: actions must be .*given"):
+        venv.step(np.full((2, 6), 1.5))
+
+
+def test_attributes_and_methods() -> None:
+    venv = ChemlabVecEnv(3, bench="ext", threads=2)
+    venv.seed(0)
+    venv.reset()
+    assert venv.render_mode is None
+    assert venv.get_attr("threads") == [2, 2, 2]
+    assert venv.get_attr("action_space", [0, 2]) == [venv.action_space] * 2
+    assert venv.get_attr("observation_space", 1) == [venv.observation_space]
+    assert not venv.has_attr("no_such_thing")
+    venv.set_attr("copy", False)
+    assert venv.get_attr("copy") == [False] * 3
+    with pytest.raises(ValueError, match="members share it"):
+        venv.set_attr("copy", True, indices=[0])
+    assert venv.get_attr("copy") == [False] * 3
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        venv.set_attr("no_such_thing", 1)
+    with pytest.raises(AttributeError, match="no_such_method"):
+        venv.env_method("no_such_method")
+    state = venv.env_method("get_state", indices=0)[0]
+    assert [type(one) for one in state] == [np.ndarray] * len(state)
+    assert venv.env_is_wrapped(Monitor) == [True] * 3  # "episode" is in the infos
+    assert venv.env_is_wrapped(gymnasium.wrappers.TimeLimit, [1]) == [False]
+    venv.close()
+
+
+@pytest.mark.parametrize("bench", ["ext", "dit"])
+def test_masks_are_where_sb3_contrib_looks(bench: str) -> None:
+    venv = ChemlabVecEnv(5, bench=bench)
+    batch = BenchVectorEnv(5, bench=bench, autoreset_mode="SameStep")
+    venv.seed(2)
+    venv.reset()
+    batch.reset(seed=2)
+    assert is_masking_supported(venv)
+    for action in plan(bench, 60, 5):
+        masks = get_action_masks(venv)
+        assert masks.shape == (5, venv.action_space.n)  # type: ignore[attr-defined]
+        assert masks.dtype == np.bool_
+        np.testing.assert_array_equal(masks, batch.action_masks())
+        np.testing.assert_array_equal(venv.env_method("action_masks", indices=[3]), masks[[3]])
+        np.testing.assert_array_equal([method() for method in venv.get_attr("action_masks")], masks)
+        venv.step(action)
+        batch.step(action)
+
+
+def test_continuous_actions_have_no_masks() -> None:
+    venv = ChemlabVecEnv(2, bench="rxn")
+    assert not is_masking_supported(venv)
+    with pytest.raises(AttributeError, match="continuous"):
+        venv.env_method("action_masks")
+
+
+def test_an_existing_batch_wrapped_or_not() -> None:
+    batch = BenchVectorEnv(2, bench="rxn", autoreset_mode="SameStep")
+    gamma, shift = 0.9, 3.0
+    shaped = VectorPotentialShaping(
+        BenchVectorEnv(2, bench="rxn", autoreset_mode="SameStep"), lambda seen: np.full(len(seen), shift), gamma
+    )
+    plain_venv, shaped_venv = ChemlabVecEnv(batch), ChemlabVecEnv(shaped)
+    for venv in (plain_venv, shaped_venv):
+        venv.seed(0)
+        venv.reset()
+    for action in plan("rxn", 45, 2):
+        seen, rewards, dones, _ = plain_venv.step(action)
+        shaped_seen, shaped_rewards, _, infos = shaped_venv.step(action)
+        np.testing.assert_array_equal(seen, shaped_seen)
+        # A constant potential pays (gamma - 1) of itself at each step, and takes all of it back at the end.
+        expected = rewards + np.where(dones, -shift, (gamma - 1.0) * shift)
+        np.testing.assert_allclose(shaped_rewards, expected, atol=1e-6)
+    assert shaped_venv.get_attr("gamma") == [gamma] * 2
+    assert shaped_venv.get_attr("arena")[0] is shaped.unwrapped.arena  # type: ignore[attr-defined]
+    assert infos[0]["TimeLimit.truncated"] is False
+
+
+def test_batches_it_cannot_take() -> None:
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        ChemlabVecEnv(BenchVectorEnv(2))
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        ChemlabVecEnv(2, autoreset_mode="NextStep")
+    with pytest.raises(ValueError, match="no arguments, given bench"):
+        ChemlabVecEnv(BenchVectorEnv(2, autoreset_mode="SameStep"), bench="ext")
+    with pytest.raises(TypeError, match="BenchVectorEnv"):
+        ChemlabVecEnv(gymnasium.make_vec("CartPole-v1", num_envs=2))
+
+
+def test_pickles_go_on_alike() -> None:
+    venv = ChemlabVecEnv(2, bench="ext", threads=2)
+    venv.seed(3)
+    venv.reset()
+    actions = plan("ext", 60, 2)
+    for action in actions[:20]:
+        venv.step(action)
+    twin = pickle.loads(pickle.dumps(venv))
+    for action in actions[20:]:
+        for one, other in zip(venv.step(action)[:3], twin.step(action)[:3], strict=True):
+            np.testing.assert_array_equal(one, other)
+    venv.close()
+    twin.close()
+
+
+def test_without_stable_baselines3_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "chemlab.agents.sb3")
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    with pytest.raises(ImportError, match=r'pip install "chemlab-marl\[train\]"'):
+        importlib.import_module("chemlab.agents.sb3")
+
+
+# -- learners ---------------------------------------------------------------------------------------------------------
+
+
+def weights(model: Any) -> Any:
+    """All parameters in one array."""
+    return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
+
+
+def test_ppo_learns_reproducibly_and_hears_of_episodes() -> None:
+    def learned(seed: int, env: Callable[[], Any]) -> Any:
+        model = PPO("MlpPolicy", env(), n_steps=40, batch_size=80, n_epochs=2, seed=seed, device="cpu")
+        before = weights(model)
+        model.learn(320)
+        assert not np.array_equal(weights(model), before)
+        return model
+
+    model = learned(3, lambda: ChemlabVecEnv(4, bench="rxn"))
+    assert model.ep_info_buffer is not None
+    assert len(model.ep_info_buffer) == 320 // 20  # an experiment has 20 steps
+    assert {info["l"] for info in model.ep_info_buffer} == {20}
+    np.testing.assert_array_equal(weights(learned(3, lambda: ChemlabVecEnv(4, bench="rxn"))), weights(model))
+    assert not np.array_equal(weights(learned(4, lambda: ChemlabVecEnv(4, bench="rxn"))), weights(model))
+    learned(3, lambda: VecNormalize(ChemlabVecEnv(4, bench="rxn")))
+
+
+class NeverIllegal(BaseCallback):
+    """Counts lost turns and ends."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.illegal = self.ends = 0
+
+    def _on_step(self) -> bool:
+        self.illegal += sum(info["illegal_action"] for info in self.locals["infos"])
+        self.ends += int(self.locals["dones"].sum())
+        return True
+
+
+@pytest.mark.parametrize("bench", ["ext", "dit"])
+def test_masked_ppo_never_plays_a_masked_action(bench: str) -> None:
+    watch, unmasked = NeverIllegal(), NeverIllegal()
+    model = MaskablePPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
+    model.learn(512, watch)
+    assert watch.ends >= 8
+    assert watch.illegal == 0
+    plain = PPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
+    plain.learn(256, unmasked)
+    assert unmasked.illegal > 0, "without masks it does"
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_evaluation_counts_whole_episodes() -> None:
+    model = PPO("MlpPolicy", ChemlabVecEnv(2, bench="dit"), n_steps=32, seed=0, device="cpu")
+    venv = ChemlabVecEnv(2, bench="dit")
+    venv.seed(9)
+    rewards, lengths = evaluate_policy(model, venv, n_eval_episodes=2, return_episode_rewards=True)
+    assert len(rewards) == 2  # type: ignore[arg-type]
+    played = []
+    for seed in (9, 10):
+        env = BenchEnv(bench="dit")
+        observation, over, total, steps = env.reset(seed=seed)[0], False, 0.0, 0
+        while not over:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, over, _, _ = env.step(action)
+            total, steps = total + reward, steps + 1
+        played.append((steps, pytest.approx(total, abs=1e-5)))
+    # Members whose episodes end earlier are counted first.
+    assert sorted(zip(lengths, rewards, strict=True)) == sorted(played, key=lambda one: one[0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("bench", "algorithm"), [("rxn", SAC), ("dit", DQN), ("ext", DQN)])
+def test_hindsight_experience_replay(bench: str, algorithm: Any) -> None:
+    def goal_env() -> Any:
+        return GoalConditioned(BenchEnv(bench=bench))
+
+    steps = 160
+    model = algorithm(
+        "MultiInputPolicy",
+        DummyVecEnv([goal_env]),
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "final"},
+        learning_starts=60,
+        buffer_size=1000,
+        batch_size=16,
+        train_freq=20,
+        seed=0,
+        device="cpu",
+    )
+    model.learn(steps)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, HerReplayBuffer)
+    samples = buffer.sample(600)
+    achieved = samples.next_observations["achieved_goal"].numpy().astype(float)
+    desired = samples.next_observations["desired_goal"].numpy().astype(float)
+    rewards, dones = samples.rewards.numpy()[:, 0], samples.dones.numpy()[:, 0] > 0
+    assert dones.any()
+    assert not achieved[~dones].any()
+    assert achieved[dones].any()
+    relabelled = (desired != 0.0).sum(axis=1) != 1
+    relabelled |= ~np.isin(desired.sum(axis=1), [1.0])
+    assert relabelled.any()
+    np.testing.assert_allclose(rewards[relabelled], (achieved * desired)[relabelled].sum(axis=1), rtol=1e-5, atol=1e-7)
+    # Relabelled with what it achieved itself, an experiment earns the square of its achievements.
+    some = relabelled & dones
+    np.testing.assert_allclose(rewards[some], (achieved[some] ** 2).sum(axis=1), rtol=1e-5, atol=1e-7)
