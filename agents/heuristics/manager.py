@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from chemlab.bench.base import Channel, MaskArray, ObservationArray, channel_slices
 from chemlab.bench.instruments import BALANCE_RANGE_KG, InstrumentTable
-from chemlab.laboratory.manager import ManagerActions
+from chemlab.laboratory.actions import ManagerActions
 from chemlab.scenario import Scenario
 from chemlab.shelf import IntArray
 

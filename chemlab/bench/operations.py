@@ -419,6 +419,8 @@ class OperationBench(Bench):
                     f"and add up to the totals {total!r}, given {result!r}"
                 )
             dissolved[...] = np.maximum(result, 0.0)
+        else:
+            dissolved[...] = 0.0
         row[CLOCK_WAS] = row[CLOCK]
         volumes = np.zeros(shares.shape[0])
         count = layer_volumes(row, chem, layers, volumes)

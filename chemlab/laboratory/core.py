@@ -29,12 +29,12 @@ from ..physics.jit import is_compiled
 from ..physics.layers import uniform
 from ..scenario import SAFETY_EVENTS, Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf
+from .actions import ManagerActions
 from .manager import (
     COST_ITEMS,
     MANAGER,
     RUNNING,
     Desk,
-    ManagerActions,
     Rules,
     advance,
     close_actions,

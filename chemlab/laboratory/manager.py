@@ -1,10 +1,8 @@
-"""The manager's side of a laboratory: one flat table of actions, what they do to the arrays, and what the manager
-sees."""
+"""The manager's side of a laboratory: what its actions do to the arrays, and what it sees."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,17 +25,11 @@ from ..shelf import (
     IntArray,
     StreamArray,
 )
+from .actions import DISCARD, MEASURE, RECALL, START, SUBMIT
 
 __all__ = [
     "COST_ITEMS",
-    "DISCARD",
-    "MEASURE",
-    "RECALL",
-    "START",
-    "SUBMIT",
-    "WAIT",
     "Desk",
-    "ManagerActions",
     "Rules",
     "advance",
     "close_actions",
@@ -50,9 +42,6 @@ __all__ = [
     "return_vessels",
 ]
 
-START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT = range(6)
-KINDS = ("start", "measure", "discard", "submit", "recall", "wait")
-
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
 """What the manager's score is charged for, in units of the score."""
 
@@ -61,99 +50,6 @@ MANAGER = -1
 """Cursor value while the manager has the turn."""
 
 _COLDEST_K, _HOTTEST_K = 200.0, 800.0
-
-
-@dataclass(frozen=True)
-class ManagerActions:
-    """The manager's actions, enumerated from the scenario: every legal move has one number.
-
-    Attributes:
-        table: [A, 4] kind, then its arguments (start: station, slot, goal; measure: slot, instrument; discard,
-            submit: slot; recall: station; wait: none), -1 where there is none.
-    """
-
-    stations: tuple[str, ...]
-    slots: int
-    goals: tuple[str, ...]
-    instruments: tuple[str, ...]
-    table: IntArray
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> ManagerActions:
-        """The table for a scenario."""
-        stations, slots = scenario.bench_agents(), scenario.shelf.slots
-        rows = [
-            (START, b, s, g) for b in range(len(stations)) for s in range(slots) for g in range(len(scenario.goals))
-        ]
-        rows += [(MEASURE, s, i, -1) for s in range(slots) for i in range(len(scenario.instruments))]
-        rows += [(DISCARD, s, -1, -1) for s in range(slots)]
-        rows += [(SUBMIT, s, -1, -1) for s in range(slots)]
-        rows += [(RECALL, b, -1, -1) for b in range(len(stations))]
-        rows += [(WAIT, -1, -1, -1)]
-        return cls(tuple(stations), slots, scenario.goals, tuple(scenario.instruments), np.array(rows, dtype=np.int64))
-
-    def __len__(self) -> int:
-        return len(self.table)
-
-    def encode(self, kind: str, *arguments: str | int) -> int:
-        """Number of an action.
-
-        Args:
-            kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit``
-                (slot),
-                ``recall`` (bench agent) or ``wait``.
-            arguments: bench agents, goals and instruments by name, slots by number.
-
-        Raises:
-            ValueError: no such action; the message names what there is.
-        """
-        spaces = {
-            "start": (self.stations, range(self.slots), self.goals),
-            "measure": (range(self.slots), self.instruments),
-            "discard": (range(self.slots),),
-            "submit": (range(self.slots),),
-            "recall": (self.stations,),
-            "wait": (),
-        }
-        if kind not in spaces:
-            raise ValueError(f"manager action: unknown kind {kind!r}; known: {', '.join(KINDS)}")
-        expected: tuple[Any, ...] = spaces[kind]
-        if len(arguments) != len(expected):
-            raise ValueError(f"manager action {kind!r}: takes {len(expected)} arguments, given {arguments!r}")
-        row = [KINDS.index(kind), -1, -1, -1]
-        for i, (argument, values) in enumerate(zip(arguments, expected, strict=True)):
-            if argument not in values:
-                raise ValueError(f"manager action {kind!r}: argument {argument!r} is not one of {list(values)}")
-            row[1 + i] = list(values).index(argument)
-        return int(np.flatnonzero((self.table == row).all(axis=1))[0])
-
-    def decode(self, action: int) -> tuple[str | int, ...]:
-        """(kind, arguments...) of an action: the inverse of :meth:`encode`."""
-        kind, *arguments = (int(value) for value in self.table[action])
-        if kind == START:
-            return "start", self.stations[arguments[0]], arguments[1], self.goals[arguments[2]]
-        if kind == MEASURE:
-            return "measure", arguments[0], self.instruments[arguments[1]]
-        if kind == RECALL:
-            return "recall", self.stations[arguments[0]]
-        return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)
-
-    @property
-    def action_meanings(self) -> list[str]:
-        """What every action does, in words."""
-        meanings = []
-        for action in range(len(self)):
-            kind, *arguments = self.decode(action)
-            words = {
-                "start": "start {} on slot {}, goal {}",
-                "measure": "measure slot {} with {}",
-                "discard": "discard slot {}",
-                "submit": "submit slot {}",
-                "recall": "recall {}",
-                "wait": "wait for the benches",
-            }[str(kind)]
-            meanings.append(words.format(*arguments))
-        return meanings
 
 
 class Desk(NamedTuple):

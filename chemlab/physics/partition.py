@@ -121,7 +121,7 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
         for layer in range(n_solvents):
             placed += row[first + layer]
         for layer in range(n_solvents):
-            row[first + layer] = row[first + layer] * (total / placed) if placed > 0.0 else total * then[layer]
+            row[first + layer] = row[first + layer] / placed * total if placed > 0.0 else total * then[layer]
         found = 0.0
         for layer in range(n_solvents):
             if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:
@@ -131,7 +131,7 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
             else:
                 row[first + layer] = 0.0
         for layer in range(n_solvents):
-            row[first + layer] = row[first + layer] * (total / found) if found > 0.0 else total * now[layer]
+            row[first + layer] = row[first + layer] / found * total if found > 0.0 else total * now[layer]
     row[CLOCK_WAS] = clock
 
 

@@ -222,6 +222,19 @@ def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None
     assert total[arenas[1].shelf.layout.index("5-methylundecane")] == pytest.approx(1.0, rel=1e-12)
 
 
+def test_without_solvent_a_separation_model_leaves_nothing_dissolved() -> None:
+    """Once all ether has boiled off, the vessel lists no solute as dissolved, as with the built-in separation."""
+    for model in (None, ideal()):
+        arena = BenchArena("wurtz_dodecane", "dit", separation_model=model)
+        arena.seed(0, 0)
+        arena.reset(arena.members, arena.scenario.goals.index("dodecane"))
+        assert arena.shelf.dissolved[0, 0].sum() == pytest.approx(1.0 + 2.0 * arena.shelf.vessel(0, 0).amounts()["Na+"])
+        for _ in range(3):
+            arena.act(np.array([arena.bench.action_meanings.index("heat DV, 50 kJ")]))
+        assert arena.shelf.vessel(0, 0).amounts() == pytest.approx({"dodecane": 1.0, "NaCl": 1.0})
+        assert (arena.shelf.dissolved[0, 0] == 0.0).all()
+
+
 def test_a_separation_model_works_in_the_whole_laboratory() -> None:
     """Through the AEC environment the extraction bench asks the model, too."""
     model = ideal()

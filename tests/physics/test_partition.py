@@ -252,6 +252,16 @@ def test_no_solvent_ever_holds_less_than_nothing(
     assert (FOUR.dissolved(0)[k, absent] == 0.0).all()
 
 
+@pytest.mark.parametrize("trace", [5e-324, 1e-311, 1e-200])
+def test_adding_to_a_trace_of_a_solute_stays_finite(trace: float) -> None:
+    """A mole added to next to nothing of the same solute: all of it is somewhere, nothing is infinite."""
+    FOUR.mixed(0, {"water": 6.0, "hexane": 3.0, "dodecane": trace})
+    FOUR.add(0, "dodecane", 1.0)
+    FOUR.partition(0)
+    assert np.isfinite(FOUR.rows).all()
+    assert sum(where(FOUR, 0, "dodecane", SOLVENTS)) == pytest.approx(1.0, rel=1e-12)
+
+
 def test_three_washes_remove_most_but_not_all_salt() -> None:
     """The paper's extraction start: ether, salt, product; 0.1 L of water, shaken, settled and drained, three times."""
     glass = Glassware("wurtz_dodecane", 2)
