@@ -37,8 +37,11 @@ _STEEPEST = 600.0
 """Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
 _TOLERANCE = 1e-11
 """Of a layer's share of the vessel."""
-_MOST_ITERATIONS = 30
+_MOST_ITERATIONS = 50
 _LONGEST_STEP = 4.0
+_LARGE_STEP = 1.0
+"""Of a beta: up to here Newton may be trusted."""
+_MOST_HALVINGS = 8
 _NEGLIGIBLE = -60.0
 """Log of a relative height that counts as none ..."""
 _FARTHEST_SHIFT = 20.0
@@ -228,6 +231,42 @@ def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
 
 
 @kernel
+def _shorten(
+    fluids: int, out: FloatArray, weight: FloatArray, target: FloatArray, step: FloatArray, factor: FloatArray
+) -> float:
+    """Halve a step of the betas 1.. until it lowers the convex function whose minimum conserves volume; returns the
+    largest change left.
+
+    That function is the sum over pixels of log(sum of exp(heights)) minus targets x betas. Where no part of the step
+    lowers it, iterative scaling, beta += log(target / volume), does: slowly, but always.
+    """
+    pixels = out.shape[1]
+    largest = 0.0
+    for attempt in range(_MOST_HALVINGS + 1):
+        if attempt == _MOST_HALVINGS:
+            base = math.log(max(target[0], 1e-300) / max(_dot(weight, out[1], pixels), 1e-300))
+            for i in range(1, fluids):
+                share = math.log(max(target[i], 1e-300) / max(_dot(weight, out[1 + i], pixels), 1e-300))
+                step[i - 1] = max(min(share - base, _FARTHEST_SHIFT), -_FARTHEST_SHIFT)
+        change, largest = 0.0, 0.0
+        for i in range(1, fluids):
+            factor[i] = math.exp(step[i - 1])
+            change -= target[i] * step[i - 1]
+            largest = max(largest, abs(step[i - 1]))
+        for p in range(pixels):
+            norm = out[1, p]
+            for i in range(1, fluids):
+                norm += factor[i] * out[1 + i, p]
+            change += weight[p] * math.log(norm)
+        if change <= 0.0:
+            break
+        if attempt < _MOST_HALVINGS - 1:
+            for i in range(fluids - 1):
+                step[i] *= 0.5
+    return largest
+
+
+@kernel
 def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
     """Newton on the betas: shift the offsets until every fluid's pixels add up to its target, then fill ``out``.
 
@@ -248,7 +287,9 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             factor[i] = 1.0
         shifted = 0.0
         done = False
-        while shifted < _FARTHEST_SHIFT:
+        for _again in range(_MOST_ITERATIONS):
+            if shifted >= _FARTHEST_SHIFT:
+                break
             for p in range(pixels):
                 scale[p] = out[1, p]
             for i in range(1, fluids):
@@ -283,13 +324,17 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
                 else:
                     gradient[i - 1] = gradient[i]
             _solve(hessian, gradient, fluids - 1)
-            before, largest = 0.0, 0.0
+            largest = 0.0
             for i in range(fluids - 1):
-                change = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
-                offset[i] += change - before
-                factor[i + 1] = math.exp(change)
-                before = change
-                largest = max(largest, abs(change))
+                gradient[i] = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
+                largest = max(largest, abs(gradient[i]))
+            if largest > _LARGE_STEP:
+                largest = _shorten(fluids, out, weight, target, gradient, factor)
+            before = 0.0
+            for i in range(fluids - 1):
+                offset[i] += gradient[i] - before
+                factor[i + 1] = math.exp(gradient[i])
+                before = gradient[i]
             shifted += largest
         if done:
             break
