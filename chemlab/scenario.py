@@ -280,8 +280,26 @@ def _check_amounts(spec: Scenario, where: str) -> None:
             raise DataError(f"{where}: lab_goals: {goal!r} is not one of goals ({', '.join(spec.goals)})")
         if spec.theoretical_maximum_mol.get(goal, 0.0) <= 0.0:
             raise DataError(f"{where}: theoretical_maximum_mol.{goal}: must be given and above 0")
-    if len(set(spec.goals)) != len(spec.goals):
-        raise DataError(f"{where}: goals: a goal is listed twice")
+    for key, goals in (("goals", spec.goals), ("lab_goals", spec.lab_goals)):
+        if len(set(goals)) != len(goals):
+            raise DataError(f"{where}: {key}: a goal is listed twice")
+    for goal in spec.theoretical_maximum_mol:
+        if goal not in spec.goals:
+            raise DataError(f"{where}: theoretical_maximum_mol.{goal}: not one of goals ({', '.join(spec.goals)})")
+
+
+def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    starts = [
+        (f"benches.{key}.start", bench.start.capacity_l, bench.start.contents) for key, bench in spec.benches.items()
+    ]
+    shelf = [(f"shelf.vessel.{i}", vessel.capacity_l, vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)]
+    for key, capacity, contents in [*shelf, *starts]:
+        litres = sum(mol * known[n].molar_mass_g_mol / known[n].density_kg_l / 1000.0 for n, mol in contents.items())
+        if litres > capacity:
+            raise DataError(f"{where}: {key}: contents of {litres:.4g} L do not fit in capacity_l = {capacity:g}")
+    for key, name in _mentioned(spec):
+        if known[name].role == "gas":
+            raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
 
 
 def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], ReactionFamily]:
@@ -326,6 +344,8 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
         return _resolve(dict(scenario), "(scenario given as a mapping)", Path.cwd())
     if isinstance(scenario, str) and scenario in scenario_names():
         return _load_file(_scenario_folder() / f"{scenario}.toml")
+    if not isinstance(scenario, (str, Path)):
+        raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
     path = Path(scenario)
     if path.suffix != ".toml":
         raise DataError(
@@ -352,6 +372,7 @@ def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
         if name not in known:
             raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
     _check_amounts(spec, where)
+    _check_vessels(spec, known, where)
     order, kept = _reachable(family, [name for key, name in _mentioned(spec) if key != "costs.stock_per_mol"])
     spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     spec._family = kept

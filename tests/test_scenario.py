@@ -7,13 +7,13 @@ import re
 from pathlib import Path
 from typing import Any
 
-import chemlab.scenarios
 import gymnasium
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 import chemlab
+import chemlab.scenarios
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.materials import DataError, read_toml
@@ -150,6 +150,8 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("dodecane = 0.5", "dodecane = 0.0", ["theoretical_maximum_mol.dodecane", "above 0"]),
         ("dodecane = 0.5", "dodecane = nan", ["theoretical_maximum_mol", "dodecane", "nan"]),
         # Amounts.
+        ("capacity_l = 1.0\ncontents", "capacity_l = 0.01\ncontents", ["shelf.vessel.0", "do not fit", "0.01"]),
+        ("scales = {", "fill = {", ["instruments.fill", "fill"]),
         ("water = 10.0", "water = -1.0", ["stock.water", "between 0 and 10000", "-1.0"]),
         ("water = 10.0", "water = nan", ["stock.water", "finite", "nan"]),
         ("water = 10.0", 'water = "lots"', ["stock.water", "number", "'lots'"]),

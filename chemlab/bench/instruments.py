@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ from .base import CAMERA_PIXELS, Channel
 __all__ = ["INSTRUMENT_KINDS", "InstrumentKind", "InstrumentTable", "read_instrument"]
 
 UV_VIS, LAYER_CAMERA, BALANCE, GAS_CHROMATOGRAPH = range(4)
+
+_TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_role"})
 
 BALANCE_RANGE_KG = 2.0
 HOTTEST_COLUMN_K = 750.0
@@ -44,6 +47,11 @@ class InstrumentTable:
         ).astype(np.int64)
         channels = []
         for name, spec in scenario.instruments.items():
+            if name in _TAKEN or not re.fullmatch("[a-z][a-z0-9_]*", name):
+                raise DataError(
+                    f"{scenario.origin}: instruments.{name}: must be lower-case letters, digits and _, and none of "
+                    f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
+                )
             if spec.kind not in INSTRUMENT_KINDS:
                 raise DataError(
                     f"{scenario.origin}: instruments.{name}.kind: unknown kind {spec.kind!r}; "

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from chemlab.agents.policy import Policy, make_policies
 from chemlab.agents.run import EpisodeResult, Turn, play_episode
-
 from chemlab.laboratory.aec import raw_env
 from chemlab.scenario import scenario_names
 

@@ -8,10 +8,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from chemlab.agents.policy import RandomPolicy, bench_heuristic, make_policies, policy_names
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chemlab.agents.policy import RandomPolicy, bench_heuristic, make_policies, policy_names
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.scenario import load_scenario, scenario_names

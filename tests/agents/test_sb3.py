@@ -16,7 +16,6 @@ pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not instal
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
 
 import torch
-from chemlab.agents.sb3 import ChemlabVecEnv
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
@@ -25,6 +24,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.wrappers import GoalConditioned, VectorPotentialShaping
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import chemlab.scenarios
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, seed_test
 
+import chemlab.scenarios
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory.aec import env as laboratory_env
 from chemlab.laboratory.aec import raw_env

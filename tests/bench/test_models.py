@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from chemlab.agents.policy import Policy, bench_heuristic
 from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
+from chemlab.agents.policy import Policy, bench_heuristic
 from chemlab.laboratory import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.scenario import Scenario, load_scenario

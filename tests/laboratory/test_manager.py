@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import chemlab.scenarios
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+import chemlab.scenarios
 from chemlab.bench.base import channel_slices
 from chemlab.bench.instruments import BALANCE_RANGE_KG
 from chemlab.laboratory.actions import ManagerActions

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from chemlab.agents.policy import RandomPolicy
 from helpers import PIXELS, TRACE, Glassware, composition, four_solvents
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from chemlab.agents.policy import RandomPolicy
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories
 from chemlab.physics.thermal import pressure, vapor_pressure
