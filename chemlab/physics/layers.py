@@ -39,9 +39,8 @@ _TOLERANCE = 1e-11
 """Of a layer's share of the vessel."""
 _MOST_ITERATIONS = 50
 _LONGEST_STEP = 4.0
-_LARGE_STEP = 1.0
-"""Of a beta: up to here Newton may be trusted."""
-_MOST_HALVINGS = 8
+_SURE_STEP = 0.1
+"""Below this change of every beta Newton is trusted without a look at what it does."""
 _NEGLIGIBLE = -60.0
 """Log of a relative height that counts as none ..."""
 _FARTHEST_SHIFT = 20.0
@@ -231,42 +230,6 @@ def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
 
 
 @kernel
-def _shorten(
-    fluids: int, out: FloatArray, weight: FloatArray, target: FloatArray, step: FloatArray, factor: FloatArray
-) -> float:
-    """Halve a step of the betas 1.. until it lowers the convex function whose minimum conserves volume; returns the
-    largest change left.
-
-    That function is the sum over pixels of log(sum of exp(heights)) minus targets x betas. Where no part of the step
-    lowers it, iterative scaling, beta += log(target / volume), does: slowly, but always.
-    """
-    pixels = out.shape[1]
-    largest = 0.0
-    for attempt in range(_MOST_HALVINGS + 1):
-        if attempt == _MOST_HALVINGS:
-            base = math.log(max(target[0], 1e-300) / max(_dot(weight, out[1], pixels), 1e-300))
-            for i in range(1, fluids):
-                share = math.log(max(target[i], 1e-300) / max(_dot(weight, out[1 + i], pixels), 1e-300))
-                step[i - 1] = max(min(share - base, _FARTHEST_SHIFT), -_FARTHEST_SHIFT)
-        change, largest = 0.0, 0.0
-        for i in range(1, fluids):
-            factor[i] = math.exp(step[i - 1])
-            change -= target[i] * step[i - 1]
-            largest = max(largest, abs(step[i - 1]))
-        for p in range(pixels):
-            norm = out[1, p]
-            for i in range(1, fluids):
-                norm += factor[i] * out[1 + i, p]
-            change += weight[p] * math.log(norm)
-        if change <= 0.0:
-            break
-        if attempt < _MOST_HALVINGS - 1:
-            for i in range(fluids - 1):
-                step[i] *= 0.5
-    return largest
-
-
-@kernel
 def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
     """Newton on the betas: shift the offsets until every fluid's pixels add up to its target, then fill ``out``.
 
@@ -274,7 +237,7 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
     takes no exponentials of pixels.
     """
     pixels = out.shape[1]
-    offset, target, factor, gradient = work[2], work[3], work[5], work[6]
+    offset, target, level, factor, gradient = work[2], work[3], work[4], work[5], work[6]
     scale, weight = work[-1], work[-2]
     hessian = work[7:-2]
     for p in range(pixels):
@@ -308,8 +271,6 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             if worst < _TOLERANCE * pixels:
                 done = True
                 break
-            # Newton on the logarithms of the layers' volumes: a thin layer's volume goes with the exponential of its
-            # beta, so that this step is exact for it where one on the volume would shoot far past.
             # beta_0 = 0, so the system is over the betas 1.. of the other fluids.
             for i in range(1, fluids):
                 for p in range(pixels):
@@ -318,23 +279,37 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
                     hessian[i - 1, j - 1] = -_dot(scale, out[1 + j], pixels)
                 hessian[i - 1, i - 1] += gradient[i] + target[i] + 1e-13
             for i in range(1, fluids):
-                pixels_now = gradient[i] + target[i]
-                if target[i] > 0.0 and pixels_now > 0.0:
-                    gradient[i - 1] = pixels_now * math.log(pixels_now / target[i])
-                else:
-                    gradient[i - 1] = gradient[i]
+                gradient[i - 1] = gradient[i]
+                level[i - 1] = gradient[i]
             _solve(hessian, gradient, fluids - 1)
-            largest = 0.0
+            falling, largest = 0.0, 0.0
             for i in range(fluids - 1):
-                gradient[i] = max(min(-gradient[i], _LONGEST_STEP), -_LONGEST_STEP)
+                falling += level[i] * gradient[i]
                 largest = max(largest, abs(gradient[i]))
-            if largest > _LARGE_STEP:
-                largest = _shorten(fluids, out, weight, target, gradient, factor)
+            # The betas minimize a convex function (over pixels, the log of the sum of heights; minus target x beta):
+            # a step that does not lower it enough is halved, without which Newton can jump to and fro for ever.
+            step = min(1.0, _LONGEST_STEP / largest) if largest > 0.0 else 1.0
+            while step * largest > _SURE_STEP:
+                for i in range(fluids - 1):
+                    factor[i + 1] = math.exp(-step * gradient[i])
+                change = 0.0
+                for p in range(pixels):
+                    height = out[1, p]
+                    for i in range(1, fluids):
+                        height += factor[i] * out[1 + i, p]
+                    change += weight[p] * math.log(height)
+                for i in range(fluids - 1):
+                    change += target[i + 1] * step * gradient[i]
+                if change <= -1e-4 * step * falling:
+                    break
+                step *= 0.5
             before = 0.0
             for i in range(fluids - 1):
-                offset[i] += gradient[i] - before
-                factor[i + 1] = math.exp(gradient[i])
-                before = gradient[i]
+                shift = -step * gradient[i]
+                offset[i] += shift - before
+                factor[i + 1] = math.exp(shift)
+                before = shift
+            largest *= step
             shifted += largest
         if done:
             break

@@ -379,6 +379,18 @@ def test_noise_of_batches_is_noise_of_members(key: str, mode: str) -> None:
     assert resets >= 6
 
 
+def test_seeds_of_members_that_are_not_reset_change_nothing() -> None:
+    env, other = (VectorObservationNoise(BenchVectorEnv(2, autoreset_mode="Disabled"), 0.2) for _ in range(2))
+    action = np.full(env.action_space.shape, 0.5)  # type: ignore[arg-type]
+    only = np.array([True, False])
+    for one, seed in ((env, 1), (other, 2)):
+        one.reset(seed=0)
+        one.reset(seed=seed, options={"reset_mask": only})
+    first, second = env.step(action)[0], other.step(action)[0]
+    np.testing.assert_array_equal(first[1], second[1])
+    assert not np.array_equal(first[0], second[0])
+
+
 def test_bad_noise() -> None:
     for scale in (-0.1, np.nan, np.inf):
         with pytest.raises(ValueError, match="scale must be a finite number of at least 0, given"):
@@ -459,6 +471,8 @@ def test_the_curriculum_grows_as_episodes_end() -> None:
     for ended in range(8):
         assert env.episodes_ended == ended
         largest.append(max(env.reset(seed=seed)[1]["random_steps"] for seed in range(60)))
+        assert not env.step(0)[2]
+        assert env.episodes_ended == ended
         assert env.step(end)[2]
     bounds = [0, 2, 4, 6, 8, 10, 10, 10]
     assert largest[0] == 0
@@ -479,6 +493,12 @@ def test_random_starts_are_seeded_and_keep_the_goal() -> None:
     first = [env.reset(seed=seed)[0] for seed in seeds]
     for seed in seeds:
         np.testing.assert_array_equal(env.reset(seed=seed)[0], first[seed])
+    tries = []
+    for seed in seeds:
+        witness.goals = []
+        env.reset(seed=seed)
+        tries.append(witness.goals)
+    assert any(len(set(goals)) > 1 for goals in tries), "what was thrown away is not begun once more"
     witness.goals = []
     for seed in seeds:  # also where the first tries came to an end
         env.reset(seed=seed, options={"goal": "NaCl"})
