@@ -89,15 +89,12 @@ def list_scenarios(as_json: JsonOption = False) -> None:
 
 
 def _prepare(scenario: str, quiet: bool) -> tuple[Scenario, raw_env]:
-    """Load the scenario, say so, and build its laboratory; tell people when kernels have to be compiled first."""
+    """Load the scenario, say so, and build its laboratory."""
     spec = load_scenario(scenario)
     if not quiet:
         _out.print(f"[bold]{spec.name}[/bold]: {spec.summary}")
     from .laboratory.aec import raw_env
-    from .laboratory.core import needs_compiling
 
-    if needs_compiling():
-        _err.print("compiling kernels for this machine; later starts load them from the cache (half a minute) ...")
     return spec, raw_env(spec)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -266,6 +266,8 @@ class Bench(ABC):
     """Pydantic model of the scenario keys that are this bench's own."""
     positions: ClassVar[tuple[str, ...]] = ("main",)
     """Names of the vessels it works on, the one that is brought first."""
+    kernels: ClassVar[tuple[Callable[..., Any], ...]] = ()
+    """The bench's largest kernels: what a first step waits for while they compile."""
     score_meaning: ClassVar[str] = "score"
     """What an experiment's score is, for people."""
     camera: ClassVar[bool] = False

@@ -288,6 +288,7 @@ class OperationBench(Bench):
     """
 
     options_model = OperationOptions
+    kernels = (separate,)
     camera = True
     process_kinds: ClassVar[tuple[str, ...]] = ("drain", "mix", "pour", "add", "settle", "heat")
     """Processes this bench has the apparatus for."""

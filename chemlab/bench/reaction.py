@@ -285,6 +285,7 @@ class ReactionBench(Bench):
     """
 
     options_model = ReactionOptions
+    kernels = (act,)
     scratch_names = ("work", "_scratch")
     score_meaning = "mol of the goal produced"
 

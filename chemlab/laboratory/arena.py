@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ..bench.base import Bench, MaskArray, ObservationArray, Station, build_bench, seed_streams
 from ..bench.models import ReactionModel, SeparationModel
 from ..materials import DataError
-from ..physics.jit import kernel
+from ..physics.jit import announce_compiling, kernel
 from ..physics.layers import uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf, StreamArray, build_chemistry
@@ -97,6 +97,7 @@ class BenchArena:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
         layout, chemistry = build_chemistry(self.scenario)
         self.bench: Bench = build_bench(bench, self.scenario, layout, chemistry, reaction_model, separation_model)
+        announce_compiling(*self.bench.kernels)
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
         if unknown or not chosen:

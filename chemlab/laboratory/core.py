@@ -9,7 +9,6 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..bench import operations, reaction
 from ..bench.base import (
     CAMERA_PIXELS,
     Bench,
@@ -25,7 +24,7 @@ from ..bench.base import (
 from ..bench.instruments import InstrumentTable
 from ..bench.models import ReactionModel, SeparationModel
 from ..physics.events import EVENT_KINDS
-from ..physics.jit import is_compiled
+from ..physics.jit import announce_compiling
 from ..physics.layers import uniform
 from ..scenario import SAFETY_EVENTS, Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf
@@ -47,14 +46,9 @@ from .manager import (
     return_vessels,
 )
 
-__all__ = ["MANAGER_AGENT", "Laboratories", "needs_compiling"]
+__all__ = ["MANAGER_AGENT", "Laboratories"]
 
 MANAGER_AGENT = "manager_0"
-
-
-def needs_compiling() -> bool:
-    """Whether a laboratory's kernels are not in the disk cache yet, so that the first steps take half a minute."""
-    return not is_compiled(manager_act, manager_observe, operations.separate, reaction.act)
 
 
 class Laboratories:
@@ -87,6 +81,7 @@ class Laboratories:
             key: build_bench(key, spec, template.layout, template.chemistry, reaction_model, separation_model)
             for key in spec.benches
         }
+        announce_compiling(manager_act, manager_observe, *(k for bench in kinds.values() for k in bench.kernels))
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
         positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 
-__all__ = ["helper", "is_compiled", "kernel"]
+__all__ = ["announce_compiling", "helper", "kernel"]
+
+_announced = False
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -52,7 +55,19 @@ def helper(function: F) -> F:
     return kernel(function, forceinline=True)
 
 
-def is_compiled(*kernels: Callable[..., Any]) -> bool:
+def announce_compiling(*kernels: Callable[..., Any]) -> None:
+    """Tell the user, once a process and on standard error, when kernels have to be compiled before the first steps."""
+    global _announced
+    if not _announced and not _is_compiled(*kernels):
+        _announced = True
+        print(
+            "chemlab: compiling kernels for this machine (half a minute); later starts load them from the cache",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _is_compiled(*kernels: Callable[..., Any]) -> bool:
     """Whether each kernel can be loaded from the disk cache (or needs no compiling), so that nobody has to wait for
     it."""
     for function in kernels:

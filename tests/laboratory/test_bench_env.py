@@ -27,6 +27,7 @@ from gymnasium.vector import AutoresetMode
 
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import lab_starts
 from chemlab.materials import DataError, read_toml
 from chemlab.scenario import load_scenario, scenario_names
 
@@ -735,3 +736,25 @@ def test_a_reaction_model_of_one_s_own_reaches_the_bench() -> None:
     assert len(temperatures) == 3 * env.bench.spec.step_limit
     assert temperatures[-1] > temperatures[0], "it was heated"
     assert total == 0.0, "without reactions there is no product"
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_laboratory_starts(name: str) -> None:
+    """With starts="lab" an experiment begins with one of the vessels recorded for this bench and goal."""
+    env = single(name, starts="lab")
+    bench, shelf = env.unwrapped.bench, env.unwrapped.arena.shelf  # type: ignore[attr-defined]
+    recorded = lab_starts(bench.scenario, bench.key)
+    materials = set(bench.scenario.materials) - {"NaCl", "Na+", "Cl-"}  # salt may dissolve as the vessel is put down
+    seen = set()
+    for seed in range(12):
+        env.reset(seed=seed)
+        goal = bench.goals.names[env.unwrapped.arena.station.goal[0]]  # type: ignore[attr-defined]
+        amounts = shelf.vessel(0, 0).amounts()
+        matches = [
+            i
+            for i, (for_goal, _, _, contents) in enumerate(recorded)
+            if for_goal == goal and all(abs(amounts.get(m, 0.0) - contents.get(m, 0.0)) < 1e-9 for m in materials)
+        ]
+        assert matches
+        seen.add(matches[0])
+    assert len(seen) > 1 or len({str(entry) for entry in recorded}) == 1
