@@ -200,6 +200,7 @@ def act(
     scratch: FloatArray,
     work: FloatArray,
 ) -> None:
+    """One step of every member with the built-in kinetics: load, react, settle (see ReactionBench.act)."""
     for b in range(members.shape[0]):
         m = members[b]
         row = rows[places[m, 0]]
