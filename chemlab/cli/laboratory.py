@@ -1,10 +1,9 @@
-"""The ``chemlab`` command."""
+"""Commands about laboratories: list, run, compare, starts."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,51 +12,26 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from . import __version__
-from .files import replace_between
-from .materials import DataError
-from .scenario import Scenario, load_scenario, scenario_names
+from ..files import replace_between
+from ..scenario import Scenario, load_scenario, scenario_names
+from .common import (
+    EpisodesOption,
+    JsonOption,
+    PolicyOption,
+    ScenarioArgument,
+    SeedOption,
+    app,
+    err,
+    out,
+    prepare,
+    readable_errors,
+)
 
 if TYPE_CHECKING:
-    from .agents.run import EpisodeResult, Turn
-    from .laboratory.aec import raw_env
+    from ..agents.run import EpisodeResult, Turn
+    from ..laboratory.aec import raw_env
 
-__all__ = ["app", "main"]
-
-app = typer.Typer(
-    help="A multi-agent chemistry laboratory for reinforcement-learning research.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-# Text for people goes where it can be read without spoiling what a program reads from standard output.
-_out = Console(highlight=False, soft_wrap=True)
-_err = Console(stderr=True, highlight=False, soft_wrap=True)
-
-ScenarioArgument = Annotated[
-    str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
-]
-PolicyOption = Annotated[str, typer.Option(help="Who plays every role: heuristic or random.")]
-EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
-
-
-@contextmanager
-def _readable_errors() -> Iterator[None]:
-    """What the user got wrong is one message and exit code 2, not a traceback."""
-    try:
-        yield
-    except (DataError, ValueError) as error:
-        _err.print(f"[red]error[/red]: {error}", markup=True)
-        raise typer.Exit(2) from error
-
-
-@app.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
-    if version:
-        typer.echo(__version__)
-        raise typer.Exit
+__all__: list[str] = []
 
 
 @app.command("list")
@@ -88,19 +62,9 @@ def list_scenarios(as_json: JsonOption = False) -> None:
     Console().print(table)
 
 
-def _prepare(scenario: str, quiet: bool) -> tuple[Scenario, raw_env]:
-    """Load the scenario, say so, and build its laboratory."""
-    spec = load_scenario(scenario)
-    if not quiet:
-        _out.print(f"[bold]{spec.name}[/bold]: {spec.summary}")
-    from .laboratory.aec import raw_env
-
-    return spec, raw_env(spec)
-
-
 def _play(env: raw_env, policy: str, seeds: Iterable[int], watch: Any = None) -> Iterator[EpisodeResult]:
-    from .agents.policy import make_policies
-    from .agents.run import play_episode
+    from ..agents.policy import make_policies
+    from ..agents.run import play_episode
 
     for seed in seeds:
         policies = make_policies(policy, env.laboratories, seed)
@@ -116,8 +80,8 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
-    with _readable_errors():
-        _, env = _prepare(scenario, quiet=as_json)
+    with readable_errors():
+        _, env = prepare(scenario, quiet=as_json)
         seeds = range(seed, seed + episodes)
         if as_json:
             for result in _play(env, policy, seeds):
@@ -128,7 +92,7 @@ def run(
         for number, result in enumerate(_play(env, policy, seeds, account), start=1):
             results.append(result)
             account.close(result, number, episodes)
-        _out.print(_result_table(results))
+        out.print(_result_table(results))
 
 
 class _Account:
@@ -195,7 +159,7 @@ class _Account:
         times = f" x{self._times}" if self._times > 1 else ""
         manager = agent == "manager_0"
         what = f"[bold]{meaning}[/bold]" if manager else self._phrase(agent, meaning)
-        _out.print(
+        out.print(
             f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"
         )
         self._last, self._times = None, 0
@@ -226,7 +190,7 @@ class _Account:
             if result.terminated
             else "ran out of actions or ticks; nothing submitted"
         )
-        _out.print(
+        out.print(
             f"episode {number}/{episodes} (seed {result.seed}): {end}; costs: {costs or 'none'}; "
             f"[bold]score {result.score:.3f}[/bold]\n"
         )
@@ -259,11 +223,11 @@ def compare(
 
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []
-    with _readable_errors(), Progress(console=_err, transient=True) as progress:
+    with readable_errors(), Progress(console=err, transient=True) as progress:
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
         for name in names:
-            spec, env = _prepare(name, quiet=True)
+            spec, env = prepare(name, quiet=True)
             for played in policies:
                 results = []
                 for result in _play(env, played, range(seed, seed + episodes)):
@@ -316,18 +280,13 @@ def starts(
     """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
     from rich.progress import Progress
 
-    with _readable_errors(), Progress(console=_err, transient=True) as progress:
-        spec, _ = _prepare(scenario, quiet=True)
-        from .agents.starts import record_starts
-        from .laboratory.starts import starts_file, write_starts
+    with readable_errors(), Progress(console=err, transient=True) as progress:
+        spec, _ = prepare(scenario, quiet=True)
+        from ..agents.starts import record_starts
+        from ..laboratory.starts import starts_file, write_starts
 
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
         path = out or starts_file(spec)
         write_starts(path, spec, vessels)
     typer.echo(f"{path}: " + ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items()))
-
-
-def main() -> None:
-    """Entry point of the ``chemlab`` command."""
-    app()

@@ -1,0 +1,13 @@
+"""The ``chemlab`` command."""
+
+from __future__ import annotations
+
+from . import laboratory  # noqa: F401 - importing a module adds its commands
+from .common import app
+
+__all__ = ["app", "main"]
+
+
+def main() -> None:
+    """Entry point of the ``chemlab`` command."""
+    app()
