@@ -91,7 +91,7 @@ def play_episode(
     env.reset(seed=seed, options=options)
     labs, members = env.laboratories, env.laboratories.members
     result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
-    result.goal = env.scenario.goals[labs.desk.goal[0]]
+    result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.desk.goal[0])
     while labs.desk.status[0] == 0:
         agent = env.agent_selection
         number = env.possible_agents.index(agent)
@@ -108,7 +108,8 @@ def play_episode(
             result.rewards[name] += reward
         if watch is not None:
             watch(Turn(agent, tick, step, action, _describe(env, number, action), env.rewards[agent], env.infos[agent]))
-    result.submitted_mol, result.purity = (float(value) for value in labs.desk.submitted[0])
+    outcome = labs.outcome()
+    result.submitted_mol, result.purity = outcome["submitted_mol"], outcome["purity"]
     result.score = float(labs.result(members)[0])
     result.manager_actions, result.ticks = int(labs.desk.actions[0]), int(labs.desk.ticks[0])
     result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.desk.charges[0], strict=True)}

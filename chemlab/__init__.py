@@ -7,12 +7,14 @@ __all__ = ["__version__"]
 
 
 def _register_laboratory() -> None:
-    """Make the laboratory known to PettingZoo's registry, which is there from PettingZoo 1.27 on."""
+    """Make the laboratory known to PettingZoo's registries, which are there from PettingZoo 1.27 on."""
     with contextlib.suppress(ImportError):
-        from pettingzoo import aec_registry, register
+        from pettingzoo import aec_registry, parallel_registry, register
 
         if "chemlab/Laboratory-v0" not in aec_registry:
             register("aec", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:env")
+        if "chemlab/Laboratory-v0" not in parallel_registry:
+            register("parallel", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:parallel_env")
 
 
 def _register_benches() -> None:

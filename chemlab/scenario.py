@@ -11,14 +11,15 @@ import importlib.resources
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from .materials import DataError, Material, load_materials, read_toml, shipped_materials, validated
 from .reactions import ReactionFamily, load_reactions
 
 __all__ = [
+    "REWARD_MIXES",
     "SAFETY_EVENTS",
     "BenchSpec",
     "Companion",
@@ -31,7 +32,9 @@ __all__ = [
     "ShelfSpec",
     "StartSpec",
     "VesselSpec",
+    "dump_scenario",
     "load_scenario",
+    "restore_scenario",
     "scenario_names",
 ]
 
@@ -39,6 +42,7 @@ SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
 times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
 
+_DATA = Path(__file__).resolve().parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
@@ -160,7 +164,10 @@ class SafetySpec(BaseModel):
 
 
 class RewardSpec(BaseModel):
-    """Each agent's reward = local * own + team * the manager's result."""
+    """Each agent's reward = local * own + team * the manager's result.
+
+    A scenario gives the numbers, or the name of one of :data:`REWARD_MIXES`.
+    """
 
     model_config = _FROZEN
 
@@ -168,6 +175,20 @@ class RewardSpec(BaseModel):
     bench_team: float = 0.0
     manager_local: float = 1.0
     manager_team: float = 0.0
+
+
+REWARD_MIXES: dict[str, RewardSpec] = {
+    name: RewardSpec(**numbers) for name, numbers in read_toml(_DATA / "rewards.toml").items()
+}
+"""Reward mixes by name, from ``data/rewards.toml``."""
+
+
+def _reward_mix(given: Any) -> Any:
+    if not isinstance(given, str):
+        return given
+    if given not in REWARD_MIXES:
+        raise ValueError(f"unknown reward mix {given!r}; known: {', '.join(REWARD_MIXES)}; or give the numbers")
+    return REWARD_MIXES[given]
 
 
 class Scenario(BaseModel):
@@ -186,7 +207,9 @@ class Scenario(BaseModel):
     goals: tuple[str, ...] = Field(min_length=1)
     """Materials an experiment may be run for, in the order of every one-hot goal."""
     lab_goals: tuple[str, ...] = Field(min_length=1)
-    """The manager's goal is drawn from these, uniformly, each episode."""
+    """The goal of each order is drawn from these, uniformly, each episode."""
+    orders: int = Field(default=1, ge=1, le=16)
+    """Vessels the manager has to submit; each is worth an equal share of the score."""
     theoretical_maximum_mol: dict[str, float]
     """Most moles of each laboratory goal that stock and shelf allow."""
     ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
@@ -199,7 +222,7 @@ class Scenario(BaseModel):
     limits: LimitSpec
     costs: CostSpec = CostSpec()
     safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
-    rewards: RewardSpec = RewardSpec()
+    rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
 
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
@@ -230,6 +253,17 @@ class Scenario(BaseModel):
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
         return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
+
+    def with_rewards(self, rewards: str | RewardSpec) -> Scenario:
+        """The same laboratory with another reward mix.
+
+        Args:
+            rewards: ``individual``, ``cooperative``, ``mixed``, or the numbers.
+
+        Raises:
+            ValueError: unknown mix.
+        """
+        return self.model_copy(update={"rewards": _reward_mix(rewards)})
 
     def __hash__(self) -> int:
         return hash((self.name, self._origin))
@@ -376,5 +410,38 @@ def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
     order, kept = _reachable(family, [name for key, name in _mentioned(spec) if key != "costs.stock_per_mol"])
     spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     spec._family = kept
+    spec._origin = where
+    return spec
+
+
+def dump_scenario(scenario: Scenario) -> dict[str, Any]:
+    """The whole scenario as plain data, with the materials and reactions it uses: needs no file to be restored."""
+    return {
+        "scenario": scenario.model_dump(mode="json"),
+        "materials": {name: material.model_dump(mode="json") for name, material in scenario.materials.items()},
+        "reactions": scenario.family.model_dump(mode="json"),
+    }
+
+
+def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
+    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``.
+
+    Raises:
+        DataError: the data is not what ``dump_scenario`` makes.
+    """
+    tables: list[dict[str, Any]] = []
+    for key in ("scenario", "materials", "reactions"):
+        if not isinstance(data.get(key), dict):
+            raise DataError(f"{where}: {key}: must be a table")
+        tables.append(data[key])
+    values, materials, reactions = tables
+    spec: Scenario = validated(Scenario, values, where)
+    spec._materials = {name: validated(Material, table, f"{where}: {name}") for name, table in materials.items()}
+    spec._family = validated(ReactionFamily, reactions, f"{where}: reactions")
+    unknown = {name for _, name in _mentioned(spec)} | spec.family.materials() | {"air"}
+    unknown -= {*spec.materials, *spec.costs.stock_per_mol}
+    if unknown:
+        raise DataError(f"{where}: unknown material {min(unknown)!r}; known: {', '.join(spec.materials)}")
+    _check_amounts(spec, where)
     spec._origin = where
     return spec

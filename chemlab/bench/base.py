@@ -155,6 +155,26 @@ def _purity_scores(
 
 
 @kernel
+def _consequences(
+    members: IntArray,
+    events: FloatArray,
+    illegal: BoolArray,
+    weights: FloatArray,
+    event_price: float,
+    illegal_price: float,
+    cost: FloatArray,
+    reward: FloatArray,
+) -> None:
+    for b in range(members.shape[0]):
+        m = members[b]
+        happened = 0.0
+        for k in range(weights.shape[0]):
+            happened += weights[k] * events[m, k]
+        cost[m] += happened
+        reward[m] -= event_price * happened + illegal_price * illegal[m]
+
+
+@kernel
 def _provide(
     members: IntArray,
     places: IntArray,
@@ -311,6 +331,11 @@ class Bench(ABC):
         return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
 
     @property
+    def end_action(self) -> int:
+        """The discrete action that ends the experiment: the last one, unless a bench says otherwise."""
+        return self.action_count - 1
+
+    @property
     def action_meanings(self) -> list[str]:
         """What each action (or each number of a continuous action) does."""
         raise NotImplementedError(f"bench {self.key!r} does not describe its actions")
@@ -377,15 +402,11 @@ class Bench(ABC):
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
 
-    def consequences(self, station: Station, members: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Of the last action: (cost [B], the weighted safety events; reward [B], what they and lost turns take off)."""
-        illegal = station.illegal[members]
-        events = station.events[members]
-        if not events.any():
-            return np.zeros(len(members)), np.asarray(-self.scenario.costs.illegal_action * illegal)
-        cost = events @ self._event_weights
-        lost = self.scenario.costs.illegal_action * illegal
-        return cost, np.asarray(-lost - self.scenario.safety.reward_price * cost)
+    def consequences(self, station: Station, members: IntArray, cost: FloatArray, reward: FloatArray) -> None:
+        """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
+        a lost turn take off."""
+        prices = self.scenario.safety.reward_price, self.scenario.costs.illegal_action
+        _consequences(members, station.events, station.illegal, self._event_weights, *prices, cost, reward)
 
     def separate_scratch(self) -> Bench:
         """The same bench with scratch arrays of its own, for use in another thread."""

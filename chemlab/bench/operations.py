@@ -216,6 +216,54 @@ def _look(
 
 
 @kernel
+def _step(
+    members: IntArray,
+    actions: IntArray,
+    table: FloatArray,
+    knobs: FloatArray,
+    places: IntArray,
+    rows: FloatArray,
+    stock: FloatArray,
+    waste: FloatArray,
+    events: FloatArray,
+    layers: IntArray,
+    profiles: FloatArray,
+    changed: BoolArray,
+    steps: IntArray,
+    ended: BoolArray,
+    illegal: BoolArray,
+    stream: StreamArray,
+    image: FloatArray,
+    limit: int,
+    chem: Chemistry,
+    work: FloatArray,
+) -> None:
+    """Operate, separate and look in one call: handing a Chemistry over from Python takes as long as the physics."""
+    _operations(
+        members,
+        actions,
+        table,
+        knobs,
+        places,
+        rows,
+        stock,
+        waste,
+        events,
+        layers,
+        profiles,
+        changed,
+        steps,
+        ended,
+        illegal,
+        limit,
+        chem,
+        work,
+    )
+    separate(members, places, rows, layers, profiles, changed, chem, work)
+    _look(members, places, rows, layers, profiles, stream, image, chem)
+
+
+@kernel
 def _observe(
     members: IntArray,
     places: IntArray,
@@ -288,7 +336,7 @@ class OperationBench(Bench):
     """
 
     options_model = OperationOptions
-    kernels = (separate,)
+    kernels = (_step,)
     camera = True
     process_kinds: ClassVar[tuple[str, ...]] = ("drain", "mix", "pour", "add", "settle", "heat")
     """Processes this bench has the apparatus for."""
@@ -358,18 +406,13 @@ class OperationBench(Bench):
     def action_meanings(self) -> list[str]:
         return list(self._meanings)
 
-    @property
-    def end_action(self) -> int:
-        """The action that ends the experiment."""
-        return len(self.table) - 1
-
     def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         station.changed[members] = True
         self._show(shelf, station, members)
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         s = station
-        _operations(
+        args = (
             members,
             actions,
             self.table,
@@ -385,11 +428,12 @@ class OperationBench(Bench):
             s.steps,
             s.ended,
             s.illegal,
-            self.spec.step_limit,
-            self.chemistry,
-            self.work,
         )
-        self._show(shelf, station, members)
+        if self.separation_model is None:
+            _step(*args, s.stream, s.image, self.spec.step_limit, self.chemistry, self.work)
+        else:
+            _operations(*args, self.spec.step_limit, self.chemistry, self.work)
+            self._show(shelf, station, members)
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         s = station

@@ -21,12 +21,13 @@ class ManagerActions:
     """The manager's actions, enumerated from the scenario: every legal move has one number.
 
     Attributes:
-        table: [A, 4] kind, then its arguments (start: station, slot, goal; measure: slot, instrument; discard,
-            submit: slot; recall: station; wait: none), -1 where there is none.
+        table: [A, 4] kind, then its arguments (start: station, slot, goal; measure: slot, instrument; submit: slot,
+            order; discard: slot; recall: station; wait: none), -1 where there is none.
     """
 
     stations: tuple[str, ...]
     slots: int
+    orders: int
     goals: tuple[str, ...]
     instruments: tuple[str, ...]
     table: IntArray
@@ -40,10 +41,11 @@ class ManagerActions:
         ]
         rows += [(MEASURE, s, i, -1) for s in range(slots) for i in range(len(scenario.instruments))]
         rows += [(DISCARD, s, -1, -1) for s in range(slots)]
-        rows += [(SUBMIT, s, -1, -1) for s in range(slots)]
+        rows += [(SUBMIT, s, o, -1) for s in range(slots) for o in range(scenario.orders)]
         rows += [(RECALL, b, -1, -1) for b in range(len(stations))]
         rows += [(WAIT, -1, -1, -1)]
-        return cls(tuple(stations), slots, scenario.goals, tuple(scenario.instruments), np.array(rows, dtype=np.int64))
+        table = np.array(rows, dtype=np.int64)
+        return cls(tuple(stations), slots, scenario.orders, scenario.goals, tuple(scenario.instruments), table)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -53,9 +55,8 @@ class ManagerActions:
 
         Args:
             kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit``
-                (slot),
-                ``recall`` (bench agent) or ``wait``.
-            arguments: bench agents, goals and instruments by name, slots by number.
+                (slot, and the order where there are several), ``recall`` (bench agent) or ``wait``.
+            arguments: bench agents, goals and instruments by name, slots and orders by number.
 
         Raises:
             ValueError: no such action; the message names what there is.
@@ -64,7 +65,7 @@ class ManagerActions:
             "start": (self.stations, range(self.slots), self.goals),
             "measure": (range(self.slots), self.instruments),
             "discard": (range(self.slots),),
-            "submit": (range(self.slots),),
+            "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
             "recall": (self.stations,),
             "wait": (),
         }
@@ -78,6 +79,8 @@ class ManagerActions:
             if argument not in values:
                 raise ValueError(f"manager action {kind!r}: argument {argument!r} is not one of {list(values)}")
             row[1 + i] = list(values).index(argument)
+        if kind == "submit" and self.orders == 1:
+            row[2] = 0
         return int(np.flatnonzero((self.table == row).all(axis=1))[0])
 
     def decode(self, action: int) -> tuple[str | int, ...]:
@@ -89,6 +92,8 @@ class ManagerActions:
             return "measure", arguments[0], self.instruments[arguments[1]]
         if kind == RECALL:
             return "recall", self.stations[arguments[0]]
+        if kind == SUBMIT and self.orders > 1:
+            return "submit", arguments[0], arguments[1]
         return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)
 
     @property
@@ -101,7 +106,7 @@ class ManagerActions:
                 "start": "start {} on slot {}, goal {}",
                 "measure": "measure slot {} with {}",
                 "discard": "discard slot {}",
-                "submit": "submit slot {}",
+                "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",
                 "recall": "recall {}",
                 "wait": "wait for the benches",
             }[str(kind)]

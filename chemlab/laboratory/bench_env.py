@@ -92,6 +92,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
         self._observation = np.zeros((1, *self.bench.observation_space.shape), dtype=np.float32)
+        self._consequences = np.zeros(1), np.zeros(1)
         self._over = True
         self._seeded = False
 
@@ -137,7 +138,9 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         if self._over:
             raise gymnasium.error.ResetNeeded("the experiment is over (or has not begun): call reset()")
         arena.act(checked)
-        cost, reward = self.bench.consequences(arena.station, arena.members)
+        cost, reward = self._consequences
+        cost[0], reward[0] = 0.0, 0.0
+        self.bench.consequences(arena.station, arena.members, cost, reward)
         total = float(reward[0])
         # The last observation and mask are still of the running experiment: look first.
         observation, info = self._observe(), self._info(float(cost[0]))
@@ -391,8 +394,8 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
         bench.act(shelf, station, acting, chosen)
-        cost, reward = bench.consequences(station, acting)
-        self._rewards[acting], self._costs[acting] = reward, cost
+        self._rewards[acting], self._costs[acting] = 0.0, 0.0
+        bench.consequences(station, acting, self._costs, self._rewards)
         self._illegal[acting] = station.illegal[acting]  # a reset in the same step forgets it there
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from ..bench.base import (
     CAMERA_PIXELS,
     Bench,
+    BoolArray,
     Channel,
     Goals,
     MaskArray,
@@ -24,31 +26,45 @@ from ..bench.base import (
 from ..bench.instruments import InstrumentTable
 from ..bench.models import ReactionModel, SeparationModel
 from ..physics.events import EVENT_KINDS
-from ..physics.jit import announce_compiling
+from ..physics.jit import announce_compiling, kernel
 from ..physics.layers import uniform
 from ..scenario import SAFETY_EVENTS, Scenario, load_scenario
-from ..shelf import FloatArray, IntArray, Shelf
+from ..shelf import FloatArray, IntArray, Shelf, StreamArray
 from .actions import ManagerActions
 from .manager import (
+    BEGUN,
     COST_ITEMS,
     MANAGER,
+    OVER,
+    RECALLED,
     RUNNING,
     Desk,
     Rules,
     advance,
-    close_actions,
+    book,
     itemize,
     manager_act,
-    manager_channels,
     manager_mask,
-    manager_observe,
+    open_turn,
     rest_on_shelf,
     return_vessels,
+    turns,
 )
+from .view import manager_channels, manager_observe
 
 __all__ = ["MANAGER_AGENT", "Laboratories"]
 
 MANAGER_AGENT = "manager_0"
+
+
+@kernel
+def _draw_goals(members: IntArray, choices: IntArray, stream: StreamArray, goal: IntArray) -> None:
+    """Draw every order's goal from ``choices``; as many numbers are drawn where there is no choice, so the rest of
+    the episode is the same."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        for o in range(goal.shape[1]):
+            goal[n, o] = choices[int(uniform(stream[n]) * choices.shape[0])]
 
 
 class Laboratories:
@@ -57,11 +73,6 @@ class Laboratories:
     Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
     every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
     other, so results do not depend on N.
-
-    Attributes:
-        rewards: [N, agents] what the last action earned each agent.
-        cost: [N, agents] weighted safety events of the last action (the constrained-RL cost).
-        scores: [N, agents] score of the experiment that the last action ended, NaN where none ended.
     """
 
     def __init__(
@@ -99,17 +110,23 @@ class Laboratories:
         for b, bench in enumerate(self.benches):
             places = np.arange(n)[:, None] * self.vessels_per_laboratory + first[b] + np.arange(positions[b])
             self.stations.append(Station.empty(self.bench_agents[b], bench, places))
-        self._share_arrays()
-        self.desk = Desk.empty(n, slots, stations, int(self.instruments.start[-1]), len(self.instruments.names))
+        readings, materials = int(self.instruments.start[-1]), len(self.shelf.layout.materials)
+        self.desk = Desk.empty(n, slots, stations, spec.orders, readings, len(self.instruments.names), materials)
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in self.shelf.layout.materials])
         self.rules = self._build_rules(positions, first)
         self.channels: list[Channel] = manager_channels(spec, self.instruments, self.roles, self.rules.largest_capacity)
         size = sum(channel.size for channel in self.channels)
         self.manager_observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.manager_action_space = gymnasium.spaces.Discrete(len(self.actions))
-        self.rewards: FloatArray = np.zeros((n, len(self.agents)))
-        self.cost: FloatArray = np.zeros((n, len(self.agents)))
-        self.scores: FloatArray = np.full((n, len(self.agents)), np.nan)
+        # An agent's numbers stand together: a bench's turn touches its own row alone.
+        self._rewards: FloatArray = np.zeros((len(self.agents), n))
+        self._cost: FloatArray = np.zeros((len(self.agents), n))
+        self._scores: FloatArray = np.full((len(self.agents), n), np.nan)
+        self._ended: IntArray = np.zeros(n, dtype=np.int64)
+        numbers = range(len(self.agents))
+        self.observation_sizes = [int(self.observation_space(agent).shape[0]) for agent in numbers]
+        self.action_counts = [self._count_actions(agent) for agent in numbers]
+        """Number of each agent's discrete actions; 0 where they are continuous."""
         self.safety_totals: FloatArray = np.zeros((n, EVENT_KINDS))
         """[N, E] safety events since the episode began."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
@@ -120,11 +137,29 @@ class Laboratories:
         self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
         self.members: IntArray = np.arange(n)
+        self._share_arrays()
 
     def _share_arrays(self) -> None:
-        """Each station's busy, goal and steps are its row of the arrays that the manager's kernels read."""
+        """Each station's busy, goal and steps are its row of the arrays that the manager's kernels read; each agent's
+        rewards and cost a row of everybody's."""
         for b, station in enumerate(self.stations):
             station.busy, station.goal, station.steps = self.busy[b], self._goals[b], self._steps[b]
+        self._reward_rows, self._cost_rows = list(self._rewards), list(self._cost)
+
+    @property
+    def rewards(self) -> FloatArray:
+        """[N, agents] what the last turn (or round) earned each agent."""
+        return self._rewards.T
+
+    @property
+    def cost(self) -> FloatArray:
+        """[N, agents] weighted safety events of the last turn or round (the constrained-RL cost)."""
+        return self._cost.T
+
+    @property
+    def scores(self) -> FloatArray:
+        """[N, agents] score of the experiment that it ended, NaN where none ended."""
+        return self._scores.T
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -201,22 +236,21 @@ class Laboratories:
             (desk.finished, False),
             (desk.status, RUNNING),
             (desk.charges, 0.0),
+            (desk.filled, False),
             (desk.submitted, 0.0),
+            (desk.delivered, 0.0),
             (desk.illegal, False),
             (desk.begun, -1),
             (desk.recalled, -1),
         ):
             array[members] = value
-        for m in members:
-            draw = uniform(desk.stream[m])  # drawn even where the goal is given, so the rest of the episode is the same
-            desk.goal[m] = self._lab_goals[int(draw * len(self._lab_goals))] if goal is None else self.goal_index(goal)
+        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
+        _draw_goals(members, wanted, desk.stream, desk.goal)
         self.busy[:, members] = False
         for station in self.stations:
             station.events[members] = 0.0
             station.illegal[members] = False
-        self.rewards[members] = 0.0
-        self.cost[members] = 0.0
-        self.scores[members] = np.nan
+        open_turn(members, self._rewards, self._cost, self._scores)
         self.safety_totals[members] = 0.0
 
     def goal_index(self, goal: str) -> int:
@@ -233,6 +267,14 @@ class Laboratories:
         """Number of the agent that has the turn in a laboratory."""
         return int(self.desk.cursor[member]) + 1
 
+    def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
+        """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
+        episode is over."""
+        if out is None:
+            out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
+        turns(members, self.busy, self.desk, out)
+        return out
+
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
         if agent == 0:
@@ -247,20 +289,37 @@ class Laboratories:
             members: [B] laboratories.
             actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
         """
-        self.rewards[members] = 0.0
-        self.cost[members] = 0.0
-        self.scores[members] = np.nan
+        open_turn(members, self._rewards, self._cost, self._scores)
         if agent == 0:
             self._act_manager(members, actions)
         else:
             self._act_bench(agent - 1, members, actions)
-        over = members[self.desk.status[members] != RUNNING]
-        if len(over):
-            self._settle_accounts(over)
+
+    def act_round(self, members: IntArray, actions: Sequence[npt.NDArray[Any]]) -> None:
+        """One round in each laboratory of ``members``: the manager's action where it has the turn, else the rest of
+        the tick.
+
+        The dynamics are those of :meth:`act`, turn after turn: benches still act in their order.
+
+        Args:
+            members: [B] laboratories whose episodes are running.
+            actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
+        """
+        open_turn(members, self._rewards, self._cost, self._scores)
+        cursor = self.desk.cursor
+        waiting = cursor[members] == MANAGER
+        managed, ticking = members[waiting], members[~waiting]
+        if len(managed):
+            self._act_manager(managed, actions[0][managed])
+        for b in range(len(self.stations)):
+            # Where the tick is over the cursor stands at the manager or at the first busy bench, which is past.
+            group = ticking[cursor[ticking] == b]
+            if len(group):
+                self._act_bench(b, group, actions[b + 1][group])
 
     def _act_manager(self, members: IntArray, actions: IntArray) -> None:
         desk, shelf = self.desk, self.shelf
-        manager_act(
+        flags = manager_act(
             members,
             actions,
             self.busy,
@@ -272,47 +331,61 @@ class Laboratories:
             shelf.chemistry,
             self._layers,
             self._shares,
+            self._maximum,
+            self.scenario.rewards.manager_local + self.scenario.rewards.manager_team,
+            self._reward_rows[0],
             self._work,
         )
-        begun, recalled = desk.begun[members], desk.recalled[members]
-        if begun.max(initial=-1) >= 0:
+        if flags & BEGUN:
+            begun = desk.begun[members]
             for b, station in enumerate(self.stations):
                 some = members[begun == b]
                 if len(some):
                     station.goal[some] = self.rules.table[actions[begun == b], 3]
                     self.benches[b].begin(shelf, station, some)
                     self._charge(b, some)
-        if recalled.max(initial=-1) >= 0:
+        if flags & RECALLED:
+            recalled = desk.recalled[members]
             for b in range(len(self.stations)):
                 some = members[recalled == b]
                 if len(some):
                     self._end(b, some)
-        close_actions(members, desk, self.rules)
+        if flags & OVER:
+            self._settle_accounts(members)
 
     def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        station = self.stations[b]
-        self.benches[b].act(self.shelf, station, members, actions)
-        self._charge(b, members)
-        ended = members[station.ended[members]]
-        if len(ended):
-            self._end(b, ended)
-            self.desk.finished[ended] = True
-        advance(members, self.busy, self.desk, self.rules)
+        self.benches[b].act(self.shelf, self.stations[b], members, actions)
+        ended = self._charge(b, members)
+        if ended:
+            self._end(b, self._ended[:ended].copy())
+        desk, rules = self.desk, self.rules
+        arrays = desk.cursor, desk.ticks, desk.charges, desk.age, desk.status, desk.finished
+        if advance(members, self.busy, *arrays, rules.tick_price, rules.tick_limit) & OVER:
+            self._settle_accounts(members)
 
-    def _charge(self, b: int, members: IntArray) -> None:
-        """Book what the bench's last action cost: safety events and lost turns."""
-        cost, reward = self.benches[b].consequences(self.stations[b], members)
-        self.cost[members, b + 1] += cost
-        self.rewards[members, b + 1] += reward
-        self.safety_totals[members] += self.stations[b].events[members]
-        self.desk.charges[members, 5] += self.scenario.safety.reward_price * cost
+    def _charge(self, b: int, members: IntArray) -> int:
+        """Book what the bench's last action cost: safety events and lost turns; returns how many experiments have
+        ended, the first so many of ``self._ended``."""
+        station, cost = self.stations[b], self._cost_rows[b + 1]
+        self.benches[b].consequences(station, members, cost, self._reward_rows[b + 1])
+        return book(
+            members,
+            station.events,
+            cost,
+            self.scenario.safety.reward_price,
+            self.safety_totals,
+            self.desk.charges,
+            station.ended,
+            self.desk.finished,
+            self._ended,
+        )
 
     def _end(self, b: int, members: IntArray) -> None:
         """End the experiment of station ``b``: its reward, and its vessels back to the shelf."""
         station, shelf = self.stations[b], self.shelf
         score = self.benches[b].finish(shelf, station, members)
-        self.scores[members, b + 1] = score
-        self.rewards[members, b + 1] += self.scenario.rewards.bench_local * score
+        self._scores[b + 1, members] = score
+        self._rewards[b + 1, members] += self.scenario.rewards.bench_local * score
         return_vessels(
             members,
             b,
@@ -327,18 +400,35 @@ class Laboratories:
         )
 
     def _settle_accounts(self, members: IntArray) -> None:
-        """The episode is over: the manager's result, and everybody's share of it."""
+        """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
+        over = members[self.desk.status[members] != RUNNING]
         mix = self.scenario.rewards
-        result = self.result(members)
-        self.rewards[members, 0] += (mix.manager_local + mix.manager_team) * result
-        self.rewards[members, 1:] += mix.bench_team * result[:, None]
+        result = self.result(over)
+        self._rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
+        self._rewards[1:, over] += mix.bench_team * result
 
     def result(self, members: IntArray) -> FloatArray:
-        """[B] the manager's score: product by amount and purity, minus costs; before a submission, minus costs."""
+        """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
+        submission is worth nothing."""
         desk = self.desk
-        itemize(members, desk, self.rules, self.shelf.stock, self.shelf.waste, self.shelf.chemistry)
-        value = desk.submitted[members, 0] * desk.submitted[members, 1] / self._maximum[desk.goal[members]]
-        return np.asarray(value - desk.charges[members].sum(axis=1))
+        self._itemize(members)
+        shares = desk.submitted[members, :, 0] * desk.submitted[members, :, 1] / self._maximum[desk.goal[members]]
+        return np.asarray(shares.mean(axis=1) - desk.charges[members].sum(axis=1))
+
+    def _itemize(self, members: IntArray) -> None:
+        """Bring the charges for stock and waste up to date."""
+        rules, shelf = self.rules, self.shelf
+        itemize(
+            members,
+            rules.first_stock,
+            rules.stock_price,
+            shelf.stock,
+            rules.waste_per_l,
+            shelf.waste,
+            shelf.chemistry.role,
+            shelf.chemistry.molar_volume,
+            self.desk.charges,
+        )
 
     # -- what agents see --------------------------------------------------------------------------------------
 
@@ -353,7 +443,7 @@ class Laboratories:
     def observe(self, agent: int, members: IntArray, out: ObservationArray | None = None) -> ObservationArray:
         """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros."""
         if out is None:
-            out = np.empty((len(members), self.observation_space(agent).shape[0]), dtype=np.float32)
+            out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
         shelf = self.shelf
         if agent == 0:
             manager_observe(
@@ -374,12 +464,23 @@ class Laboratories:
             self.benches[agent - 1].observe(shelf, self.stations[agent - 1], members, out)
         return out
 
-    def mask(self, agent: int, members: IntArray) -> MaskArray | None:
-        """[B, actions] legal actions (1 = legal), or None where the action space is continuous."""
+    @property
+    def resting_actions(self) -> list[int]:
+        """What each agent is shown to play while it does not have the turn: the manager waits, benches end; -1 where
+        actions are continuous."""
+        benches = [bench.end_action if bench.action_count else -1 for bench in self.benches]
+        return [self.actions.encode("wait"), *benches]
+
+    def _count_actions(self, agent: int) -> int:
         space = self.action_space(agent)
-        if not isinstance(space, gymnasium.spaces.Discrete):
+        return int(space.n) if isinstance(space, gymnasium.spaces.Discrete) else 0
+
+    def mask(self, agent: int, members: IntArray, out: MaskArray | None = None) -> MaskArray | None:
+        """[B, actions] legal actions (1 = legal), or None where the action space is continuous."""
+        if not self.action_counts[agent]:
             return None
-        out = np.zeros((len(members), int(space.n)), dtype=np.int8)
+        if out is None:
+            out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
         if agent == 0:
             manager_mask(members, self.busy, self.desk, self.rules, self.shelf.rows, self.vessels_per_laboratory, out)
         else:
@@ -388,15 +489,39 @@ class Laboratories:
 
     def costs(self, member: int = 0) -> dict[str, float]:
         """What the manager has been charged so far, by item, in units of the score."""
-        self.result(np.array([member]))
-        return {item: float(value) for item, value in zip(COST_ITEMS, self.desk.charges[member], strict=True)}
+        self._itemize(self.members[member : member + 1])
+        return dict(zip(COST_ITEMS, self.desk.charges[member].tolist(), strict=True))
+
+    def outcome(self, member: int = 0) -> dict[str, Any]:
+        """What has been submitted: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
+        each of the ``orders``."""
+        goals = self.desk.goal[member].tolist()
+        pairs = self.desk.submitted[member].tolist()
+        mol = sum(amount for amount, _ in pairs)
+        return {
+            "submitted_mol": mol,
+            "purity": sum(amount * purity for amount, purity in pairs) / mol if mol > 0.0 else 0.0,
+            "orders": [
+                {"goal": self.scenario.goals[goal], "submitted_mol": amount, "purity": purity}
+                for goal, (amount, purity) in zip(goals, pairs, strict=True)
+            ],
+        }
+
+    def info(self, agent: int, member: int = 0) -> dict[str, Any]:
+        """What an agent's last turn led to: ``cost``, ``events`` and ``illegal_action``."""
+        lost = self.desk.illegal if agent == 0 else self.stations[agent - 1].illegal
+        return {
+            "cost": self._cost.item(agent, member),
+            "events": self.events(agent, member),
+            "illegal_action": lost.item(member),
+        }
 
     def events(self, agent: int, member: int = 0) -> dict[str, float]:
         """Safety events of the agent's last action, by kind; only those that happened."""
         if agent == 0:
             return {}
-        row = self.stations[agent - 1].events[member]
-        return {kind: float(value) for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value != 0.0}
+        row = self.stations[agent - 1].events[member].tolist()
+        return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value} if any(row) else {}
 
     # -- state ------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The manager's side of a laboratory: what its actions do to the arrays, and what it sees."""
+"""The manager's side of a laboratory: whose turn it is, and what the manager's actions do to the arrays."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bench.base import BoolArray, Channel, MaskArray, ObservationArray, goal_amount, weighted_amount
-from ..bench.instruments import InstrumentTable, read_instrument
+from ..bench.base import BoolArray, MaskArray, goal_amount, weighted_amount
+from ..bench.instruments import read_instrument
 from ..physics.jit import helper, kernel
 from ..physics.partition import partition
 from ..physics.phases import settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
-from ..scenario import Scenario
 from ..shelf import (
-    CAPACITY,
     CLOCK,
     CLOCK_SETTLED,
     PRESENT,
@@ -28,18 +26,21 @@ from ..shelf import (
 from .actions import DISCARD, MEASURE, RECALL, START, SUBMIT
 
 __all__ = [
+    "BEGUN",
     "COST_ITEMS",
+    "OVER",
+    "RECALLED",
     "Desk",
     "Rules",
     "advance",
-    "close_actions",
+    "book",
     "itemize",
     "manager_act",
-    "manager_channels",
     "manager_mask",
-    "manager_observe",
+    "open_turn",
     "rest_on_shelf",
     "return_vessels",
+    "turns",
 ]
 
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
@@ -48,12 +49,13 @@ COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal
 RUNNING, TERMINATED, TRUNCATED = range(3)
 MANAGER = -1
 """Cursor value while the manager has the turn."""
-
-_COLDEST_K, _HOTTEST_K = 200.0, 800.0
+BEGUN, RECALLED, OVER = 1, 2, 4
+"""What a turn led to: an experiment begun, one recalled, an episode over."""
 
 
 class Desk(NamedTuple):
-    """The manager's arrays. N laboratories, S slots, B stations, I instruments, R numbers of all readings."""
+    """The manager's arrays. N laboratories, S slots, B stations, O orders, I instruments, R numbers of all
+    readings, M materials."""
 
     reserved: IntArray
     """[N, S] station a slot is reserved for, -1 if none"""
@@ -68,7 +70,9 @@ class Desk(NamedTuple):
     origin: IntArray
     """[N, B] slot the running experiment's main vessel came from"""
     goal: IntArray
-    """[N] the laboratory's goal, an index into the scenario's goals"""
+    """[N, O] what each order asks for, an index into the scenario's goals"""
+    filled: BoolArray
+    """[N, O] whether a vessel has been submitted for the order"""
     actions: IntArray
     """[N] manager actions so far"""
     ticks: IntArray
@@ -82,7 +86,9 @@ class Desk(NamedTuple):
     charges: FloatArray
     """[N, len(COST_ITEMS)] costs so far (stock and waste are filled in by itemize)"""
     submitted: FloatArray
-    """[N, 2] mol of the goal and its purity in the submitted vessel"""
+    """[N, O, 2] mol of the goal and its purity in the vessel submitted for each order"""
+    delivered: FloatArray
+    """[N, M] mol that have left with submitted vessels while the episode goes on"""
     stream: StreamArray
     """[N, 1] random stream of goals and instruments"""
     illegal: BoolArray
@@ -93,7 +99,9 @@ class Desk(NamedTuple):
     """[N] station that it recalled, -1 if none"""
 
     @classmethod
-    def empty(cls, laboratories: int, slots: int, stations: int, readings: int, instruments: int) -> Desk:
+    def empty(
+        cls, laboratories: int, slots: int, stations: int, orders: int, readings: int, instruments: int, materials: int
+    ) -> Desk:
         """Zeroed arrays."""
         n = laboratories
         whole = np.int64
@@ -104,14 +112,16 @@ class Desk(NamedTuple):
             np.zeros((n, slots, readings)),
             np.full((n, slots, instruments), -1, dtype=whole),
             np.zeros((n, stations), dtype=whole),
-            np.zeros(n, dtype=whole),
+            np.zeros((n, orders), dtype=whole),
+            np.zeros((n, orders), dtype=np.bool_),
             np.zeros(n, dtype=whole),
             np.zeros(n, dtype=whole),
             np.full(n, MANAGER, dtype=whole),
             np.zeros(n, dtype=np.bool_),
             np.zeros(n, dtype=whole),
             np.zeros((n, len(COST_ITEMS))),
-            np.zeros((n, 2)),
+            np.zeros((n, orders, 2)),
+            np.zeros((n, materials)),
             np.zeros((n, 1), dtype=np.uint64),
             np.zeros(n, dtype=np.bool_),
             np.full(n, -1, dtype=whole),
@@ -195,7 +205,7 @@ def _allowed(
     if kind == DISCARD:  # the last vessel stays: without one there would be nothing left to do
         return bool(rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        return bool(rows[base + x, PRESENT] > 0.0)
+        return bool(rows[base + x, PRESENT] > 0.0 and not desk.filled[n, y])
     if kind == RECALL:
         return bool(busy[x, n])
     return any_busy
@@ -253,9 +263,17 @@ def manager_act(
     chem: Chemistry,
     layers: IntArray,
     shares: FloatArray,
+    maximum: FloatArray,
+    share: float,
+    reward: FloatArray,
     work: FloatArray,
-) -> None:
-    """Carry out one manager action in each laboratory of ``members``; see the desk's flags for what it led to."""
+) -> int:
+    """Carry out one manager action in each laboratory of ``members``.
+
+    ``maximum`` [G] is the theoretical maximum of each goal in mol; ``share`` of what a submission is worth is added to
+    ``reward`` [N]. Returns the flags BEGUN, RECALLED and OVER of what it led to in any of them; the desk says in which.
+    """
+    flags = 0
     for i in range(members.shape[0]):
         n, a = members[i], actions[i]
         base = n * per_lab
@@ -265,6 +283,9 @@ def manager_act(
         desk.illegal[n] = not _allowed(n, a, base, slots, _any_busy(n, busy), busy, desk, rules, rows)
         if desk.illegal[n]:
             desk.charges[n, 4] += rules.illegal_price
+            if desk.actions[n] >= rules.action_limit:
+                desk.status[n] = TRUNCATED
+                flags |= OVER
             continue
         kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
         if kind == START:
@@ -277,6 +298,7 @@ def manager_act(
                     desk.reserved[n, s] = x
                     wanted -= 1
             desk.begun[n] = x
+            flags |= BEGUN
         elif kind == MEASURE:
             start, stop = rules.reading_start[y], rules.reading_start[y + 1]
             read_instrument(
@@ -301,29 +323,38 @@ def manager_act(
             clear(rows[base + x])
             _forget(n, x, desk)
         elif kind == SUBMIT:
-            part = rules.parts[desk.goal[n]]
-            amount = goal_amount(rows[base + x], part)
-            total = weighted_amount(rows[base + x], rules.counts[desk.goal[n]])
-            desk.submitted[n, 0] = amount
-            desk.submitted[n, 1] = amount / total if total > 0.0 else 0.0
-            desk.status[n] = TERMINATED
+            goal = desk.goal[n, y]
+            amount = goal_amount(rows[base + x], rules.parts[goal])
+            total = weighted_amount(rows[base + x], rules.counts[goal])
+            purity = amount / total if total > 0.0 else 0.0
+            desk.submitted[n, y, 0] = amount
+            desk.submitted[n, y, 1] = purity
+            desk.filled[n, y] = True
+            reward[n] += share * amount * purity / maximum[goal] / desk.goal.shape[1]
+            open_orders = 0
+            for o in range(desk.goal.shape[1]):
+                open_orders += not desk.filled[n, o]
+            # What is left of the shelf cannot fill an order once it and the benches are empty.
+            if open_orders == 0 or (slots[1] == 1 and not _any_busy(n, busy)):
+                desk.status[n] = TERMINATED
+                flags |= OVER
+            else:
+                remove_fraction(rows[base + x], 1.0, chem, desk.delivered[n])
+                clear(rows[base + x])
+                _forget(n, x, desk)
         elif kind == RECALL:
             desk.recalled[n] = x
+            flags |= RECALLED
         else:
             first = 0
             while not busy[first, n]:
                 first += 1
             desk.cursor[n] = first
             desk.finished[n] = False
-
-
-@kernel
-def close_actions(members: IntArray, desk: Desk, rules: Rules) -> None:
-    """After manager actions: truncate where they have been used up."""
-    for i in range(members.shape[0]):
-        n = members[i]
         if desk.status[n] == RUNNING and desk.actions[n] >= rules.action_limit:
             desk.status[n] = TRUNCATED
+            flags |= OVER
+    return flags
 
 
 @kernel
@@ -368,144 +399,121 @@ def return_vessels(
 
 
 @kernel
-def advance(members: IntArray, busy: BoolArray, desk: Desk, rules: Rules) -> None:
-    """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
-    an experiment has ended."""
+def open_turn(members: IntArray, rewards: FloatArray, cost: FloatArray, scores: FloatArray) -> None:
+    """Nobody has earned anything yet: clear the laboratories' columns of the [agents, N] arrays."""
     for i in range(members.shape[0]):
         n = members[i]
-        b = desk.cursor[n] + 1
+        for a in range(rewards.shape[0]):
+            rewards[a, n] = 0.0
+            cost[a, n] = 0.0
+            scores[a, n] = np.nan
+
+
+@kernel
+def turns(members: IntArray, busy: BoolArray, desk: Desk, out: BoolArray) -> None:
+    """Write into ``out`` [agents, B] who plays in the laboratories' next round: the manager, or every busy bench that
+    has not had its turn in this tick."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        running = desk.status[n] == RUNNING
+        out[0, i] = running and desk.cursor[n] == MANAGER
+        for b in range(busy.shape[0]):
+            out[b + 1, i] = running and desk.cursor[n] != MANAGER and b >= desk.cursor[n] and busy[b, n]
+
+
+@kernel
+def book(
+    members: IntArray,
+    events: FloatArray,
+    cost: FloatArray,
+    price: float,
+    totals: FloatArray,
+    charges: FloatArray,
+    ended: BoolArray,
+    finished: BoolArray,
+    which: IntArray,
+) -> int:
+    """After a bench's turn: its safety events into the episode's totals and the manager's charges. Writes the members
+    whose experiment has ended into ``which`` and returns their number."""
+    count = 0
+    for i in range(members.shape[0]):
+        n = members[i]
+        for k in range(events.shape[1]):
+            totals[n, k] += events[n, k]
+        charges[n, 5] += price * cost[n]
+        if ended[n]:
+            finished[n] = True
+            which[count] = n
+            count += 1
+    return count
+
+
+@kernel
+def advance(
+    members: IntArray,
+    busy: BoolArray,
+    cursor: IntArray,
+    ticks: IntArray,
+    charges: FloatArray,
+    age: IntArray,
+    status: IntArray,
+    finished: BoolArray,
+    tick_price: float,
+    tick_limit: int,
+) -> int:
+    """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
+    an experiment has ended. Returns OVER if an episode has been truncated by it.
+
+    Takes the desk's arrays one by one: handing all of it over takes longer than the work.
+    """
+    flags = 0
+    for i in range(members.shape[0]):
+        n = members[i]
+        b = cursor[n] + 1
         while b < busy.shape[0] and not busy[b, n]:
             b += 1
         if b < busy.shape[0]:
-            desk.cursor[n] = b
+            cursor[n] = b
             continue
-        desk.ticks[n] += 1
-        desk.charges[n, 3] += rules.tick_price
-        for s in range(rules.slots):
-            for k in range(desk.age.shape[2]):
-                if desk.age[n, s, k] >= 0:
-                    desk.age[n, s, k] += 1
-        if desk.ticks[n] >= rules.tick_limit:
-            desk.status[n] = TRUNCATED
-            desk.cursor[n] = MANAGER
-        elif desk.finished[n] or not _any_busy(n, busy):
-            desk.cursor[n] = MANAGER
+        ticks[n] += 1
+        charges[n, 3] += tick_price
+        for s in range(age.shape[1]):
+            for k in range(age.shape[2]):
+                if age[n, s, k] >= 0:
+                    age[n, s, k] += 1
+        if ticks[n] >= tick_limit:
+            status[n] = TRUNCATED
+            cursor[n] = MANAGER
+            flags |= OVER
+        elif finished[n] or not _any_busy(n, busy):
+            cursor[n] = MANAGER
         else:
             b = 0
             while not busy[b, n]:
                 b += 1
-            desk.cursor[n] = b
+            cursor[n] = b
+    return flags
 
 
 @kernel
-def itemize(members: IntArray, desk: Desk, rules: Rules, stock: FloatArray, waste: FloatArray, chem: Chemistry) -> None:
+def itemize(
+    members: IntArray,
+    first_stock: FloatArray,
+    stock_price: FloatArray,
+    stock: FloatArray,
+    waste_per_l: float,
+    waste: FloatArray,
+    role: IntArray,
+    molar_volume: FloatArray,
+    charges: FloatArray,
+) -> None:
     """Fill in the costs that follow from amounts: stock used and waste made."""
     for i in range(members.shape[0]):
         n = members[i]
         used, litres = 0.0, 0.0
         for m in range(stock.shape[1]):
-            used += max(rules.first_stock[m] - stock[n, m], 0.0) * rules.stock_price[m]
-            if chem.role[m] != ROLE_GAS:
-                litres += waste[n, m] * chem.molar_volume[m]
-        desk.charges[n, 1] = used
-        desk.charges[n, 2] = litres * rules.waste_per_l
-
-
-def manager_channels(
-    scenario: Scenario, instruments: InstrumentTable, roles: int, largest_capacity: float
-) -> list[Channel]:
-    """What the manager sees, in order."""
-    channels = []
-    for s in range(scenario.shelf.slots):
-        benches = ", ".join(scenario.benches)
-        channels += [
-            Channel(f"slot_{s}_occupied", 1, "0 or 1", 0.0, 1.0, "whether a vessel stands here"),
-            Channel(f"slot_{s}_fill", 1, "fraction", 0.0, 1.0, "how full it is"),
-            Channel(f"slot_{s}_temperature", 1, "K", _COLDEST_K, _HOTTEST_K, "its temperature"),
-            Channel(f"slot_{s}_capacity", 1, "L", 0.0, largest_capacity, "its capacity"),
-            Channel(
-                f"slot_{s}_last_bench", 1 + len(scenario.benches), "one-hot", 0.0, 1.0, f"last at: none, {benches}"
-            ),
-            Channel(f"slot_{s}_last_role", roles, "one-hot", 0.0, 1.0, "as: main vessel, B1, B2"),
-        ]
-        for channel in instruments.channels:
-            meaning = f"last reading: {channel.meaning}"
-            channels.append(
-                Channel(f"slot_{s}_{channel.name}", channel.size, channel.unit, channel.low, channel.high, meaning)
-            )
-            limit = float(scenario.limits.ticks)
-            channels.append(
-                Channel(f"slot_{s}_{channel.name}_age", 1, "ticks", 0.0, limit, "its age; 1 = never measured")
-            )
-    for agent in scenario.bench_agents():
-        channels += [
-            Channel(f"{agent}_busy", 1, "0 or 1", 0.0, 1.0, "whether an experiment is running"),
-            Channel(
-                f"{agent}_goal", len(scenario.goals), "one-hot", 0.0, 1.0, "its goal: " + ", ".join(scenario.goals)
-            ),
-            Channel(f"{agent}_steps_left", 1, "fraction", 0.0, 1.0, "of its step limit"),
-        ]
-    channels += [
-        Channel("stock", len(scenario.stock), "fraction", 0.0, 1.0, "left of: " + ", ".join(scenario.stock)),
-        Channel("goal", len(scenario.goals), "one-hot", 0.0, 1.0, "laboratory goal: " + ", ".join(scenario.goals)),
-        Channel("budget", 1, "fraction", 0.0, 1.0, "left of the budget for measurements"),
-        Channel("actions", 1, "fraction", 0.0, 1.0, "left of the manager's actions"),
-        Channel("ticks", 1, "fraction", 0.0, 1.0, "left of the ticks"),
-    ]
-    return [channel for channel in channels if channel.size > 0]
-
-
-@kernel
-def manager_observe(
-    members: IntArray,
-    busy: BoolArray,
-    goals: IntArray,
-    steps: IntArray,
-    desk: Desk,
-    rules: Rules,
-    rows: FloatArray,
-    per_lab: int,
-    stock: FloatArray,
-    roles: int,
-    chem: Chemistry,
-    out: ObservationArray,
-) -> None:
-    """Write what the manager sees into ``out`` [B, observation size]: outsides of vessels, readings, benches, stock."""
-    n_goals, n_instruments = rules.parts.shape[0], desk.age.shape[2]
-    for i in range(members.shape[0]):
-        n = members[i]
-        out[i, :] = 0.0
-        at = 0
-        for s in range(rules.slots):
-            row = rows[n * per_lab + s]
-            if row[PRESENT] > 0.0:
-                out[i, at] = 1.0
-                out[i, at + 1] = min(volume(row, chem) / row[CAPACITY], 1.0)
-                out[i, at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
-                out[i, at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
-                out[i, at + 4 + desk.last_bench[n, s]] = 1.0
-                if desk.last_bench[n, s] > 0:
-                    out[i, at + 5 + rules.benches + desk.last_role[n, s]] = 1.0
-            at += 5 + rules.benches + roles
-            for k in range(n_instruments):
-                for r in range(rules.reading_start[k], rules.reading_start[k + 1]):
-                    out[i, at] = desk.reading[n, s, r]
-                    at += 1
-                age = desk.age[n, s, k]
-                out[i, at] = 1.0 if age < 0 else min(age / rules.tick_limit, 1.0)
-                at += 1
-        for b in range(busy.shape[0]):
-            if busy[b, n]:
-                out[i, at] = 1.0
-                out[i, at + 1 + goals[b, n]] = 1.0
-                out[i, at + 1 + n_goals] = 1.0 - steps[b, n] / rules.limit[b]
-            at += 2 + n_goals
-        for k in range(rules.stocked.shape[0]):
-            m = rules.stocked[k]
-            out[i, at] = min(max(stock[n, m] / rules.first_stock[m], 0.0), 1.0) if rules.first_stock[m] > 0.0 else 0.0
-            at += 1
-        out[i, at + desk.goal[n]] = 1.0
-        at += n_goals
-        out[i, at] = max(1.0 - desk.charges[n, 0] / rules.budget, 0.0)
-        out[i, at + 1] = max(1.0 - desk.actions[n] / rules.action_limit, 0.0)
-        out[i, at + 2] = max(1.0 - desk.ticks[n] / rules.tick_limit, 0.0)
+            used += max(first_stock[m] - stock[n, m], 0.0) * stock_price[m]
+            if role[m] != ROLE_GAS:
+                litres += waste[n, m] * molar_volume[m]
+        charges[n, 1] = used
+        charges[n, 2] = litres * waste_per_l

@@ -21,7 +21,7 @@ def describe_laboratory(laboratories: Laboratories, member: int) -> str:
     status = ("running", "submitted", "truncated")[int(desk.status[member])]
     turn = labs.agents[labs.turn(member)] if desk.status[member] == RUNNING else "nobody"
     lines = [
-        f"{scenario.title} - goal {scenario.goals[desk.goal[member]]} - {status}",
+        f"{scenario.title} - goal {scenario.goals[desk.goal[member, 0]]} - {status}",
         f"manager actions {desk.actions[member]}/{scenario.limits.manager_actions}, "
         f"ticks {desk.ticks[member]}/{scenario.limits.ticks}, turn: {turn}",
     ]

@@ -687,7 +687,7 @@ def test_asking_for_a_goal_changes_nothing_else() -> None:
     """The draw is made all the same, so cameras and instruments of the episode do not depend on who chose the goal."""
     env = raw_env("wurtz_any")
     env.reset(seed=5)
-    drawn = env.scenario.goals[env.laboratories.desk.goal[0]]
+    drawn = env.scenario.goals[env.laboratories.desk.goal[0, 0]]
     states = []
     for options in (None, {"goal": drawn}):
         env.reset(seed=5, options=options)
@@ -704,11 +704,11 @@ def test_goals_are_drawn_uniformly() -> None:
     for seed in range(draws):
         labs.seed(0, seed)
         labs.reset(labs.members)
-        by_seed[int(labs.desk.goal[0])] += 1
+        by_seed[int(labs.desk.goal[0, 0])] += 1
     in_a_row: Counter[int] = Counter()
     for _ in range(draws):
         labs.reset(labs.members)
-        in_a_row[int(labs.desk.goal[0])] += 1
+        in_a_row[int(labs.desk.goal[0, 0])] += 1
     for counts in (by_seed, in_a_row):
         assert set(counts) == {env.scenario.goals.index(goal) for goal in goals}
         expected = draws / len(goals)
@@ -742,7 +742,7 @@ def test_rendering_as_text(name: str) -> None:
     env = raw_env(name, render_mode="ansi")
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    goal = env.scenario.goals[env.laboratories.desk.goal[0]]
+    goal = env.scenario.goals[env.laboratories.desk.goal[0, 0]]
     texts = []
     while env.laboratories.desk.status[0] == 0:
         text = env.render()

@@ -1,0 +1,93 @@
+"""What the AEC and the parallel environment share: one laboratory, its spaces, its episodes' beginnings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..bench.models import ReactionModel, SeparationModel
+from ..scenario import RewardSpec, Scenario, load_scenario
+from .core import Laboratories
+from .text import describe_laboratory
+
+__all__ = ["OneLaboratory"]
+
+
+class OneLaboratory:
+    """One laboratory as a PettingZoo environment sees it, whichever of the two interfaces it has."""
+
+    metadata: dict[str, Any]
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        render_mode: str | None = None,
+        rewards: str | RewardSpec | None = None,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        super().__init__()
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
+            )
+        self.render_mode = render_mode
+        self.scenario = load_scenario(scenario)
+        if rewards is not None:
+            self.scenario = self.scenario.with_rewards(rewards)
+        self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model)
+        self.possible_agents = list(self.laboratories.agents)
+        self.agents: list[str] = []
+        self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
+        self.observation_spaces = {agent: self.laboratories.observation_space(i) for agent, i in self._number.items()}
+        self.action_spaces = {agent: self.laboratories.action_space(i) for agent, i in self._number.items()}
+        size = sum(self.laboratories.observation_sizes)
+        self.state_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+        self._members = self.laboratories.members
+        self._seeded = False
+
+    def observation_space(self, agent: str) -> gymnasium.spaces.Box:
+        """The agent's observation space (always the same object)."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gymnasium.Space[Any]:
+        """The agent's action space (always the same object)."""
+        return self.action_spaces[agent]
+
+    def observe(self, agent: str) -> npt.NDArray[np.float32]:
+        """What the agent sees now; a bench without an experiment sees zeros."""
+        seen: npt.NDArray[np.float32] = self.laboratories.observe(self._number[agent], self._members)[0]
+        return seen
+
+    def state(self) -> npt.NDArray[np.float32]:
+        """All agents' observations in one vector, agents in order."""
+        return np.concatenate([self.observe(agent) for agent in self.possible_agents])
+
+    def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        options = options or {}
+        unknown = set(options) - {"goal"}
+        if unknown:
+            # PettingZoo's api_test passes options of its own, so these cannot be an error.
+            gymnasium.logger.warn(f"reset options: known: goal; ignored: {', '.join(sorted(map(str, unknown)))}")
+        goal = options.get("goal")
+        if goal is not None:
+            self.laboratories.goal_index(goal)
+        if seed is not None or not self._seeded:
+            self.laboratories.seed(0, np.random.SeedSequence(seed))
+            self._seeded = True
+        self.laboratories.reset(self._members, goal)
+        self.agents = self.possible_agents[:]
+
+    def render(self) -> str | None:
+        """The laboratory as text (render mode ``ansi``)."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() was called without a render_mode; pass one of metadata['render_modes'].")
+            return None
+        return describe_laboratory(self.laboratories, 0)
+
+    def close(self) -> None:
+        """Nothing to release."""
