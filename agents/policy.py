@@ -1,63 +1,82 @@
-"""What a policy is, whoever made it: a batch of observations and masks in, a batch of actions out."""
+"""Policies by name, for every role of a laboratory."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chemlab.bench.base import Bench, MaskArray, ObservationArray
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import Policy, as_policy
+from chemlab.physics.jit import kernel
+from chemlab.physics.layers import uniform
 from chemlab.scenario import Scenario
-from chemlab.shelf import IntArray
+from chemlab.shelf import FloatArray, IntArray, StreamArray
 
-__all__ = ["Policy", "RandomPolicy", "make_policies", "policy_names"]
+__all__ = ["Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
 
 
-class Policy(Protocol):
-    """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario."""
+@kernel
+def _draw_legal(mask: MaskArray, members: IntArray, stream: StreamArray, out: IntArray) -> None:
+    for b in range(mask.shape[0]):
+        legal = 0
+        for a in range(mask.shape[1]):
+            legal += mask[b, a] != 0
+        wanted = int(uniform(stream[members[b]]) * legal)
+        chosen = -1
+        while wanted >= 0 and chosen < mask.shape[1] - 1:
+            chosen += 1
+            wanted -= mask[b, chosen] != 0
+        out[b] = chosen
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """Actions for a batch.
 
-        Args:
-            observation: [B, size].
-            mask: [B, actions] legal actions, or None where actions are continuous.
-            step: [B] how many turns the agent has had in this experiment (the manager: in this episode). At 0 a
-                policy with a memory forgets.
-            members: [B] which member of the batch each row is, for policies with a memory.
-
-        Returns:
-            [B] int64 actions, or [B, n] float64 where actions are continuous.
-        """
-        ...  # a protocol has no body
+@kernel
+def _draw_numbers(members: IntArray, stream: StreamArray, out: FloatArray) -> None:
+    for b in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            out[b, x] = uniform(stream[members[b]])
 
 
 class RandomPolicy:
-    """Uniformly random legal actions.
+    """Uniformly random legal actions, every member from a stream of its own.
 
     Args:
         size: numbers of a continuous action; ignored where there is a mask.
-        seed: seed of the policy's own stream.
+        seed: seed of the members' streams; :meth:`seed` starts one of them afresh.
     """
 
     def __init__(self, size: int, seed: int | np.random.SeedSequence | None = None) -> None:
         self._size = size
-        self._rng = np.random.default_rng(seed)
+        self._seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        self._stream: StreamArray = np.zeros((0, 1), dtype=np.uint64)
+
+    def _provide(self, members: int) -> None:
+        """Streams for that many members."""
+        while len(self._stream) < members:
+            more = self._seeds.spawn(max(members - len(self._stream), len(self._stream)))
+            states = [sequence.generate_state(1, np.uint64) for sequence in more]
+            self._stream = np.concatenate([self._stream, states])
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Start the stream of one member afresh."""
+        self._provide(member + 1)
+        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        self._stream[member] = sequence.generate_state(1, np.uint64)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
+        self._provide(int(members.max()) + 1)
         if mask is None:
-            return self._rng.random((len(observation), self._size))
-        # The n-th legal action, n drawn uniformly: one draw a row, however many actions there are.
-        legal = mask.cumsum(axis=1)
-        wanted = (self._rng.random(len(mask)) * legal[:, -1]).astype(np.int64) + 1
-        return np.asarray((legal < wanted[:, None]).sum(axis=1))
+            numbers = np.empty((len(observation), self._size))
+            _draw_numbers(members, self._stream, numbers)
+            return numbers
+        chosen = np.empty(len(mask), dtype=np.int64)
+        _draw_legal(mask, members, self._stream, chosen)
+        return chosen
 
 
 def policy_names() -> tuple[str, ...]:
@@ -76,19 +95,29 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Raises:
         ValueError: unknown name.
     """
+    seeds = np.random.SeedSequence(seed).spawn(len(laboratories.agents))
+    return {
+        agent: agent_policy(name, laboratories, number, sequence)
+        for number, (agent, sequence) in enumerate(zip(laboratories.agents, seeds, strict=True))
+    }
+
+
+def agent_policy(
+    name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None
+) -> Policy:
+    """A policy by name for agent ``number`` of a laboratory (0 is the manager).
+
+    Raises:
+        ValueError: unknown name.
+    """
     if name not in policy_names():
         raise ValueError(f"policy: known: {', '.join(policy_names())}; given {name!r}")
-    seeds = np.random.SeedSequence(seed).spawn(len(laboratories.agents))
-    policies: dict[str, Policy] = {}
-    for i, agent in enumerate(laboratories.agents):
-        if name == "random":
-            shape = laboratories.action_space(i).shape
-            policies[agent] = RandomPolicy(int(shape[0]) if shape else 0, seeds[i])
-        elif i == 0:
-            policies[agent] = manager_heuristic(laboratories.scenario, laboratories)
-        else:
-            policies[agent] = bench_heuristic(laboratories.benches[i - 1])
-    return policies
+    if name == "random":
+        shape = laboratories.action_space(number).shape
+        return RandomPolicy(int(shape[0]) if shape else 0, seed)
+    if number == 0:
+        return manager_heuristic(laboratories.scenario, laboratories)
+    return bench_heuristic(laboratories.benches[number - 1])
 
 
 def bench_heuristic(bench: Bench) -> Policy:

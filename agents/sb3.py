@@ -1,4 +1,4 @@
-"""Batched benches for Stable-Baselines3 and sb3-contrib: ``ChemlabVecEnv``.
+"""Batched benches, and batched views of the laboratory, for Stable-Baselines3 and sb3-contrib: ``ChemlabVecEnv``.
 
 >>> from stable_baselines3 import PPO                                              # doctest: +SKIP
 >>> from chemlab.agents.sb3 import ChemlabVecEnv                                   # doctest: +SKIP
@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from chemlab.laboratory.batch_env import BatchEnv
 from chemlab.laboratory.bench_env import BenchVectorEnv
 
 try:
@@ -33,15 +34,17 @@ Infos = list[dict[str, Any]]
 
 
 class ChemlabVecEnv(VecEnv):
-    """A batched bench as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
+    """A batch as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
 
     Args:
-        env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` with
+        env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` or
+            :class:`~chemlab.laboratory.focal.FocalVectorEnv` (:func:`chemlab.agents.views.focal_vector_env`) with
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (False: an experiment's end is a terminal state), ``cost``
-    (weighted safety events of the step) and ``illegal_action``; at an episode's end also ``terminal_observation``,
+    Infos: a member's info has ``TimeLimit.truncated`` (False on a bench: an experiment's end is a terminal state),
+    ``cost`` (weighted safety events of the step) and ``illegal_action``, in views of the laboratory
+    ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
     ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
     without one. Where nothing happened, a member's info is the same dictionary at every step: copy before changing it.
 
@@ -63,8 +66,8 @@ class ChemlabVecEnv(VecEnv):
         elif arguments:
             raise ValueError(f"an existing batch takes no arguments, given {', '.join(arguments)}")
         batch = env.unwrapped if isinstance(env, gymnasium.vector.VectorEnv) else env
-        if not isinstance(batch, BenchVectorEnv):
-            raise TypeError(f"needs a number of members or a batched bench (BenchVectorEnv), given {env!r}")
+        if not isinstance(batch, BatchEnv):
+            raise TypeError(f"needs a number of members or one of chemlab's batches, given {env!r}")
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
         self.env = env
@@ -116,13 +119,15 @@ class ChemlabVecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         infos = self._quiet.copy()
+        if "elapsed_ticks" in found:  # the laboratory's views, whose steps differ in length
+            infos = [{**info, "elapsed_ticks": int(t)} for info, t in zip(infos, found["elapsed_ticks"], strict=True)]
         cost, illegal = found["cost"], found["illegal_action"]
         for i in np.flatnonzero(dones | illegal | (cost > 0.0)):
-            info = infos[i] = self._info(float(cost[i]), bool(illegal[i]))
+            info = infos[i] = {**infos[i], **self._info(float(cost[i]), bool(illegal[i]))}
             if dones[i]:
                 info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
                 info["terminal_observation"] = np.array(found["final_obs"][i])
-                if found["_score"][i]:
+                if "_score" in found and found["_score"][i]:
                     info["score"] = float(found["score"][i])
                 info["episode"] = {
                     "r": round(float(self._returns[i]), 6),
@@ -140,6 +145,17 @@ class ChemlabVecEnv(VecEnv):
         """Stop the batch's threads."""
         self.env.close()
 
+    def get_state(self) -> list[npt.NDArray[Any]]:
+        """Copies of everything that changes, for :meth:`set_state`."""
+        return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy()]
+
+    def set_state(self, state: list[npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        *batch, self._returns[:], self._lengths[:] = state
+        self._reset_seeds()
+        self._reset_options()
+        return self._kept(self.batch.set_state(batch))
+
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """[N, actions] legal actions now.
 
@@ -156,7 +172,7 @@ class ChemlabVecEnv(VecEnv):
         """
         members = self._members(indices)
         if attr_name == "action_masks":
-            if not self.batch.bench.action_count:
+            if not self.batch.action_count:
                 raise AttributeError("continuous actions have no action_masks")
             return [_Masks(self.batch, member) for member in members]
         if attr_name in ("observation_space", "action_space"):
@@ -182,7 +198,7 @@ class ChemlabVecEnv(VecEnv):
         Raises:
             AttributeError: there is none of that name.
         """
-        if method_name == "action_masks" and self.batch.bench.action_count:
+        if method_name == "action_masks" and self.batch.action_count:
             masks = self.batch.action_masks()
             return [masks[member] for member in self._members(indices)]
         methods = self.get_attr(method_name, indices)
@@ -210,7 +226,7 @@ class ChemlabVecEnv(VecEnv):
 class _Masks:
     """One member's ``action_masks`` method."""
 
-    def __init__(self, batch: BenchVectorEnv, member: int) -> None:
+    def __init__(self, batch: BatchEnv, member: int) -> None:
         self._batch, self._member = batch, member
 
     def __call__(self) -> npt.NDArray[np.bool_]:

@@ -39,5 +39,20 @@ def _register_benches() -> None:
             )
 
 
+def _register_views() -> None:
+    """Make the laboratory as one of its agents sees it known to Gymnasium."""
+    from gymnasium.envs.registration import register, registry
+
+    for name, arguments in (("LabManager", {"agent": "manager_0"}), ("LabAgent", {})):
+        if f"chemlab/{name}-v0" not in registry:
+            register(
+                f"chemlab/{name}-v0",
+                entry_point="chemlab.agents.views:focal_env",
+                vector_entry_point="chemlab.agents.views:focal_vector_env",
+                kwargs=arguments,
+            )
+
+
 _register_laboratory()
 _register_benches()
+_register_views()

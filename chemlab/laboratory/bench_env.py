@@ -11,8 +11,8 @@
 
 ### Arguments
 `scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
-`starts` (`paper` or `lab`), `render_mode` (`ansi` or None; single environments), `reaction_model` and
-`separation_model`. Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
+`starts` (`paper` or `lab`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
+`reaction_model` and `separation_model`. Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
@@ -42,24 +42,12 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from ..bench.models import ReactionModel, SeparationModel
-from ..physics.jit import kernel
 from ..scenario import SAFETY_EVENTS, Scenario
-from ..shelf import FloatArray
+from ..shelf import IntArray
 from .arena import BenchArena
+from .batch_env import BatchEnv, State
 
 __all__ = ["BenchEnv", "BenchVectorEnv"]
-
-State = list[npt.NDArray[Any]]
-
-
-@kernel
-def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
-    """Whether every number of a one- or two-dimensional array lies in [low, high] (NaN does not)."""
-    flat = values.reshape(values.size)
-    inside = True
-    for i in range(flat.shape[0]):
-        inside = inside and low <= flat[i] <= high
-    return inside
 
 
 class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
@@ -70,7 +58,10 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         ValueError: unknown render mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi"], "render_fps": 4}  # noqa: RUF012 - Gymnasium's class attribute
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's class attribute
+        "render_modes": ["ansi", "rgb_array", "human"],
+        "render_fps": 4,
+    }
 
     def __init__(
         self,
@@ -87,6 +78,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
                 f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
             )
         self.render_mode = render_mode
+        self._viewer: Any = None
         self.arena = BenchArena(scenario, bench, 1, goals, starts, reaction_model, separation_model)
         self.bench = self.arena.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
@@ -124,6 +116,8 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         goal = options.get("goal")
         self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
         self._over = False
+        if self.render_mode == "human":
+            self.render()
         return self._observe(), self._info()
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -149,6 +143,8 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
             info["score"] = score
             total += score
             self._over = True
+        if self.render_mode == "human":
+            self.render()
         return observation, total, self._over, False, info
 
     def _observe(self) -> npt.NDArray[np.float32]:
@@ -191,11 +187,32 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         vars(self).update(state)
         self.arena.shelf.__post_init__()  # a copied view is an array of its own
 
-    def render(self) -> str | None:
-        """The bench's vessels as text (render mode ``ansi``); the true contents are not shown."""
+    def render(self) -> str | npt.NDArray[np.uint8] | None:
+        """The experiment as the render mode says: ``ansi`` a text without the true contents, ``rgb_array`` a picture
+        [540, 960, 3] of everything, ``human`` the same in a window (after every step, without a call).
+
+        Raises:
+            ImportError: Pillow (extra ``plot``) or pygame (extra ``human``) is not installed.
+        """
         if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render_mode; pass render_mode='ansi'.")
+            gymnasium.logger.warn("render() was called without a render_mode; pass one, such as render_mode='ansi'.")
             return None
+        if self.render_mode == "ansi":
+            return self._describe()
+        from ..render.frames import Viewer
+        from ..render.scene import bench_scene
+
+        if self._viewer is None:
+            self._viewer = Viewer(self.render_mode, self.metadata["render_fps"])
+        frame: npt.NDArray[np.uint8] | None = self._viewer.show(bench_scene(self.arena))
+        return frame
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+
+    def _describe(self) -> str:
         station, bench = self.arena.station, self.bench
         lines = [
             f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[station.goal[0]]}, "
@@ -209,7 +226,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         return "\n".join(lines)
 
 
-class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
+class BenchVectorEnv(BatchEnv):
     """N experiments on one bench in one set of arrays, stepped by the same kernels as :class:`BenchEnv`.
 
     Args:
@@ -226,8 +243,6 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         DataError: unknown scenario, bench, goal or starting states.
         ValueError: a number is out of bounds.
     """
-
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
         self,
@@ -246,17 +261,18 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
-        self.num_envs = num_envs
-        self.render_mode = render_mode
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.arena = BenchArena(scenario, bench, num_envs, goals, starts, reaction_model, separation_model)
         self.bench = self.arena.bench
-        self.single_observation_space = self.bench.observation_space
-        self.single_action_space = self.bench.action_space
-        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
-        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self.copy = copy
+        super().__init__(
+            num_envs,
+            self.arena.station.agent,
+            self.arena.scenario.goals,
+            self.bench.observation_space,
+            self.bench.action_space,
+            autoreset_mode,
+            copy,
+            render_mode,
+        )
         self.threads = min(threads, num_envs)
         bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)
         # Each thread has its own members and its own scratch; everything else is rows that only it touches.
@@ -264,117 +280,24 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
             (np.arange(low, high), self.bench if i == 0 else self.bench.separate_scratch())
             for i, (low, high) in enumerate(itertools.pairwise(bounds))
         ]
-        self._observations = np.zeros((num_envs, *self.bench.observation_space.shape), dtype=np.float32)
-        self._masks = np.ones((num_envs, self.bench.action_count), dtype=np.int8)
-        self._rewards = np.zeros(num_envs)
-        self._costs = np.zeros(num_envs)
-        self._scores = np.zeros(num_envs)
-        self._illegal = np.zeros(num_envs, dtype=np.bool_)
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
-        self._pending = np.zeros(num_envs, dtype=np.bool_)
-        self._begun = False
         self._pool: ThreadPoolExecutor | None = None
 
-    # -- Gymnasium's interface ----------------------------------------------------------------------------------
+    def _seed_member(self, member: int, seed: int) -> None:
+        self.arena.seed(member, seed)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Begin experiments in every member, or in those of ``options["reset_mask"]`` [N].
+    def _begin(self, members: IntArray, goal: int | None) -> None:
+        self.arena.reset(members, goal)
+        for chunk, bench in self._chunks:
+            self._look(chunk, bench)
 
-        Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
-            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
-
-        Raises:
-            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
-        """
-        options = options or {}
-        goals = self.arena.scenario.goals
-        if set(options) - {"reset_mask", "goal"} or options.get("goal", goals[0]) not in goals:
-            raise ValueError(f"reset options: known: reset_mask; goal, one of {', '.join(goals)}; given {options!r}")
-        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=np.bool_)))
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
-            raise ValueError(f"reset_mask must be {self.num_envs} booleans, given {mask.dtype} of shape {mask.shape}")
-        if not (self._begun or mask.all()):
-            raise ValueError("reset_mask: the first reset must be of all members")
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        if seed is None and not self._begun:
-            seeds: list[int | None] = [int(s) for s in self.np_random.integers(2**63, size=self.num_envs)]
-        elif seed is None or isinstance(seed, (int, np.integer)):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = [None if s is None else int(s) for s in seed]
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed: needs one for each of {self.num_envs} members, given {len(seeds)}")
-        for member in np.flatnonzero(mask):
-            member_seed = seeds[member]
-            if member_seed is not None:
-                self.arena.seed(int(member), member_seed)
-        goal = options.get("goal")
-        self.arena.reset(np.flatnonzero(mask), None if goal is None else goals.index(goal))
-        self._pending[mask] = False
-        self._costs[mask], self._illegal[mask] = 0.0, False
-        self._begun = True
-        for members, bench in self._chunks:
-            self._look(members, bench)
-        return self._returned(self._observations), self._infos()
-
-    def step(
-        self, actions: Any
-    ) -> tuple[npt.NDArray[np.float32], FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
-        """One action in every member.
-
-        Args:
-            actions: [N] integers, or [N, n] numbers in [0, 1] where actions are continuous.
-
-        Raises:
-            ValueError: an action is outside the action space (nothing has changed).
-            gymnasium.error.ResetNeeded: the experiments have not begun, or some are over and autoreset is disabled.
-        """
-        checked = self._checked(actions)
-        if not self._begun or (self.autoreset_mode is AutoresetMode.DISABLED and self._pending.any()):
-            raise gymnasium.error.ResetNeeded("experiments are over (or have not begun): call reset()")
-        finals: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]] = []
+    def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
         if self.threads == 1:
-            finals.append(self._step_chunk(*self._chunks[0], checked))
-        else:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="chemlab")
-            waiting = [self._pool.submit(self._step_chunk, *chunk, checked) for chunk in self._chunks[1:]]
-            finals.append(self._step_chunk(*self._chunks[0], checked))
-            finals += [future.result() for future in waiting]
-        infos = self._infos()
-        if self._ended.any():
-            infos["score"], infos["_score"] = self._scores.copy(), self._ended.copy()
-            if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                final = np.zeros_like(self._observations)
-                for members, observations in finals:
-                    final[members] = observations
-                infos["final_obs"], infos["_final_obs"] = final, self._ended.copy()
-        terminated = self._ended.copy()
-        return (
-            self._returned(self._observations),
-            self._returned(self._rewards),
-            terminated,
-            np.zeros(self.num_envs, dtype=np.bool_),
-            infos,
-        )
-
-    def _checked(self, actions: Any) -> npt.NDArray[Any]:
-        count = self.bench.action_count
-        if count:
-            values = np.asarray(actions)
-            if values.dtype.kind in "iu" and values.shape == (self.num_envs,) and _all_within(values, 0, count - 1):
-                return values if values.dtype == np.int64 else values.astype(np.int64)
-            expected = f"{self.num_envs} integers from 0 to {count - 1}"
-        else:
-            size = int(self.single_action_space.shape[0])  # type: ignore[index]
-            values = np.asarray(actions)
-            if values.dtype.kind in "fiu" and values.shape == (self.num_envs, size) and _all_within(values, 0.0, 1.0):
-                return np.ascontiguousarray(values, dtype=np.float64)
-            expected = f"[{self.num_envs}, {size}] finite numbers from 0 to 1"
-        raise ValueError(f"{self.arena.station.agent}: actions must be {expected}, given {actions!r}")
+            return [self._step_chunk(*self._chunks[0], actions)]
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="chemlab")
+        waiting = [self._pool.submit(self._step_chunk, *chunk, actions) for chunk in self._chunks[1:]]
+        own = self._step_chunk(*self._chunks[0], actions)
+        return [own, *(future.result() for future in waiting)]
 
     def _step_chunk(
         self, members: npt.NDArray[np.int64], bench: Any, actions: npt.NDArray[Any]
@@ -383,7 +306,8 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         arena = self.arena
         shelf, station = arena.shelf, arena.station
         low, high = int(members[0]), int(members[-1]) + 1
-        self._ended[low:high] = False
+        self._terminated[low:high] = False
+        self._scores[low:high] = np.nan
         acting, waiting = members, self._pending[low:high]
         if waiting.any():
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -400,7 +324,7 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
-            self._ended[ended] = True
+            self._terminated[ended] = True
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 last = np.empty((len(ended), self._observations.shape[1]), dtype=np.float32)
                 bench.observe(shelf, station, ended, last)
@@ -427,61 +351,13 @@ class BenchVectorEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, An
         if bench.action_count:
             bench.mask(shelf, station, members, self._masks[low:high])
 
-    def _returned(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return array.copy() if self.copy else array
-
-    def _infos(self) -> dict[str, Any]:
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        infos: dict[str, Any] = {
-            "cost": self._costs.copy(),
-            "_cost": everyone,
-            "illegal_action": self._illegal.copy(),
-            "_illegal_action": everyone,
-        }
-        if self.bench.action_count:
-            infos["action_mask"], infos["_action_mask"] = self._returned(self._masks), everyone
-        return infos
-
-    # -- more ---------------------------------------------------------------------------------------------------
-
     @property
     def action_meanings(self) -> list[str]:
         """What each action (or each number of a continuous action) does."""
         return self.bench.action_meanings
 
-    def action_masks(self) -> npt.NDArray[np.bool_]:
-        """[N, actions] legal actions now.
-
-        Raises:
-            ValueError: the bench's actions are continuous.
-        """
-        if not self.bench.action_count:
-            raise ValueError(f"{self.arena.station.agent}: continuous actions have no mask")
-        return self._masks.astype(np.bool_)
-
-    def _state_arrays(self) -> State:
-        extra: State = [
-            self._observations,
-            self._masks,
-            self._rewards,
-            self._costs,
-            self._scores,
-            self._illegal,
-            self._ended,
-            self._pending,
-        ]
-        return [*self.arena.arrays(), *extra]
-
-    def get_state(self) -> State:
-        """Copies of everything that changes, for :meth:`set_state`."""
-        return [*(array.copy() for array in self._state_arrays()), np.array([self._begun])]
-
-    def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
-        for array, saved in zip(self._state_arrays(), state[:-1], strict=True):
-            array[...] = saved
-        self._begun = bool(state[-1][0])
-        return self._returned(self._observations)
+    def _more_arrays(self) -> State:
+        return self.arena.arrays()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""

@@ -525,7 +525,8 @@ class Laboratories:
 
     # -- state ------------------------------------------------------------------------------------------------
 
-    def _arrays(self) -> list[npt.NDArray[Any]]:
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
         state = [self.shelf.vessels, self.shelf.stock, self.shelf.waste, *self.desk]
         for station in self.stations:
             state += station.arrays()
@@ -533,9 +534,9 @@ class Laboratories:
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""
-        return [array.copy() for array in self._arrays()]
+        return [array.copy() for array in self.arrays()]
 
     def restore(self, snapshot: list[npt.NDArray[Any]]) -> None:
         """Put back a :meth:`snapshot`; everything then goes on exactly as it did."""
-        for array, saved in zip(self._arrays(), snapshot, strict=True):
+        for array, saved in zip(self.arrays(), snapshot, strict=True):
             array[...] = saved

@@ -2,12 +2,58 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from .core import Laboratories
 from .manager import RUNNING
 
-__all__ = ["describe_laboratory"]
+__all__ = ["action_words", "describe_laboratory", "reading_words"]
 
 _BAR = 20
+
+
+def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:
+    """What an action does, in words; of continuous ones, what they change.
+
+    Args:
+        laboratories: the laboratories.
+        agent: number of the agent whose action it is.
+        action: an int, or the numbers of a continuous action.
+    """
+    labs = laboratories
+    if agent == 0:
+        return labs.actions.action_meanings[int(action)]
+    bench = labs.benches[agent - 1]
+    if bench.action_count:
+        return bench.action_meanings[int(action)]
+    values = [float(value) for value in action]
+    names = getattr(bench, "reagent_names", None)
+    if names is None:
+        return ", ".join(f"{value:.2f}" for value in values)
+    words = []
+    for label, value in zip(("temperature", "volume"), values, strict=False):
+        if abs(value - 0.5) > 5e-3:
+            words.append(f"{label} {'up' if value > 0.5 else 'down'} {abs(2.0 * value - 1.0):.0%}")
+    words += [
+        f"add {value:.0%} of the {name} left" for name, value in zip(names, values[2:], strict=True) if value > 5e-3
+    ]
+    return ", ".join(words) or "hold"
+
+
+def reading_words(laboratories: Laboratories, slot: int, instrument: str, member: int = 0) -> str:
+    """The manager's last reading of an instrument on a slot, in words, with its price."""
+    labs, table = laboratories, laboratories.instruments
+    i = table.names.index(instrument)
+    values = labs.desk.reading[member, slot, table.start[i] : table.start[i + 1]]
+    channel = table.channels[i]
+    price = f"price {table.price[i]:g}"
+    if channel.size == 1:
+        return f"{values[0] * channel.high:.3f} {channel.unit}; {price}"
+    if channel.unit == "mole fraction":
+        names = [*(labs.shelf.layout.materials[a] for a in table.analytes), "residue"]
+        parts = [f"{name} {value:.1%}" for name, value in zip(names, values, strict=True) if value >= 5e-4]
+        return f"{', '.join(parts) or 'empty'}; {price}"
+    return f"{channel.size} values of {channel.unit}; {price}"
 
 
 def describe_laboratory(laboratories: Laboratories, member: int) -> str:

@@ -102,10 +102,12 @@ def manager_observe(
                     out[i, at + 5 + rules.benches + desk.last_role[n, s]] = 1.0
             at += 5 + rules.benches + roles
             for k in range(n_instruments):
-                for r in range(rules.reading_start[k], rules.reading_start[k + 1]):
-                    out[i, at] = desk.reading[n, s, r]
-                    at += 1
+                start, stop = rules.reading_start[k], rules.reading_start[k + 1]
                 age = desk.age[n, s, k]
+                if age >= 0:
+                    for r in range(start, stop):
+                        out[i, at + r - start] = desk.reading[n, s, r]
+                at += stop - start
                 out[i, at] = 1.0 if age < 0 else min(age / rules.tick_limit, 1.0)
                 at += 1
         for b in range(busy.shape[0]):

@@ -18,14 +18,14 @@ _announced = False
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-@functools.lru_cache(maxsize=1)
-def _fingerprint() -> str:
-    """Hash of every source file kernels are written in."""
+@functools.cache
+def _fingerprint(own: str) -> str:
+    """Hash of every source file kernels are written in, and of a kernel's ``own`` file."""
     root = Path(__file__).resolve().parent.parent
     files = [root / "shelf.py", *sorted((root / "physics").glob("*.py"))]
     files += [*sorted((root / "bench").glob("*.py")), *sorted((root / "laboratory").glob("*.py"))]
     digest = hashlib.blake2b(digest_size=16)
-    for path in files:
+    for path in [*files, Path(own)]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -43,7 +43,7 @@ def kernel(function: F, **options: Any) -> F:
     # function from another file would go on running the old code. One stamp over all sources mends that.
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
-        cache_file._source_stamp = _fingerprint()
+        cache_file._source_stamp = _fingerprint(function.__code__.co_filename)
     return cast(F, compiled)  # numba's dispatcher stands in for the function
 
 

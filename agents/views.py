@@ -1,0 +1,77 @@
+"""The laboratory for one of its agents, with background policies by name; see :mod:`chemlab.laboratory.focal`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv, Policies
+
+from .policy import agent_policy
+
+__all__ = ["Background", "focal_env", "focal_vector_env"]
+
+Background = str | Mapping[str, Any]
+"""Who plays the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
+(``rxn_0``) or kind (``rxn``, ``manager``); scripted ones play those that are not mentioned."""
+
+
+def focal_env(
+    scenario: Any = "wurtz_dodecane", agent: str = MANAGER_AGENT, background: Background = "heuristic", **arguments: Any
+) -> FocalEnv:
+    """The laboratory for one agent.
+
+    Args:
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        agent: id of the agent that acts.
+        background: who plays the others.
+        arguments: more of :class:`~chemlab.laboratory.focal.FocalEnv`'s (``rewards``, ``render_mode``, ...).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown agent, policy or render mode.
+        TypeError: a background policy is none.
+    """
+    return FocalEnv(scenario, agent, background_policies(background), **arguments)
+
+
+def focal_vector_env(
+    num_envs: int = 1,
+    scenario: Any = "wurtz_dodecane",
+    agent: str = MANAGER_AGENT,
+    background: Background = "heuristic",
+    **arguments: Any,
+) -> FocalVectorEnv:
+    """A batch of laboratories for one agent; ``num_envs`` of them, else as :func:`focal_env`.
+
+    Args:
+        num_envs, scenario, agent, background: see :func:`focal_env`.
+        arguments: more of :class:`~chemlab.laboratory.focal.FocalVectorEnv`'s (``autoreset_mode``, ``copy``, ...).
+    """
+    return FocalVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
+
+
+def background_policies(background: Background) -> Policies:
+    """A function that gives every agent of some laboratories the policy that ``background`` names.
+
+    Raises (when called):
+        ValueError: unknown policy, or a name that is no agent's.
+    """
+
+    def choose(laboratories: Laboratories) -> dict[str, Any]:
+        given = {} if isinstance(background, str) else dict(background)
+        kinds = {agent: agent.rpartition("_")[0] for agent in laboratories.agents}
+        unknown = set(given) - set(kinds) - set(kinds.values())
+        if unknown:
+            raise ValueError(
+                f"background: nobody is called {', '.join(sorted(unknown))}; agents: {', '.join(laboratories.agents)}"
+            )
+        chosen = {}
+        for number, (agent, kind) in enumerate(kinds.items()):
+            fallback = background if isinstance(background, str) else "heuristic"
+            policy = given.get(agent, given.get(kind, fallback))
+            chosen[agent] = agent_policy(policy, laboratories, number) if isinstance(policy, str) else policy
+        return chosen
+
+    return choose

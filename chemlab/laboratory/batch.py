@@ -1,0 +1,215 @@
+"""Many laboratories at once, every agent present: arrays in, arrays out. What training all roles together stands on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..bench.base import MaskArray, ObservationArray
+from ..bench.models import ReactionModel, SeparationModel
+from ..scenario import RewardSpec, Scenario, load_scenario
+from ..shelf import FloatArray, IntArray
+from .batch_env import checked_actions, parsed_reset
+from .core import Laboratories
+from .manager import RUNNING, TERMINATED
+
+__all__ = ["BatchedLaboratory"]
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+class BatchedLaboratory:
+    """N laboratories with the turns of :class:`~chemlab.laboratory.parallel.parallel_env`, in one set of arrays.
+
+    Member i that is reset with seed s + i plays what a single laboratory reset with that seed plays, whatever N is. A
+    laboratory whose episode ends is reset in the same step.
+
+    Args:
+        num_envs: N.
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
+        idle_observations: whether agents without the turn are shown the laboratory too; else their rows keep what they
+            saw last, which saves most of the time observing takes.
+        copy: whether returned arrays are copies; without, the next step overwrites them.
+        reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: ``num_envs`` is not at least 1, or the reward mix is unknown.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        rewards: str | RewardSpec | None = None,
+        idle_observations: bool = False,
+        copy: bool = True,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, given {num_envs}")
+        self.num_envs = num_envs
+        self.scenario = load_scenario(scenario)
+        if rewards is not None:
+            self.scenario = self.scenario.with_rewards(rewards)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
+        self.possible_agents = list(labs.agents)
+        self.idle_observations = idle_observations
+        self.copy = copy
+        self._random = np.random.default_rng()
+        self._begun = False
+        self._turns = np.zeros((len(labs.agents), num_envs), dtype=np.bool_)
+        self._last_turn = np.zeros((len(labs.agents), num_envs), dtype=np.int64)
+        self._observations: list[ObservationArray] = [
+            np.zeros((num_envs, size), dtype=np.float32) for size in labs.observation_sizes
+        ]
+        self._masks: list[MaskArray] = [np.zeros((num_envs, count), dtype=np.int8) for count in labs.action_counts]
+        self._idle_actions = [
+            np.zeros(num_envs, dtype=np.int64) if count else np.zeros((num_envs, *(labs.action_space(a).shape or ())))
+            for a, count in enumerate(labs.action_counts)
+        ]
+
+    def observation_space(self, agent: str) -> gymnasium.spaces.Box:
+        """Observation space of one agent in one laboratory."""
+        return self.laboratories.observation_space(self.possible_agents.index(agent))
+
+    def action_space(self, agent: str) -> gymnasium.Space[Any]:
+        """Action space of one agent in one laboratory."""
+        return self.laboratories.action_space(self.possible_agents.index(agent))
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, ObservationArray], dict[str, Arrays]]:
+        """Begin episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
+
+        Args:
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+
+        Returns:
+            Observations [N, size] and infos by agent, as from :meth:`step`.
+
+        Raises:
+            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+        """
+        mask, seeds, goal = parsed_reset(
+            seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
+        )
+        labs = self.laboratories
+        for member in np.flatnonzero(mask):
+            member_seed = seeds[member]
+            if member_seed is not None:
+                labs.seed(int(member), member_seed)
+        self._restart(np.flatnonzero(mask), goal)
+        self._begun = True
+        self._look()
+        return self._seen(), self._infos()
+
+    def _restart(self, members: IntArray, goal: str | None = None) -> None:
+        self.laboratories.reset(members, goal)
+        self._last_turn[:, members] = 0
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, ObservationArray],
+        dict[str, FloatArray],
+        npt.NDArray[np.bool_],
+        npt.NDArray[np.bool_],
+        dict[str, Arrays],
+    ]:
+        """One round in every laboratory: the manager's action where it has the turn, else one tick.
+
+        Args:
+            actions: of every agent that has the turn anywhere: [N] integers or [N, n] numbers; rows of laboratories
+                where it does not have the turn are ignored.
+
+        Returns:
+            Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
+            and been truncated [N]; infos by agent: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions]
+            (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the turn), ``cost`` [N], ``score`` [N]
+            (NaN where no experiment of its ended), and where episodes have ended ``final_obs`` [K, size] of the K
+            laboratories, in order; for the manager also ``result`` [N] (the score of an episode that has ended, else
+            NaN).
+
+        Raises:
+            ValueError: actions are missing or outside their space (nothing has changed), or :meth:`reset` was never
+                called.
+        """
+        if not self._begun:
+            raise ValueError("step: the episodes have not begun: call reset()")
+        labs, members = self.laboratories, self.laboratories.members
+        checked = []
+        for number, agent in enumerate(self.possible_agents):
+            if agent in actions:
+                space = labs.action_space(number)
+                checked.append(checked_actions(agent, actions[agent], self.num_envs, space))
+            elif self._turns[number].any():
+                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+            else:
+                checked.append(self._idle_actions[number])
+        labs.act_round(members, checked)
+        rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
+        cost, scores = labs.cost.copy(), labs.scores.copy()
+        status = labs.desk.status.copy()
+        over = members[status != RUNNING]
+        result = np.full(self.num_envs, np.nan)
+        finals: list[ObservationArray] = []
+        if len(over):
+            result[over] = labs.result(over)
+            for number in range(len(self.possible_agents)):
+                finals.append(labs.observe(number, over))
+            self._restart(over)
+        self._look()
+        infos = self._infos()
+        for number, agent in enumerate(self.possible_agents):
+            infos[agent].update(cost=cost[:, number], score=scores[:, number])
+            if finals:
+                infos[agent]["final_obs"] = finals[number]
+        infos[self.possible_agents[0]]["result"] = result
+        return self._seen(), rewards, status == TERMINATED, (status != RUNNING) & (status != TERMINATED), infos
+
+    def _look(self) -> None:
+        """Bring turns, observations and masks up to date."""
+        labs, members = self.laboratories, self.laboratories.members
+        labs.turns(members, self._turns)
+        for number, resting in enumerate(labs.resting_actions):
+            turn = self._turns[number]
+            who = members[turn]
+            shown = members if self.idle_observations else who
+            if len(shown) == self.num_envs:
+                labs.observe(number, members, self._observations[number])
+            elif len(shown):
+                self._observations[number][shown] = labs.observe(number, shown)
+            if resting >= 0:
+                masks = self._masks[number]
+                if len(who) < self.num_envs:
+                    masks[~turn] = 0
+                    masks[~turn, resting] = 1
+                if len(who):
+                    legal = labs.mask(number, who)
+                    assert legal is not None, "a resting action means discrete actions"
+                    masks[who] = legal
+
+    def _seen(self) -> dict[str, ObservationArray]:
+        pairs = zip(self.possible_agents, self._observations, strict=True)
+        return {agent: array.copy() if self.copy else array for agent, array in pairs}
+
+    def _infos(self) -> dict[str, Arrays]:
+        ticks = self.laboratories.desk.ticks
+        infos: dict[str, Arrays] = {}
+        for number, agent in enumerate(self.possible_agents):
+            turn = self._turns[number].copy()
+            info: Arrays = {"has_turn": turn, "elapsed_ticks": ticks - self._last_turn[number]}
+            self._last_turn[number][turn] = ticks[turn]
+            if self.laboratories.action_counts[number]:
+                info["action_mask"] = self._masks[number].copy() if self.copy else self._masks[number]
+            infos[agent] = info
+        return infos

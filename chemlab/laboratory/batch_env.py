@@ -1,0 +1,284 @@
+"""Batches of members that begin and end on their own: what every batched environment of chemlab has in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from ..physics.jit import kernel
+from ..shelf import FloatArray, IntArray
+
+__all__ = ["BatchEnv", "State", "checked_actions", "parsed_reset"]
+
+State = list[npt.NDArray[Any]]
+
+
+@kernel
+def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
+    """Whether every number of a one- or two-dimensional array lies in [low, high] (NaN does not)."""
+    flat = values.reshape(values.size)
+    inside = True
+    for i in range(flat.shape[0]):
+        inside = inside and low <= flat[i] <= high
+    return inside
+
+
+def checked_actions(agent: str, actions: Any, count: int, space: gymnasium.Space[Any]) -> npt.NDArray[Any]:
+    """A batch of actions as int64 [B] or float64 [B, n].
+
+    Args:
+        agent: whose actions they are, for the error message.
+        actions: what was given.
+        count: B.
+        space: action space of a member.
+
+    Raises:
+        ValueError: an action is outside the space, or the batch has another shape.
+    """
+    values = np.asarray(actions)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        last = int(space.n) - 1
+        if values.dtype.kind in "iu" and values.shape == (count,) and _all_within(values, 0, last):
+            return values if values.dtype == np.int64 else values.astype(np.int64)
+        raise ValueError(f"{agent}: actions must be {count} integers from 0 to {last}, given {actions!r}")
+    shape = (count, *(space.shape or ()))
+    if values.dtype.kind in "fiu" and values.shape == shape and _all_within(values, 0.0, 1.0):
+        return np.ascontiguousarray(values, dtype=np.float64)
+    raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {actions!r}")
+
+
+def parsed_reset(
+    seed: int | Sequence[int | None] | None,
+    options: dict[str, Any] | None,
+    count: int,
+    goals: Sequence[str],
+    begun: bool,
+    random: np.random.Generator,
+) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None]:
+    """What a batch's ``reset`` was asked for: (members to reset [N], a seed for each or None, a goal or None).
+
+    Args:
+        seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on); without
+            one, members that have never been seeded get one from ``random``.
+        options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+        count: N.
+        goals: goals that may be asked for.
+        begun: whether the batch has been reset before.
+        random: source of seeds.
+
+    Raises:
+        ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+    """
+    options = options or {}
+    if set(options) - {"reset_mask", "goal"} or options.get("goal", goals[0]) not in goals:
+        raise ValueError(f"reset options: known: reset_mask; goal, one of {', '.join(goals)}; given {options!r}")
+    mask = np.asarray(options.get("reset_mask", np.ones(count, dtype=np.bool_)))
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")
+    if not (begun or mask.all()):
+        raise ValueError("reset_mask: the first reset must be of all members")
+    if seed is None and not begun:
+        seeds: list[int | None] = [int(s) for s in random.integers(2**63, size=count)]
+    elif seed is None or isinstance(seed, (int, np.integer)):
+        seeds = [None if seed is None else int(seed) + i for i in range(count)]
+    else:
+        seeds = [None if s is None else int(s) for s in seed]
+    if len(seeds) != count:
+        raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
+    return mask, seeds, options.get("goal")
+
+
+class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
+    """N members with spaces of their own, in one set of arrays; subclasses say what a step of a member is.
+
+    Args:
+        num_envs: N.
+        agent: id of the agent that acts, for error messages.
+        goals: goals that ``options["goal"]`` may ask for.
+        observation_space, action_space: of a member.
+        autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
+            (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
+            ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
+        copy: whether returned arrays are copies; without, the next step overwrites them.
+        render_mode: accepted for Gymnasium's sake; batches do not render.
+
+    Raises:
+        ValueError: a number is out of bounds.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int,
+        agent: str,
+        goals: Sequence[str],
+        observation_space: gymnasium.spaces.Box,
+        action_space: gymnasium.Space[Any],
+        autoreset_mode: str | AutoresetMode,
+        copy: bool,
+        render_mode: str | None,
+    ) -> None:
+        self.num_envs = num_envs
+        self.agent = agent
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space = observation_space
+        self.single_action_space = action_space
+        self.observation_space = gymnasium.vector.utils.batch_space(observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(action_space, num_envs)
+        self.action_count = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else 0
+        """Number of discrete actions; 0 where they are continuous."""
+        self.copy = copy
+        self._goal_names = tuple(goals)
+        self._observations = np.zeros((num_envs, *observation_space.shape), dtype=np.float32)
+        self._masks = np.ones((num_envs, self.action_count), dtype=np.int8)
+        self._rewards = np.zeros(num_envs)
+        self._costs = np.zeros(num_envs)
+        self._scores = np.full(num_envs, np.nan)
+        self._illegal = np.zeros(num_envs, dtype=np.bool_)
+        self._terminated = np.zeros(num_envs, dtype=np.bool_)
+        self._truncated = np.zeros(num_envs, dtype=np.bool_)
+        self._pending = np.zeros(num_envs, dtype=np.bool_)
+        self._begun = False
+
+    # -- what a subclass says -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _seed_member(self, member: int, seed: int) -> None:
+        """Start the member's random streams afresh."""
+
+    @abstractmethod
+    def _begin(self, members: IntArray, goal: int | None) -> None:
+        """Begin episodes and look at them."""
+
+    @abstractmethod
+    def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
+        """Play checked actions in every member, with autoreset, and fill the batch's arrays (``_scores``: NaN where
+        there is none); returns members that have ended and, with SAME_STEP, their last observations."""
+
+    @abstractmethod
+    def _more_arrays(self) -> State:
+        """The subclass's own arrays that change."""
+
+    def _more_infos(self, infos: dict[str, Any]) -> None:
+        """Add the subclass's own infos."""
+
+    # -- Gymnasium's interface ----------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin episodes in every member, or in those of ``options["reset_mask"]`` [N].
+
+        Args:
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+
+        Raises:
+            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+        """
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        mask, seeds, goal = parsed_reset(seed, options, self.num_envs, self._goal_names, self._begun, self.np_random)
+        for member in np.flatnonzero(mask):
+            member_seed = seeds[member]
+            if member_seed is not None:
+                self._seed_member(int(member), member_seed)
+        self._pending[mask] = False
+        self._costs[mask], self._illegal[mask] = 0.0, False
+        self._scores[mask] = np.nan
+        self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal))
+        self._begun = True
+        return self._returned(self._observations), self._infos()
+
+    def step(
+        self, actions: Any
+    ) -> tuple[npt.NDArray[np.float32], FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """One action in every member.
+
+        Args:
+            actions: [N] integers, or [N, n] numbers in [0, 1] where actions are continuous.
+
+        Raises:
+            ValueError: an action is outside the action space (nothing has changed).
+            gymnasium.error.ResetNeeded: the episodes have not begun, or some are over and autoreset is disabled.
+        """
+        checked = checked_actions(self.agent, actions, self.num_envs, self.single_action_space)
+        if not self._begun or (self.autoreset_mode is AutoresetMode.DISABLED and self._pending.any()):
+            raise gymnasium.error.ResetNeeded(f"{self.agent}: episodes are over (or have not begun): call reset()")
+        finals = self._play(checked)
+        infos = self._infos()
+        ended = self._terminated | self._truncated
+        scored = np.isfinite(self._scores)
+        if scored.any():
+            infos["score"], infos["_score"] = np.where(scored, self._scores, 0.0), scored
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            final = np.zeros_like(self._observations)
+            for members, observations in finals:
+                final[members] = observations
+            infos["final_obs"], infos["_final_obs"] = final, ended
+        return (
+            self._returned(self._observations),
+            self._returned(self._rewards),
+            self._terminated.copy(),
+            self._truncated.copy(),
+            infos,
+        )
+
+    def _returned(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return array.copy() if self.copy else array
+
+    def _infos(self) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        infos: dict[str, Any] = {
+            "cost": self._costs.copy(),
+            "_cost": everyone,
+            "illegal_action": self._illegal.copy(),
+            "_illegal_action": everyone,
+        }
+        if self.action_count:
+            infos["action_mask"], infos["_action_mask"] = self._returned(self._masks), everyone
+        self._more_infos(infos)
+        return infos
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """[N, actions] legal actions now.
+
+        Raises:
+            ValueError: the bench's actions are continuous.
+        """
+        if not self.action_count:
+            raise ValueError(f"{self.agent}: continuous actions have no mask")
+        return self._masks.astype(np.bool_)
+
+    def _state_arrays(self) -> State:
+        extra: State = [
+            self._observations,
+            self._masks,
+            self._rewards,
+            self._costs,
+            self._scores,
+            self._illegal,
+            self._terminated,
+            self._truncated,
+            self._pending,
+        ]
+        return [*self._more_arrays(), *extra]
+
+    def get_state(self) -> State:
+        """Copies of everything that changes, for :meth:`set_state`."""
+        return [*(array.copy() for array in self._state_arrays()), np.array([self._begun])]
+
+    def set_state(self, state: State) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        for array, saved in zip(self._state_arrays(), state[:-1], strict=True):
+            array[...] = saved
+        self._begun = bool(state[-1][0])
+        return self._returned(self._observations)

@@ -1,0 +1,375 @@
+"""The laboratory as a Gymnasium environment for one of its agents, the others played by policies; one or a batch.
+
+| Id | Agent | A step is |
+|---|---|---|
+| `chemlab/LabManager-v0` | `manager_0` | one manager decision, run to the next one (or to the episode's end) |
+| `chemlab/LabAgent-v0` | any `agent` | one turn of that agent, run to its next one |
+
+### Episodes
+An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
+an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
+`info["experiment_over"]` is True and `info["score"]` its score. The reward is everything the agent has earned since its
+last turn. `reset` plays on to the agent's first turn (episodes in which it never has one are played over).
+
+### Semi-Markov steps
+`info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to
+that power where time matters, by gamma once where decisions do.
+
+### Infos
+`action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost` (of all
+agents'), `illegal_action`, `elapsed_ticks`, `experiment_over`, `score` (of an experiment; for the manager at the
+episode's end, of the episode); single environments: `events` (the laboratory's safety events in the step, by kind).
+
+### Seeds
+Member i of a batch that is reset with seed s plays what a single environment reset with seed s + i plays, as long as
+background policies have no other randomness than what ``seed(member, seed)`` starts (scripted and random ones do).
+
+### Version history
+- v0: first version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+
+from ..bench.models import ReactionModel, SeparationModel
+from ..scenario import SAFETY_EVENTS, RewardSpec, Scenario, load_scenario
+from ..shelf import IntArray
+from .batch_env import BatchEnv, State, checked_actions
+from .core import MANAGER_AGENT, Laboratories
+from .manager import RUNNING, TERMINATED
+from .policy import Policy, as_policy
+from .text import describe_laboratory
+
+__all__ = ["FocalEnv", "FocalVectorEnv", "Policies"]
+
+Policies = Mapping[str, Any] | Callable[[Laboratories], Mapping[str, Any]]
+"""Who plays the other agents: anything :func:`~chemlab.laboratory.policy.as_policy` takes, by agent id; or a function
+that makes these for the laboratories."""
+
+_MOST_TRIES = 1000
+
+
+class FocalVectorEnv(BatchEnv):
+    """N laboratories seen by one agent, in one set of arrays; background policies play all of them at once.
+
+    Args:
+        num_envs: N.
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        agent: id of the agent that acts.
+        policies: who plays the others.
+        autoreset_mode: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``, as for
+            :class:`~chemlab.laboratory.bench_env.BenchVectorEnv`.
+        copy: whether returned arrays are copies; without, the next step overwrites them.
+        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
+        reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown agent, or an agent without a policy.
+        TypeError: a policy is none.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        agent: str = MANAGER_AGENT,
+        policies: Policies | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+        rewards: str | RewardSpec | None = None,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, given {num_envs}")
+        self.scenario = load_scenario(scenario)
+        if rewards is not None:
+            self.scenario = self.scenario.with_rewards(rewards)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
+        if agent not in labs.agents:
+            raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
+        self.focal = labs.agents.index(agent)
+        given = policies(labs) if callable(policies) else policies or {}
+        missing = [name for name in labs.agents if name != agent and name not in given]
+        if missing:
+            raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
+        self._policies = [as_policy(given[name]) if name != agent else None for name in labs.agents]
+        super().__init__(
+            num_envs,
+            agent,
+            self.scenario.lab_goals,
+            labs.observation_space(self.focal),
+            labs.action_space(self.focal),
+            autoreset_mode,
+            copy,
+            render_mode,
+        )
+        self._lab_costs = np.zeros(num_envs)
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._last_turn = np.zeros(num_envs, dtype=np.int64)
+        self._events = np.zeros((num_envs, len(SAFETY_EVENTS)))
+        self._experiment_over = np.zeros(num_envs, dtype=np.bool_)
+        self._event_weights = np.array([self.scenario.safety.weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What each action (or each number of a continuous action) does."""
+        labs = self.laboratories
+        return labs.actions.action_meanings if self.focal == 0 else labs.benches[self.focal - 1].action_meanings
+
+    def _seed_member(self, member: int, seed: int) -> None:
+        self.laboratories.seed(member, seed)
+        sequences = np.random.SeedSequence(seed).spawn(len(self._policies))
+        for policy, sequence in zip(self._policies, sequences, strict=True):
+            start = getattr(policy, "seed", None)
+            if start is not None:
+                start(member, sequence)
+
+    def _begin(self, members: IntArray, goal: int | None) -> None:
+        self._restart(members, None if goal is None else self._goal_names[goal])
+        self._look()
+
+    def _restart(self, members: IntArray, goal: str | None) -> None:
+        """New episodes, played on to the agent's first turn; nothing before it is the agent's."""
+        waiting = members
+        for _ in range(_MOST_TRIES):
+            self.laboratories.reset(waiting, goal)
+            self._run(waiting)
+            waiting = waiting[self.laboratories.desk.status[waiting] != RUNNING]
+            if not len(waiting):
+                break
+        else:
+            raise RuntimeError(
+                f"{self.agent}: had no turn in {_MOST_TRIES} episodes: the other policies never start it"
+            )
+        self._clear(members)
+        self._last_turn[members] = self.laboratories.desk.ticks[members]
+
+    def _clear(self, members: IntArray) -> None:
+        self._rewards[members], self._costs[members], self._lab_costs[members] = 0.0, 0.0, 0.0
+        self._events[members], self._elapsed[members] = 0.0, 0
+        self._illegal[members], self._experiment_over[members] = False, False
+        self._scores[members] = np.nan
+
+    def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
+        labs, members = self.laboratories, self.laboratories.members
+        self._terminated[:], self._truncated[:] = False, False
+        acting = members[~self._pending]
+        if len(acting) < len(members):
+            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._restart(members[self._pending], None)
+            self._pending[:] = False
+        self._clear(acting)
+        before = labs.safety_totals[acting]
+        labs.act(self.focal, acting, actions[acting])
+        lost = labs.desk.illegal if self.focal == 0 else labs.stations[self.focal - 1].illegal
+        self._illegal[acting] = lost[acting]
+        self._collect(acting)
+        self._run(acting)
+        self._events[acting] = labs.safety_totals[acting] - before
+        self._lab_costs[acting] = self._events[acting] @ self._event_weights
+        ticks, status = labs.desk.ticks, labs.desk.status
+        self._elapsed[acting] = ticks[acting] - self._last_turn[acting]
+        self._last_turn[acting] = ticks[acting]
+        ended = acting[status[acting] != RUNNING]
+        if not len(ended):
+            self._look()
+            return []
+        self._terminated[ended] = status[ended] == TERMINATED
+        self._truncated[ended] = status[ended] != TERMINATED
+        if self.focal == 0:
+            self._scores[ended] = labs.result(ended)
+        last = labs.observe(self.focal, ended)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            kept = [array[ended].copy() for array in self._step_results()]
+            self._restart(ended, None)
+            for array, values in zip(self._step_results(), kept, strict=True):
+                array[ended] = values
+        else:
+            self._pending[ended] = True
+        self._look()
+        return [(ended, last)]
+
+    def _step_results(self) -> State:
+        """What a step has come to, which an episode that begins in the same step must not touch."""
+        return [
+            self._rewards,
+            self._costs,
+            self._lab_costs,
+            self._events,
+            self._elapsed,
+            self._illegal,
+            self._experiment_over,
+            self._scores,
+        ]
+
+    def _run(self, members: IntArray) -> None:
+        """Let the others play in every laboratory of ``members`` until the agent has the turn or all is over."""
+        labs = self.laboratories
+        cursor, status = labs.desk.cursor, labs.desk.status
+        while True:
+            members = members[(status[members] == RUNNING) & (cursor[members] != self.focal - 1)]
+            if not len(members):
+                return
+            for number, policy in enumerate(self._policies):
+                group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
+                if len(group) and policy is not None:
+                    labs.act(number, group, self._decide(number, policy, group))
+                    self._collect(group)
+
+    def _decide(self, number: int, policy: Policy, group: IntArray) -> npt.NDArray[Any]:
+        labs = self.laboratories
+        steps = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
+        actions = policy.act(labs.observe(number, group), labs.mask(number, group), steps[group], group)
+        space = labs.action_space(number)
+        return checked_actions(labs.agents[number], actions, len(group), space)
+
+    def _collect(self, members: IntArray) -> None:
+        """Add up what the last turn, whoever's it was, meant for the agent."""
+        labs, focal = self.laboratories, self.focal
+        self._rewards[members] += labs.rewards[members, focal]
+        if focal > 0:
+            self._costs[members] += labs.cost[members, focal]
+            scores = labs.scores[members, focal]
+            ended = np.isfinite(scores)
+            if ended.any():
+                self._scores[members[ended]] = scores[ended]
+                self._experiment_over[members[ended]] = True
+
+    def _look(self) -> None:
+        labs, members = self.laboratories, self.laboratories.members
+        labs.observe(self.focal, members, self._observations)
+        if self.action_count:
+            labs.mask(self.focal, members, self._masks)
+
+    def _more_infos(self, infos: dict[str, Any]) -> None:
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        for name, array in (
+            ("lab_cost", self._lab_costs),
+            ("elapsed_ticks", self._elapsed),
+            ("experiment_over", self._experiment_over),
+        ):
+            infos[name], infos[f"_{name}"] = array.copy(), everyone
+
+    def _more_arrays(self) -> State:
+        own = [self._lab_costs, self._elapsed, self._last_turn, self._events, self._experiment_over]
+        return [*self.laboratories.arrays(), *own]
+
+    def events(self, member: int = 0) -> dict[str, float]:
+        """The laboratory's safety events in the last step, by kind; only those that happened."""
+        row = self._events[member].tolist()
+        return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value}
+
+
+class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
+    """The laboratory for one of its agents; see this module's documentation for episodes and infos.
+
+    Args:
+        scenario, agent, policies, rewards, reaction_model, separation_model: as for :class:`FocalVectorEnv`.
+        render_mode: ``ansi`` or None.
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown agent or render mode, or an agent without a policy.
+        TypeError: a policy is none.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["ansi"], "render_fps": 4}  # noqa: RUF012 - Gymnasium's class attribute
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        agent: str = MANAGER_AGENT,
+        policies: Policies | None = None,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
+            )
+        self.render_mode = render_mode
+        self.batch = FocalVectorEnv(1, scenario, agent, policies, AutoresetMode.DISABLED, **arguments)
+        self.laboratories = self.batch.laboratories
+        self.agent = agent
+        self.observation_space: gymnasium.Space[Any] = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What each action (or each number of a continuous action) does."""
+        return self.batch.action_meanings
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode, played on to the agent's first turn.
+
+        Args:
+            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+
+        Raises:
+            ValueError: unknown option or goal.
+        """
+        super().reset(seed=seed)
+        unknown = set(options or {}) - {"goal"}
+        if unknown:
+            raise ValueError(f"reset options: known: goal; given {', '.join(sorted(map(str, unknown)))}")
+        observations, infos = self.batch.reset(seed=seed, options=options)
+        return observations[0], self._info(infos)
+
+    def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One turn of the agent; the others then play on to its next one.
+
+        Raises:
+            ValueError: the action is outside the action space (nothing has changed).
+            gymnasium.error.ResetNeeded: the episode is over or has not begun.
+        """
+        checked = self.laboratories.checked(self.batch.focal, action)
+        observations, rewards, terminated, truncated, infos = self.batch.step(checked)
+        over = bool(terminated[0] or truncated[0])
+        info = self._info(infos)
+        if over and self.batch.focal == 0:
+            info.update(self.laboratories.outcome(), costs=self.laboratories.costs())
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def _info(self, infos: dict[str, Any]) -> dict[str, Any]:
+        found = {name: values[0] for name, values in infos.items() if not name.startswith("_")}
+        plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in found.items()}
+        return {**plain, "events": self.batch.events()}
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """Legal actions, as sb3-contrib's MaskablePPO asks for them.
+
+        Raises:
+            ValueError: the agent's actions are continuous.
+        """
+        masks: npt.NDArray[np.bool_] = self.batch.action_masks()[0]
+        return masks
+
+    def get_state(self) -> State:
+        """Copies of everything that changes (background policies with a memory keep theirs), for :meth:`set_state`."""
+        return self.batch.get_state()
+
+    def set_state(self, state: State) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation."""
+        observation: npt.NDArray[np.float32] = self.batch.set_state(state)[0]
+        return observation
+
+    def render(self) -> str | None:
+        """The laboratory as text (render mode ``ansi``)."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() was called without a render_mode; pass one of metadata['render_modes'].")
+            return None
+        return describe_laboratory(self.laboratories, 0)
