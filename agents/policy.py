@@ -12,7 +12,6 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.physics.jit import kernel
 from chemlab.physics.layers import uniform
-from chemlab.scenario import Scenario
 from chemlab.shelf import FloatArray, IntArray, StreamArray
 
 __all__ = ["Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
@@ -81,14 +80,15 @@ class RandomPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "random")
+    return ("heuristic", "hasty", "random")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
     """One policy for each agent of a laboratory.
 
     Args:
-        name: ``heuristic`` or ``random``.
+        name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
+            safety and measuring are for) or ``random``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -115,13 +115,16 @@ def agent_policy(
     if name == "random":
         shape = laboratories.action_space(number).shape
         return RandomPolicy(int(shape[0]) if shape else 0, seed)
-    if number == 0:
-        return manager_heuristic(laboratories.scenario, laboratories)
-    return bench_heuristic(laboratories.benches[number - 1])
+    careful = name == "heuristic"
+    return (
+        manager_heuristic(laboratories, careful)
+        if number == 0
+        else bench_heuristic(laboratories.benches[number - 1], careful)
+    )
 
 
-def bench_heuristic(bench: Bench) -> Policy:
-    """The scripted policy for a bench.
+def bench_heuristic(bench: Bench, careful: bool = True) -> Policy:
+    """The scripted policy for a bench; ``careful`` False leaves out what only safety is for.
 
     Raises:
         ValueError: chemlab has none for this kind of bench.
@@ -139,12 +142,15 @@ def bench_heuristic(bench: Bench) -> Policy:
         raise ValueError(
             f"bench {bench.key!r}: no scripted policy for kind {bench.spec.kind!r}; known: {', '.join(known)}"
         )
-    policy: Policy = known[bench.spec.kind](bench)
+    policy: Policy = known[bench.spec.kind](bench, careful)
     return policy
 
 
-def manager_heuristic(scenario: Scenario, laboratories: Laboratories) -> Policy:
-    """The scripted manager for a scenario."""
+def manager_heuristic(laboratories: Laboratories, careful: bool = True) -> Policy:
+    """The scripted manager for some laboratories; ``careful`` False leaves out what only safety and measuring are
+    for."""
     from .heuristics.manager import ManagerHeuristic
 
-    return ManagerHeuristic(scenario, laboratories.channels, laboratories.actions, laboratories.instruments)
+    labs = laboratories
+    positions = {bench.key: len(bench.positions) for bench in labs.benches}
+    return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful)

@@ -10,6 +10,7 @@ import numpy as np
 
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.manager import COST_ITEMS
+from chemlab.record import Play, Recorder
 from chemlab.scenario import SAFETY_EVENTS
 
 from .policy import Policy
@@ -74,6 +75,7 @@ def play_episode(
     policy_name: str = "",
     watch: Callable[[Turn], None] | None = None,
     options: dict[str, Any] | None = None,
+    recorder: Recorder | None = None,
 ) -> EpisodeResult:
     """Play one episode.
 
@@ -84,11 +86,14 @@ def play_episode(
         policy_name: what to call the policies in the result.
         watch: called after every turn.
         options: passed to ``env.reset``.
+        recorder: writes the episode's record.
 
     Returns:
         The episode's result.
     """
     env.reset(seed=seed, options=options)
+    if recorder is not None:
+        recorder.begin(seed, options)
     labs, members = env.laboratories, env.laboratories.members
     result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
     result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.desk.goal[0])
@@ -104,6 +109,8 @@ def play_episode(
             observation[None], None if mask is None else mask[None], np.array([step]), members
         )[0]
         env.step(action)
+        if recorder is not None:
+            recorder.turn([Play(number, observation, mask, action)])
         for name, reward in env.rewards.items():
             result.rewards[name] += reward
         if watch is not None:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.laboratory.actions import SUBMIT, WAIT
+from chemlab.laboratory.core import Laboratories
 from chemlab.physics.events import EVENT_KINDS
 from chemlab.physics.layers import SOLIDS, profile
 from chemlab.physics.partition import partition, turn_clock
@@ -217,4 +219,29 @@ class Glassware:
                 np.testing.assert_allclose(dissolved.sum(axis=1), amounts[solutes], rtol=1e-9, atol=1e-12)
 
 
-__all__ = ["CLOCK_WAS", "PIXELS", "TRACE", "Glassware", "composition", "four_solvents", "molar_volume"]
+class Careless:
+    """A policy that also plays what is not possible: any action of the space, but seldom a submission.
+
+    Args:
+        laboratories: whose agent it is for.
+        agent: number of the agent.
+        seed: of its own random numbers.
+    """
+
+    def __init__(self, laboratories: Laboratories, agent: int, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, agent])
+        self._space = laboratories.action_space(agent)
+        kinds = laboratories.actions.table[:, 0]
+        self._chances = np.where(kinds == SUBMIT, 0.02, 1.0) * np.where(kinds == WAIT, 0.2 * len(kinds), 1.0)
+
+    def act(
+        self, observation: npt.NDArray[np.float32], mask: npt.NDArray[np.int8] | None, step: Any, members: Any
+    ) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        if mask is None:
+            return self._rng.random((len(observation), *self._space.shape))  # type: ignore[misc]
+        chances = self._chances if mask.shape[1] == len(self._chances) else np.ones(mask.shape[1])
+        return self._rng.choice(mask.shape[1], size=len(mask), p=chances / chances.sum())
+
+
+__all__ = ["CLOCK_WAS", "PIXELS", "TRACE", "Careless", "Glassware", "composition", "four_solvents", "molar_volume"]

@@ -20,6 +20,8 @@ _KJ_PER_L_K = 1.7
 _KJ_PER_L = 200.0
 _CAUTION = 0.7
 _MARGIN_K = 4.0
+_HEEL_PIXELS = 1
+"""Of the goal, left in a vessel that must not boil dry."""
 
 STRIP, SWAP, COLLECT, DONE = range(4)
 
@@ -30,9 +32,13 @@ class DistillationHeuristic:
 
     Args:
         bench: the bench it is for.
+        careful: True stops short of boiling the vessel dry where the scenario prices accidents; False heats with all
+            there is.
     """
 
-    def __init__(self, bench: DistillationBench) -> None:
+    def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
+        self._careful = careful
+        self._heel = careful and bench.scenario.safety.reward_price > 0.0
         materials = bench.scenario.materials
         self._slices = channel_slices(bench.channels)
         gauges = {channel.name: channel for channel in bench.channels}
@@ -77,6 +83,8 @@ class DistillationHeuristic:
 
     def _heat(self, kilojoules: float) -> int:
         """The largest heating step of at most ``kilojoules`` (the smallest there is, if none)."""
+        if not self._careful:
+            return self._heats[-1][1]
         return next((action for q, action in reversed(self._heats) if q <= kilojoules), self._heats[0][1])
 
     def _shows(self, observation: ObservationArray, shades: list[float]) -> bool:
@@ -101,6 +109,9 @@ class DistillationHeuristic:
     def _collect_step(self, goal: int, kelvin: float, litres: float, observation: ObservationArray) -> float:
         """kJ that boil the goal over, but not what is left of heavier liquids once the goal is gone."""
         boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
+        if self._heel:
+            left = int((np.abs(observation[:CAMERA_PIXELS] - self._shade[goal]) < _SAME).sum())
+            boiling = _CAUTION * _KJ_PER_L * (left - _HEEL_PIXELS) / CAMERA_PIXELS * self._capacity_l
         step = max(boiling, _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
         picture = observation[:CAMERA_PIXELS]
         others = [shade for shade in self._liquids if abs(shade - self._shade[goal]) > _SAME]
@@ -135,6 +146,9 @@ class DistillationHeuristic:
             if mask[self._swap]:
                 return self._swap
             phase = COLLECT
+        left = int((np.abs(observation[:CAMERA_PIXELS] - self._shade[goal]) < _SAME).sum())
+        if phase == COLLECT and self._heel and left <= _HEEL_PIXELS:
+            phase = DONE
         if phase == COLLECT and kelvin < self._boils_at[goal] + 1.0:
             return self._heat(self._collect_step(goal, kelvin, litres, observation))
         self._phase[member] = DONE

@@ -29,12 +29,13 @@ class ExtractionHeuristic:
 
     Args:
         bench: the bench it is for.
+        careful: False washes whatever lies at the bottom.
     """
 
-    def __init__(self, bench: ExtractionBench) -> None:
+    def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         materials = bench.scenario.materials
         violent = {name for step in bench.scenario.family.violent for name in step.reactants}
-        self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent]
+        self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent and careful]
         self._solids = [m.shade for m in materials.values() if m.role == "solid"]
         processes = bench.options.process
         first = next(i for i, process in enumerate(processes) if process.kind == "add")

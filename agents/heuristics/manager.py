@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from chemlab.bench.base import Channel, MaskArray, ObservationArray, channel_slices
 from chemlab.bench.instruments import BALANCE_RANGE_KG, InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
+from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 from chemlab.shelf import IntArray
 
@@ -22,38 +23,53 @@ _MOST_DISTILLATIONS = 2
 
 
 @dataclass
-class _Notes:
-    """What the manager remembers within an episode."""
+class _Line:
+    """What the manager remembers of one order and the vessels that are worked on for it."""
 
+    order: int
+    goal: str
     plan: list[str]
+    slot: int
+    mine: set[int]
+    """Slots whose vessels belong to this order."""
     stage: int = 0
-    slot: int = 0
     running: str = ""
     distillations: int = 0
     measured: set[tuple[int, str]] = field(default_factory=set)
+    submitted: bool = False
 
 
 class ManagerHeuristic:
-    """React; decant the leftover metal and throw it away; wash; distil; weigh and analyse what comes out; submit the
-    best.
+    """For each order: react; decant the leftover metal and throw it away; wash; distil; analyse what comes out until
+    something is pure enough; submit the best.
 
-    Uses only the benches the scenario has. It knows the recipe and the public scenario, and of the vessels what
-    the manager observes: where they were last, how full they are, and readings once it has paid for them.
+    Uses only the benches the scenario has, one of each kind for every order, and works on as many orders at once as
+    there are benches. It knows the recipe and the public scenario, and of the vessels what the manager observes: where
+    they were last, how full they are, and readings once it has paid for them.
 
     Args:
         scenario: the public scenario.
         channels: the manager's observation channels.
         actions: the manager's actions.
         instruments: the scenario's instruments.
+        positions: how many vessels each bench works on.
+        careful: False skips what only safety and measuring are for: metal is not decanted, nothing is analysed.
     """
 
     def __init__(
-        self, scenario: Scenario, channels: Sequence[Channel], actions: ManagerActions, instruments: InstrumentTable
+        self,
+        scenario: Scenario,
+        channels: Sequence[Channel],
+        actions: ManagerActions,
+        instruments: InstrumentTable,
+        positions: Mapping[str, int],
+        careful: bool = True,
     ) -> None:
-        self._scenario, self._actions = scenario, actions
+        self._scenario, self._actions, self._careful = scenario, actions, careful
+        self._positions = positions
         self._slices = channel_slices(channels)
         self._keys = list(scenario.benches)
-        self._agent_of = {key: f"{key}_0" for key in self._keys}
+        self._orders = [name for name, _ in order_channels(scenario)]
         kinds = {bench.kind: key for key, bench in scenario.benches.items()}
         self._rxn, self._ext, self._dit = (kinds.get(kind) for kind in ("reaction", "extraction", "distillation"))
         self._salts = {salt.solid for salt in scenario.family.salt}
@@ -62,7 +78,7 @@ class ManagerHeuristic:
         names = list(scenario.materials)
         self._analytes = [names[i] for i in instruments.analytes]
         self._molar_mass = np.array([scenario.materials[name].molar_mass_g_mol for name in self._analytes])
-        self._notes: dict[int, _Notes] = {}
+        self._lines: dict[int, list[_Line]] = {}
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -77,98 +93,144 @@ class ManagerHeuristic:
     def _value(self, observation: ObservationArray, name: str) -> float:
         return float(observation[self._slices[name]][0])
 
+    def _agent(self, bench: str, line: _Line) -> str:
+        return f"{bench}_{line.order % self._scenario.benches[bench].count}"
+
     def _plan(self, goal: str) -> list[str]:
         """Benches in order; ``ext`` twice where metal has to be decanted before washing."""
         metal = {name for step in self._scenario.family.violent for name in step.reactants}
         plan = [self._rxn] if self._rxn else []
         if self._ext:
-            decant = self._rxn is not None and bool(metal & set(self._scenario.stock))
+            decant = self._careful and self._rxn is not None and bool(metal & set(self._scenario.stock))
             # Washing takes a salt away: where it is the goal, only the metal has to go.
             plan += [self._ext] * (2 if decant and goal not in self._salts else 1)
         return [*plan, *([self._dit] if self._dit else [])]
 
-    def _slots(self, observation: ObservationArray, bench: str | None, role: int | None = None) -> list[int]:
-        """Occupied slots whose vessel was last at ``bench`` (None: nowhere yet), in that role."""
-        found = []
-        for s in range(self._actions.slots):
-            if self._value(observation, f"slot_{s}_occupied") < 0.5:
-                continue
-            last = int(observation[self._slices[f"slot_{s}_last_bench"]].argmax())
-            was = int(observation[self._slices[f"slot_{s}_last_role"]].argmax())
-            if last == (0 if bench is None else 1 + self._keys.index(bench)) and role in (None, was):
-                found.append(s)
-        return found
+    def _occupied(self, observation: ObservationArray) -> list[int]:
+        return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
+
+    def _history(self, observation: ObservationArray, slot: int) -> tuple[str | None, int]:
+        """(bench the vessel was at last, its role there)."""
+        last = int(observation[self._slices[f"slot_{slot}_last_bench"]].argmax())
+        role = int(observation[self._slices[f"slot_{slot}_last_role"]].argmax())
+        return (self._keys[last - 1] if last > 0 else None), role
+
+    def _begin(self, observation: ObservationArray) -> list[_Line]:
+        """One line for every order; the vessels that stand there are dealt out."""
+        fresh = self._occupied(observation)
+        lines = []
+        for order, channel in enumerate(self._orders):
+            goal = self._scenario.goals[int(observation[self._slices[channel]].argmax())]
+            slot = fresh[order % len(fresh)] if fresh else 0
+            # With one order every vessel is its own; with several, each has the one it began with.
+            mine = set(fresh) if len(self._orders) == 1 else {slot}
+            lines.append(_Line(order, goal, self._plan(goal), slot, mine))
+        return lines
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        goal = self._scenario.goals[int(observation[self._slices["goal"]].argmax())]
         if step == 0:
-            fresh = self._slots(observation, None)
-            self._notes[member] = _Notes(self._plan(goal), slot=fresh[0] if fresh else 0)
-        notes = self._notes[member]
-        if any(self._value(observation, f"{agent}_busy") > 0.5 for agent in self._agent_of.values()):
-            return self._actions.encode("wait")
-        if notes.running:
-            ended, notes.running = notes.running, ""
+            self._lines[member] = self._begin(observation)
+        lines = self._lines[member]
+        for line in lines:
+            if line.submitted or (line.running and self._value(observation, f"{line.running}_busy") > 0.5):
+                continue
+            action = self._advance(observation, mask, line, lines)
+            if action is not None:
+                return action
+        wait = self._actions.encode("wait")
+        return wait if mask[wait] else int(mask.argmax())
+
+    def _advance(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
+        """The line's next action; None while it has to wait for a bench."""
+        if line.running:
+            ended, line.running = line.running.rpartition("_")[0], ""
             if ended == self._ext:
-                beakers = self._slots(observation, self._ext, role=1)
-                if goal in self._salts and self._rxn is None and beakers:
-                    notes.slot = beakers[0]  # the salt went into the washing water
+                beakers = [
+                    s
+                    for s in self._occupied(observation)
+                    if s in line.mine and self._history(observation, s) == (self._ext, 1)
+                ]
+                if line.goal in self._salts and self._rxn is None and beakers:
+                    line.slot = beakers[0]  # the salt went into the washing water
                 elif beakers and mask[self._actions.encode("discard", beakers[0])]:
                     return self._actions.encode("discard", beakers[0])
-        if notes.stage < len(notes.plan):
-            return self._start(notes, notes.plan[notes.stage], goal, mask)
-        return self._finish(observation, mask, notes, goal)
+        if line.stage < len(line.plan):
+            return self._start(observation, mask, line, lines, line.plan[line.stage])
+        return self._finish(observation, mask, line, lines)
 
-    def _start(self, notes: _Notes, bench: str, goal: str, mask: MaskArray) -> int:
-        action = self._actions.encode("start", self._agent_of[bench], notes.slot, goal)
+    def _start(
+        self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line], bench: str
+    ) -> int | None:
+        agent = self._agent(bench, line)
+        if self._value(observation, f"{agent}_busy") > 0.5:
+            return None
+        action = self._actions.encode("start", agent, line.slot, line.goal)
         if not mask[action]:
-            return self._fallback(notes, mask)
-        notes.stage += 1
-        notes.running = bench
-        notes.distillations += bench == self._dit
-        self._forget_readings(notes)
+            return self._fallback(mask, line, lines)
+        # The laboratory keeps the first free slots for what comes back.
+        taken = {s for other in lines if other.running for s in other.mine} | set(self._occupied(observation))
+        free = [s for s in range(self._actions.slots) if s not in taken]
+        kept = set(free[: self._positions[bench] - 1])
+        for other in lines:
+            other.mine -= kept
+        line.mine |= kept
+        line.stage += line.stage < len(line.plan)
+        line.running = agent
+        line.distillations += bench == self._dit
+        # The vessel goes to a bench and will come back as another; readings of the others stay good.
+        line.measured = {(slot, instrument) for slot, instrument in line.measured if slot != line.slot}
         return action
 
-    @staticmethod
-    def _forget_readings(notes: _Notes) -> None:
-        """The vessel goes to a bench and will come back as another; readings of the others stay good."""
-        notes.measured = {(slot, instrument) for slot, instrument in notes.measured if slot != notes.slot}
-
-    def _fallback(self, notes: _Notes, mask: MaskArray) -> int:
+    def _fallback(self, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
         """Make room by discarding what is not being worked on; without any, submit what there is."""
+        wanted = {other.slot for other in lines if not other.submitted}
         for slot in reversed(range(self._actions.slots)):
-            if slot != notes.slot and mask[self._actions.encode("discard", slot)]:
+            if slot not in wanted and mask[self._actions.encode("discard", slot)]:
                 return self._actions.encode("discard", slot)
-        return (
-            self._actions.encode("submit", notes.slot)
-            if mask[self._actions.encode("submit", notes.slot)]
-            else int(mask.argmax())
-        )
+        if any(other.running for other in lines):
+            return None
+        submit = self._submit(line, line.slot)
+        return submit if mask[submit] else int(mask.argmax())
 
-    def _finish(self, observation: ObservationArray, mask: MaskArray, notes: _Notes, goal: str) -> int:
+    def _submit(self, line: _Line, slot: int) -> int:
+        line.submitted = True
+        return self._actions.encode("submit", slot, *([line.order] if len(self._orders) > 1 else []))
+
+    def _finish(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
         last = self._dit or self._ext or self._rxn
-        candidates = [s for s in self._slots(observation, last) if self._value(observation, f"slot_{s}_fill") > 0.0]
+        candidates = [
+            s
+            for s in self._occupied(observation)
+            if s in line.mine
+            and self._history(observation, s)[0] == last
+            and self._value(observation, f"slot_{s}_fill") > 0.0
+        ]
         if not candidates:
-            return self._fallback(notes, mask)
+            return self._fallback(mask, line, lines)
+        # What has been distilled over stands in B1, what was only stripped is still where it was.
+        over = line.distillations > 1
+        candidates.sort(key=lambda s: self._history(observation, s)[1] != 1 if over else s != line.slot)
+        if not self._careful:
+            return self._submit(line, candidates[0])
         for slot in candidates:
             for instrument in (self._gc, self._balance):
-                if instrument is None or (len(candidates) == 1 and notes.distillations >= _MOST_DISTILLATIONS):
+                if instrument is None or (len(candidates) == 1 and line.distillations >= _MOST_DISTILLATIONS):
                     continue
                 action = self._actions.encode("measure", slot, instrument)
-                if (slot, instrument) not in notes.measured and mask[action]:
-                    notes.measured.add((slot, instrument))
+                if (slot, instrument) not in line.measured and mask[action]:
+                    line.measured.add((slot, instrument))
                     return action
-        estimates = [self._estimate(observation, slot, goal) for slot in candidates]
+            if self._gc is not None and self._estimate(observation, slot, line.goal)[1] >= _PURE_ENOUGH:
+                return self._submit(line, slot)
+        estimates = [self._estimate(observation, slot, line.goal) for slot in candidates]
         best = int(np.argmax([amount * purity for amount, purity in estimates]))
         slot = candidates[best]
-        if self._dit and estimates[best][1] < _PURE_ENOUGH and notes.distillations < _MOST_DISTILLATIONS:
-            again = self._actions.encode("start", self._agent_of[self._dit], slot, goal)
-            if mask[again]:
-                notes.slot, notes.running = slot, self._dit
-                notes.distillations += 1
-                self._forget_readings(notes)
+        if self._dit and estimates[best][1] < _PURE_ENOUGH and line.distillations < _MOST_DISTILLATIONS:
+            line.slot = slot
+            again = self._start(observation, mask, line, lines, self._dit)
+            if again is None or again == self._actions.encode("start", self._agent(self._dit, line), slot, line.goal):
                 return again
-        return self._actions.encode("submit", slot)
+        return self._submit(line, slot)
 
     def _estimate(self, observation: ObservationArray, slot: int, goal: str) -> tuple[float, float]:
         """(mol of the goal, its purity) from the readings; the fill level stands in for a balance that is not there."""

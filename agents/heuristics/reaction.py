@@ -15,6 +15,8 @@ __all__ = ["ReactionHeuristic"]
 
 _SAFE_PRESSURE = 0.68
 """Of the gauge (the valve opens at 0.8): above this the piston moves out."""
+_SAFEST_PRESSURE = 0.45
+"""The same where accidents are priced: one more step of heating must not open the valve."""
 _HOLD_BACK = 0.4
 """Share of the experiment for which one reagent of an unwanted side reaction is held back."""
 
@@ -27,9 +29,12 @@ class ReactionHeuristic:
 
     Args:
         bench: the bench it is for.
+        careful: False heats on whatever the pressure gauge shows.
     """
 
-    def __init__(self, bench: ReactionBench) -> None:
+    def __init__(self, bench: ReactionBench, careful: bool = True) -> None:
+        priced = bench.scenario.safety.reward_price > 0.0
+        self._safe_pressure = (_SAFEST_PRESSURE if priced else _SAFE_PRESSURE) if careful else np.inf
         self._slices = channel_slices(bench.channels)
         reagents = bench.reagent_names
         family = bench.scenario.family
@@ -59,7 +64,7 @@ class ReactionHeuristic:
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         pressure = observation[:, self._slices["pressure"]][:, 0]
         adding = np.where(self._late[goal] & (step < self._hold_until)[:, None], 0.0, self._need[goal])
-        close = pressure > _SAFE_PRESSURE
+        close = pressure > self._safe_pressure
         warm = np.where(close, 0.5, 1.0)
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

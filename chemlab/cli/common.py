@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from .. import __version__
 from ..materials import DataError
@@ -53,8 +54,8 @@ def readable_errors() -> Iterator[None]:
     """What the user got wrong is one message and exit code 2, not a traceback."""
     try:
         yield
-    except (DataError, ValueError) as error:
-        err.print(f"[red]error[/red]: {error}", markup=True)
+    except (DataError, ImportError, ValueError) as error:  # an ImportError names the missing extra
+        err.print(f"[red]error[/red]: {escape(str(error))}", markup=True)
         raise typer.Exit(2) from error
 
 

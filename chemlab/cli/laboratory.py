@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ..files import replace_between
@@ -30,6 +32,7 @@ from .common import (
 if TYPE_CHECKING:
     from ..agents.run import EpisodeResult, Turn
     from ..laboratory.aec import raw_env
+    from ..record import Recorder
 
 __all__: list[str] = []
 
@@ -62,13 +65,31 @@ def list_scenarios(as_json: JsonOption = False) -> None:
     Console().print(table)
 
 
-def _play(env: raw_env, policy: str, seeds: Iterable[int], watch: Any = None) -> Iterator[EpisodeResult]:
+def _play(
+    env: raw_env,
+    policy: str,
+    seeds: Iterable[int],
+    watch: Any = None,
+    recorders: Mapping[int, Recorder] | None = None,
+) -> Iterator[EpisodeResult]:
     from ..agents.policy import make_policies
     from ..agents.run import play_episode
 
     for seed in seeds:
         policies = make_policies(policy, env.laboratories, seed)
-        yield play_episode(env, policies, seed, policy, watch)
+        with (recorders or {}).get(seed) or nullcontext() as recorder:
+            yield play_episode(env, policies, seed, policy, watch, recorder=recorder)
+
+
+def _recorders(env: raw_env, policy: str, seeds: range, record: Path | None, force: bool) -> dict[int, Recorder]:
+    """A recorder for every seed's episode, by seed; a file that is in the way is found before anything is played."""
+    from ..record import Recorder
+
+    if record is None:
+        return {}
+    names = dict.fromkeys(env.possible_agents, policy)
+    paths = {s: record if len(seeds) == 1 else record.with_name(f"{record.stem}-{s}{record.suffix}") for s in seeds}
+    return {s: Recorder(path, env.laboratories, policies=names, force=force) for s, path in paths.items()}
 
 
 @app.command()
@@ -78,21 +99,32 @@ def run(
     episodes: EpisodesOption = 1,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the episode's record here (see `chemlab verify` and `chemlab replay`); of several episodes, "
+            "NAME-SEED.EXT each. An episode that is broken off stays as FILE.part."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
     with readable_errors():
         _, env = prepare(scenario, quiet=as_json)
         seeds = range(seed, seed + episodes)
+        recorders = _recorders(env, policy, seeds, record, force)
         if as_json:
-            for result in _play(env, policy, seeds):
+            for result in _play(env, policy, seeds, recorders=recorders):
                 typer.echo(json.dumps(result.as_dict()))
             return
         account = _Account(env)
         results = []
-        for number, result in enumerate(_play(env, policy, seeds, account), start=1):
+        for number, result in enumerate(_play(env, policy, seeds, account, recorders), start=1):
             results.append(result)
             account.close(result, number, episodes)
         out.print(_result_table(results))
+        for recorder in recorders.values():
+            out.print(f"record: {escape(str(recorder.path))}")
 
 
 class _Account:
@@ -105,11 +137,15 @@ class _Account:
         self._since = 0
 
     def __call__(self, turn: Turn) -> None:
-        if (turn.agent, turn.meaning) == self._last:
+        from ..laboratory.text import action_words
+
+        labs = self._env.laboratories
+        words = action_words(labs, labs.agents.index(turn.agent), turn.action)
+        if (turn.agent, words) == self._last:
             self._times += 1
         else:
             self._flush()
-            self._last, self._times, self._since = (turn.agent, turn.meaning), 1, turn.tick
+            self._last, self._times, self._since = (turn.agent, words), 1, turn.tick
         notes = []
         if turn.info.get("illegal_action"):
             notes.append("[yellow]not possible now: the turn is lost[/yellow]")
@@ -120,6 +156,8 @@ class _Account:
             self._flush("; ".join([*notes, *([outcome] if outcome else [])]))
 
     def _outcome(self, turn: Turn, score: float | None) -> str:
+        from ..laboratory.text import reading_words
+
         labs = self._env.laboratories
         if score is not None:
             bench = labs.benches[labs.bench_agents.index(turn.agent)]
@@ -133,53 +171,20 @@ class _Account:
             vessel = labs.shelf.vessel(0, int(labs.rules.first[station]))
             return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {labs.benches[station].score_meaning}"
         if kind == "measure":
-            return self._reading(int(arguments[0]), str(arguments[1]))
+            return reading_words(labs, int(arguments[0]), str(arguments[1]))
         return ""
-
-    def _reading(self, slot: int, instrument: str) -> str:
-        """The reading the manager has just paid for, in words."""
-        labs = self._env.laboratories
-        table = labs.instruments
-        i = table.names.index(instrument)
-        values = labs.desk.reading[0, slot, table.start[i] : table.start[i + 1]]
-        channel = table.channels[i]
-        price = f"price {table.price[i]:g}"
-        if channel.size == 1:
-            return f"{values[0] * channel.high:.3f} {channel.unit}; {price}"
-        if channel.unit == "mole fraction":
-            names = [*(labs.shelf.layout.materials[a] for a in table.analytes), "residue"]
-            parts = [f"{name} {value:.1%}" for name, value in zip(names, values, strict=True) if value >= 5e-4]
-            return f"{', '.join(parts) or 'empty'}; {price}"
-        return f"{channel.size} values of {channel.unit}; {price}"
 
     def _flush(self, note: str = "") -> None:
         if self._last is None:
             return
-        agent, meaning = self._last
+        agent, words = self._last
         times = f" x{self._times}" if self._times > 1 else ""
         manager = agent == "manager_0"
-        what = f"[bold]{meaning}[/bold]" if manager else self._phrase(agent, meaning)
+        what = f"[bold]{words}[/bold]" if manager else words
         out.print(
             f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"
         )
         self._last, self._times = None, 0
-
-    def _phrase(self, agent: str, meaning: str) -> str:
-        """Continuous actions by name; discrete ones are words already."""
-        labs = self._env.laboratories
-        bench = labs.benches[labs.bench_agents.index(agent)]
-        names = getattr(bench, "reagent_names", None)
-        if names is None:
-            return meaning
-        values = [float(value) for value in meaning.split(", ")]
-        words = []
-        for label, value in zip(("temperature", "volume"), values, strict=False):
-            if abs(value - 0.5) > 5e-3:
-                words.append(f"{label} {'up' if value > 0.5 else 'down'} {abs(2.0 * value - 1.0):.0%}")
-        words += [
-            f"add {value:.0%} of the {name} left" for name, value in zip(names, values[2:], strict=True) if value > 5e-3
-        ]
-        return ", ".join(words) or "hold"
 
     def close(self, result: EpisodeResult, number: int, episodes: int) -> None:
         """The episode's end, in words."""

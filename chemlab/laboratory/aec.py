@@ -27,9 +27,10 @@ step); for the manager also `costs` (what it has been charged so far, by item, i
 `submitted_mol`, `purity` and `orders`.
 
 ### Arguments
-`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi` or None), `rewards`
-(another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec), `reaction_model` and
-`separation_model` (physics of your own). `reset(seed, options={"goal": name})` asks for a goal instead of drawing it.
+`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
+None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
+`reaction_model` and `separation_model` (physics of your own). `reset(seed, options={"goal": name})` asks for a goal
+instead of drawing it.
 
 ### Version history
 - v0: first version.
@@ -48,6 +49,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from ..scenario import Scenario
 from .common import OneLaboratory
 from .manager import RUNNING, TERMINATED
+from .rendering import RENDER_MODES
 
 __all__ = ["env", "raw_env"]
 
@@ -64,7 +66,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
 
     Args:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        render_mode: ``"ansi"`` for text from :meth:`render`, or None.
+        render_mode: one of ``metadata["render_modes"]``, or None.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model: replaces the kinetics (see :class:`chemlab.bench.models.ReactionModel`).
         separation_model: replaces layers and partition (see :class:`chemlab.bench.models.SeparationModel`).
@@ -76,7 +78,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
         "name": "chemlab_laboratory_v0",
-        "render_modes": ["ansi"],
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
         "is_parallelizable": False,
     }
 
@@ -101,6 +104,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._last_turn = dict.fromkeys(self.agents, 0)
         self._skip_agent_selection = None
         self._give_turn()
+        self._show()
 
     def _give_turn(self) -> None:
         labs = self.laboratories
@@ -147,6 +151,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             self.agent_selection = self.possible_agents[0]
             self.infos[self.agent_selection].update(labs.outcome(), costs=labs.costs())
         self._accumulate_rewards()
+        self._show()
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Legal actions of the selected agent, as sb3-contrib's MaskablePPO asks for them.

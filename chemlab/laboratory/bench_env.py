@@ -34,7 +34,7 @@ import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -46,11 +46,15 @@ from ..scenario import SAFETY_EVENTS, Scenario
 from ..shelf import IntArray
 from .arena import BenchArena
 from .batch_env import BatchEnv, State
+from .rendering import RENDER_MODES, Rendered
+
+if TYPE_CHECKING:
+    from ..render.scene import Scene
 
 __all__ = ["BenchEnv", "BenchVectorEnv"]
 
 
-class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
+class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """One bench of a scenario as a Gymnasium environment; see this module's documentation for arguments and infos.
 
     Raises:
@@ -59,7 +63,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's class attribute
-        "render_modes": ["ansi", "rgb_array", "human"],
+        "render_modes": list(RENDER_MODES),
         "render_fps": 4,
     }
 
@@ -73,12 +77,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(
-                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
-            )
-        self.render_mode = render_mode
-        self._viewer: Any = None
+        self._set_render_mode(render_mode)
         self.arena = BenchArena(scenario, bench, 1, goals, starts, reaction_model, separation_model)
         self.bench = self.arena.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
@@ -116,8 +115,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         goal = options.get("goal")
         self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
         self._over = False
-        if self.render_mode == "human":
-            self.render()
+        self._show()
         return self._observe(), self._info()
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -143,8 +141,7 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
             info["score"] = score
             total += score
             self._over = True
-        if self.render_mode == "human":
-            self.render()
+        self._show()
         return observation, total, self._over, False, info
 
     def _observe(self) -> npt.NDArray[np.float32]:
@@ -187,32 +184,12 @@ class BenchEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         vars(self).update(state)
         self.arena.shelf.__post_init__()  # a copied view is an array of its own
 
-    def render(self) -> str | npt.NDArray[np.uint8] | None:
-        """The experiment as the render mode says: ``ansi`` a text without the true contents, ``rgb_array`` a picture
-        [540, 960, 3] of everything, ``human`` the same in a window (after every step, without a call).
-
-        Raises:
-            ImportError: Pillow (extra ``plot``) or pygame (extra ``human``) is not installed.
-        """
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render_mode; pass one, such as render_mode='ansi'.")
-            return None
-        if self.render_mode == "ansi":
-            return self._describe()
-        from ..render.frames import Viewer
+    def _scene(self) -> Scene:
         from ..render.scene import bench_scene
 
-        if self._viewer is None:
-            self._viewer = Viewer(self.render_mode, self.metadata["render_fps"])
-        frame: npt.NDArray[np.uint8] | None = self._viewer.show(bench_scene(self.arena))
-        return frame
+        return bench_scene(self.arena)
 
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._viewer is not None:
-            self._viewer.close()
-
-    def _describe(self) -> str:
+    def _text(self) -> str:
         station, bench = self.arena.station, self.bench
         lines = [
             f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[station.goal[0]]}, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -12,15 +12,17 @@ import numpy.typing as npt
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .core import Laboratories
+from .rendering import Rendered
 from .text import describe_laboratory
+
+if TYPE_CHECKING:
+    from ..render.scene import Scene
 
 __all__ = ["OneLaboratory"]
 
 
-class OneLaboratory:
+class OneLaboratory(Rendered):
     """One laboratory as a PettingZoo environment sees it, whichever of the two interfaces it has."""
-
-    metadata: dict[str, Any]
 
     def __init__(
         self,
@@ -31,11 +33,7 @@ class OneLaboratory:
         separation_model: SeparationModel | None = None,
     ) -> None:
         super().__init__()
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(
-                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
-            )
-        self.render_mode = render_mode
+        self._set_render_mode(render_mode)
         self.scenario = load_scenario(scenario)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
@@ -82,12 +80,10 @@ class OneLaboratory:
         self.laboratories.reset(self._members, goal)
         self.agents = self.possible_agents[:]
 
-    def render(self) -> str | None:
-        """The laboratory as text (render mode ``ansi``)."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render_mode; pass one of metadata['render_modes'].")
-            return None
+    def _text(self) -> str:
         return describe_laboratory(self.laboratories, 0)
 
-    def close(self) -> None:
-        """Nothing to release."""
+    def _scene(self) -> Scene:
+        from ..render.scene import laboratory_scene
+
+        return laboratory_scene(self.laboratories)

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -46,7 +46,11 @@ from .batch_env import BatchEnv, State, checked_actions
 from .core import MANAGER_AGENT, Laboratories
 from .manager import RUNNING, TERMINATED
 from .policy import Policy, as_policy
+from .rendering import RENDER_MODES, Rendered
 from .text import describe_laboratory
+
+if TYPE_CHECKING:
+    from ..render.scene import Scene
 
 __all__ = ["FocalEnv", "FocalVectorEnv", "Policies"]
 
@@ -271,12 +275,12 @@ class FocalVectorEnv(BatchEnv):
         return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value}
 
 
-class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
+class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
         scenario, agent, policies, rewards, reaction_model, separation_model: as for :class:`FocalVectorEnv`.
-        render_mode: ``ansi`` or None.
+        render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -284,7 +288,10 @@ class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         TypeError: a policy is none.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi"], "render_fps": 4}  # noqa: RUF012 - Gymnasium's class attribute
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's class attribute
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
+    }
 
     def __init__(
         self,
@@ -294,11 +301,7 @@ class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(
-                f"render_mode must be one of {self.metadata['render_modes']} or None, given {render_mode!r}"
-            )
-        self.render_mode = render_mode
+        self._set_render_mode(render_mode)
         self.batch = FocalVectorEnv(1, scenario, agent, policies, AutoresetMode.DISABLED, **arguments)
         self.laboratories = self.batch.laboratories
         self.agent = agent
@@ -327,6 +330,7 @@ class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         if unknown:
             raise ValueError(f"reset options: known: goal; given {', '.join(sorted(map(str, unknown)))}")
         observations, infos = self.batch.reset(seed=seed, options=options)
+        self._show()
         return observations[0], self._info(infos)
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -342,6 +346,7 @@ class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         info = self._info(infos)
         if over and self.batch.focal == 0:
             info.update(self.laboratories.outcome(), costs=self.laboratories.costs())
+        self._show()
         return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def _info(self, infos: dict[str, Any]) -> dict[str, Any]:
@@ -367,9 +372,10 @@ class FocalEnv(gymnasium.Env[npt.NDArray[np.float32], Any]):
         observation: npt.NDArray[np.float32] = self.batch.set_state(state)[0]
         return observation
 
-    def render(self) -> str | None:
-        """The laboratory as text (render mode ``ansi``)."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render_mode; pass one of metadata['render_modes'].")
-            return None
+    def _text(self) -> str:
         return describe_laboratory(self.laboratories, 0)
+
+    def _scene(self) -> Scene:
+        from ..render.scene import laboratory_scene
+
+        return laboratory_scene(self.laboratories)

@@ -32,6 +32,7 @@ from pettingzoo import ParallelEnv
 
 from .common import OneLaboratory
 from .manager import RUNNING, TERMINATED
+from .rendering import RENDER_MODES
 
 __all__ = ["parallel_env"]
 
@@ -52,7 +53,8 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
         "name": "chemlab_laboratory_v0",
-        "render_modes": ["ansi"],
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
     }
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -82,6 +84,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         self._begin(seed, options)
         self._last_turn = [0] * len(self.agents)
         infos: list[dict[str, Any]] = [{"cost": 0.0, "events": {}, "illegal_action": False} for _ in self.agents]
+        self._show()
         return self._seen(infos)
 
     def step(
@@ -127,6 +130,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         if status != RUNNING:
             found[names[0]].update(labs.outcome())
             self.agents = []
+        self._show()
         return (
             observations,
             rewards,

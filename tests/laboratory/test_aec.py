@@ -766,7 +766,7 @@ def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None
     with pytest.raises(ValueError, match="'human'") as caught:
-        raw_env(WURTZ, render_mode="human")
+        raw_env(WURTZ, render_mode="hologram")
     assert "ansi" in str(caught.value)
 
 

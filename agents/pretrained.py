@@ -1,0 +1,274 @@
+"""Trained policies that need numpy alone: a ``NAME.safetensors`` with the weights and a ``NAME.json`` card.
+
+>>> from chemlab.agents.pretrained import load_pretrained, pretrained_names
+>>> policy = load_pretrained("wurtz_dodecane_rxn")                                 # doctest: +SKIP
+
+A policy fits a bench if it would see and do the same there: the same channels, goals and actions, whatever the scenario
+is called. Cards say what it was trained on, how, with what, and what it then reached.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.resources
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors.numpy import load_file
+
+from chemlab.bench.base import Bench, MaskArray, ObservationArray
+from chemlab.shelf import IntArray
+
+__all__ = [
+    "Card",
+    "PretrainedPolicy",
+    "fingerprint",
+    "interface",
+    "load_pretrained",
+    "pretrained_for",
+    "pretrained_names",
+]
+
+Weights = Mapping[str, npt.NDArray[np.float32]]
+
+
+def interface(bench: Bench) -> dict[str, Any]:
+    """What an agent sees and may do on a bench, as plain values; policies fit where this is equal."""
+    return {
+        "kind": bench.spec.kind,
+        "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in bench.channels],
+        "actions": list(bench.action_meanings),
+        "discrete": bool(bench.action_count),
+    }
+
+
+def fingerprint(bench: Bench) -> str:
+    """A number for the task: the bench's options, starting state, chemistry, stock and prices."""
+    scenario = bench.scenario
+    task = {
+        "bench": bench.spec.model_dump(mode="json", exclude={"count"}),
+        "materials": {name: m.model_dump(mode="json") for name, m in scenario.materials.items()},
+        "family": scenario.family.model_dump(mode="json"),
+        "goals": scenario.goals,
+        "stock": scenario.stock,
+        "ambient": [scenario.ambient_temperature_k, scenario.ambient_pressure_kpa],
+        "safety": scenario.safety.model_dump(mode="json"),
+        "illegal_action": scenario.costs.illegal_action,
+    }
+    return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Card:
+    """``NAME.json``: what a policy is and where it comes from.
+
+    Attributes:
+        name: its name.
+        env_id, scenario, bench, goals, starts: what it was trained on.
+        fingerprint: of that task (:func:`fingerprint`).
+        interface: what it sees and does (:func:`interface`).
+        observation_size, action_size: sizes; ``action_size`` is how many there are to choose from, or numbers.
+        algo, label, seed, step: the algorithm, and the checkpoint's step.
+        command: what trains it again.
+        versions: of chemlab, Stable-Baselines3, PyTorch, numpy.
+        activation: of the hidden layers, ``tanh`` or ``relu``.
+        output: ``argmax`` (of the legal), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
+        evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
+            ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
+    """
+
+    name: str
+    env_id: str
+    scenario: str
+    bench: str
+    goals: list[str]
+    starts: str
+    fingerprint: str
+    interface: dict[str, Any]
+    observation_size: int
+    action_size: int
+    algo: str
+    label: str
+    seed: int
+    step: int
+    command: str
+    versions: dict[str, str]
+    activation: str
+    output: str
+    evaluation: dict[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as the file has them."""
+        return asdict(self)
+
+
+class PretrainedPolicy:
+    """A trained network as a :class:`~chemlab.agents.policy.Policy`; deterministic, without memory.
+
+    Args:
+        card: its card.
+        weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order.
+
+    Raises:
+        ValueError: weights and card do not agree.
+    """
+
+    def __init__(self, card: Card, weights: Weights) -> None:
+        self.card = card
+        depth = len(weights) // 2
+        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")}
+        if set(weights) != expected or not depth:
+            raise ValueError(f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ...; found {sorted(weights)}")
+        if card.activation not in ("tanh", "relu") or card.output not in ("argmax", "clip", "tanh"):
+            raise ValueError(f"{card.name}: unknown activation {card.activation!r} or output {card.output!r}")
+        self._layers = [(np.ascontiguousarray(weights[f"{i}.weight"].T), weights[f"{i}.bias"]) for i in range(depth)]
+        sizes = [self._layers[0][0].shape[0], self._layers[-1][0].shape[1]]
+        if sizes != [card.observation_size, card.action_size]:
+            raise ValueError(
+                f"{card.name}: the card says {card.observation_size} observations and {card.action_size} actions, "
+                f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
+            )
+
+    def check(self, bench: Bench) -> None:
+        """Refuse a bench it does not fit; warn if the bench has changed since it was trained there.
+
+        Raises:
+            ValueError: what differs first, and what to do.
+        """
+        difference = _difference(self.card, bench)
+        if difference:
+            raise ValueError(
+                f"pretrained {self.card.name!r} does not fit bench {bench.key!r} of {bench.scenario.name}: "
+                f"{difference}; train one for it: {_advice(bench)}"
+            )
+        here = (self.card.scenario, self.card.bench) == (bench.scenario.name, bench.key)
+        if here and self.card.fingerprint != fingerprint(bench):
+            warnings.warn(
+                f"pretrained {self.card.name!r}: bench {bench.key!r} of {bench.scenario.name} has changed since it was "
+                f"trained, so that it may do worse than its card says; train it again: {self.card.command}",
+                stacklevel=2,
+            )
+
+    def values(self, observation: ObservationArray) -> npt.NDArray[np.float32]:
+        """[B, actions] what the network puts out: preferences or Q values of discrete actions, else the action's mean.
+
+        Raises:
+            ValueError: observations of another size.
+        """
+        x = np.asarray(observation, dtype=np.float32)
+        if x.ndim != 2 or x.shape[1] != self.card.observation_size:
+            raise ValueError(
+                f"pretrained {self.card.name!r} sees [B, {self.card.observation_size}] numbers, given {x.shape}; "
+                "check(bench) says what differs"
+            )
+        for i, (weight, bias) in enumerate(self._layers):
+            x = x @ weight + bias
+            if i < len(self._layers) - 1:
+                x = np.tanh(x) if self.card.activation == "tanh" else np.maximum(x, np.float32(0.0))
+        return x
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policy.Policy`; without a mask every discrete action counts as legal."""
+        values = self.values(observation)
+        if self.card.output == "argmax":
+            if mask is not None:
+                values = np.where(np.asarray(mask) != 0, values, -np.inf)
+            return np.asarray(values.argmax(axis=1), dtype=np.int64)
+        if self.card.output == "tanh":
+            values = np.float32(0.5) * (np.tanh(values) + np.float32(1.0))
+        return np.clip(values, 0.0, 1.0).astype(np.float64)
+
+
+def _advice(bench: Bench) -> str:
+    return f"chemlab train chemlab/Bench-v0 --scenario {bench.scenario.name} --bench {bench.key}, then chemlab export"
+
+
+def _difference(card: Card, bench: Bench) -> str:
+    """The first thing in which a bench is not what the policy knows, or nothing."""
+    mine, other = card.interface, json.loads(json.dumps(interface(bench)))
+    if mine["kind"] != other["kind"]:
+        return f"it is for a {mine['kind']} bench, this is {other['kind']}"
+    size = int(bench.observation_space.shape[0])
+    for ours, theirs in zip(mine["channels"], other["channels"], strict=False):
+        if ours != theirs:
+            return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
+    if card.observation_size != size:
+        return f"it sees {card.observation_size} numbers, here there are {size}"
+    if mine["actions"] != other["actions"]:
+        pairs = zip(mine["actions"], other["actions"], strict=False)
+        i = next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(mine["actions"]), len(other["actions"])))
+        return f"it has {len(mine['actions'])} actions, here there are {len(other['actions'])}; they differ from {i} on"
+    return ""
+
+
+def _shipped() -> Path:
+    # A source checkout and an installed wheel both have the folder beside this module.
+    return Path(str(importlib.resources.files(__package__ or "chemlab.agents") / "models"))
+
+
+def pretrained_names() -> list[str]:
+    """Names of the policies that come with chemlab."""
+    return sorted(file.stem for file in _shipped().glob("*.json"))
+
+
+def _read_card(path: Path) -> Card:
+    try:
+        return Card(**json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"{path}: no such card; policies that come with chemlab: {', '.join(pretrained_names()) or 'none'}"
+        ) from error
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: not a card of this version ({error}); export the run again") from error
+
+
+def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
+    """A policy by its name (:func:`pretrained_names`) or by the path of either of its files, with or without suffix.
+
+    Raises:
+        ValueError: unknown name, missing or damaged files.
+    """
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and name_or_path in pretrained_names():
+        path = _shipped() / name_or_path
+    if path.suffix in (".json", ".safetensors"):
+        path = path.with_suffix("")
+    card = _read_card(path.with_name(f"{path.name}.json"))
+    file = path.with_name(f"{path.name}.safetensors")
+    try:
+        weights = load_file(file)
+    except Exception as error:  # safetensors has an exception class of its own, which is not part of its interface
+        raise ValueError(f"{file}: cannot be read ({error}); it belongs beside {path.name}.json") from error
+    return PretrainedPolicy(card, weights)
+
+
+def pretrained_for(bench: Bench) -> PretrainedPolicy:
+    """The shipped policy for a bench: one trained on it, else one that fits because all it sees and does is the same.
+
+    Raises:
+        ValueError: there is none; the message says why each does not fit.
+    """
+    reasons, fitting = [], []
+    for name in pretrained_names():
+        card = _read_card(_shipped() / f"{name}.json")
+        difference = _difference(card, bench)
+        if difference:
+            reasons.append(f"{name}: {difference}")
+        else:
+            fitting.append(((card.scenario, card.bench) != (bench.scenario.name, bench.key), name))
+    if not fitting:
+        raise ValueError(
+            f"no pretrained policy fits bench {bench.key!r} of {bench.scenario.name} "
+            f"({'; '.join(reasons) or 'none come with this version'}); train one: {_advice(bench)}"
+        )
+    policy = load_pretrained(min(fitting)[1])
+    policy.check(bench)
+    return policy

@@ -1,0 +1,254 @@
+"""What a training run is: one dataclass, its presets, TOML files and flags.
+
+Later ones win: the field's default, the preset, the config file, flags. Fields that are None follow the algorithm:
+Stable-Baselines3's defaults, and the paper's protocol where the paper says something (:func:`resolved`).
+
+The paper's protocol: 10 environments; gather 256 steps in each, then update. PPO and A2C learn from those 2560 steps
+alone (so A2C makes one gradient step from them). DQN, SAC and TD3 keep 1M steps and sample them: 256 gradient steps of
+DQN after each 2560 steps, 128 of SAC and TD3, whose gradient steps are ten times as expensive. The paper does not say
+how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 30k steps.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+from chemlab.materials import read_toml
+
+__all__ = [
+    "ALGORITHMS",
+    "PRESETS",
+    "TrainArguments",
+    "arguments_of",
+    "flags_of",
+    "folder_of",
+    "label_of",
+    "load_arguments",
+    "resolved",
+]
+
+ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "sac", "td3", "maskable-ppo")
+"""What ``algo`` may be."""
+
+ON_POLICY = ("ppo", "a2c", "maskable-ppo")
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
+    "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
+}
+"""Presets: the fields that differ from the defaults, which are the paper's protocol."""
+
+
+def _argument(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class TrainArguments:
+    """Everything that decides what a training run learns; ``chemlab train --help`` is made from this."""
+
+    env_id: str = _argument("chemlab/WurtzReaction-v0", "Environment to train in, as registered with Gymnasium.")
+    algo: str = _argument("ppo", f"Algorithm: {', '.join(ALGORITHMS)}.")
+    preset: str = _argument("paper", f"Defaults to start from: {', '.join(PRESETS)}.")
+    steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.")
+    seed: int = _argument(0, "Seed of networks, exploration and environments.")
+    scenario: str | None = _argument(None, "Scenario, for chemlab/Bench-v0 (others have their own).")
+    bench: str | None = _argument(None, "Bench of the scenario, for chemlab/Bench-v0 (others have their own).")
+    goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option. Default: all.")
+    starts: str = _argument("paper", "Starting states: paper, or lab (as vessels reach the bench in a laboratory).")
+    envs: int = _argument(10, "Environments side by side.")
+    rollout: int = _argument(256, "Steps gathered in each environment before each update.")
+    learning_rate: float | None = _argument(None, "Learning rate. Default: the algorithm's in SB3.")
+    gamma: float | None = _argument(None, "Discount. Default: 0.99.")
+    gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C. Default: the algorithm's in SB3.")
+    ent_coef: float | None = _argument(None, "Weight of the entropy. Default: 0 on policy, learned by SAC.")
+    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay. Default: the algorithm's in SB3.")
+    epochs: int | None = _argument(None, "PPO's passes over a rollout. Default: 10.")
+    clip_range: float | None = _argument(None, "PPO's clip range. Default: 0.2.")
+    gradient_steps: int | None = _argument(
+        None, "Gradient steps from replay after each rollout. Default: 256; SAC, TD3 128."
+    )
+    buffer_size: int | None = _argument(None, "Steps kept for replay. Default: 1000000.")
+    learning_starts: int | None = _argument(None, "Random steps before learning from replay. Default: 100.")
+    exploration_steps: int | None = _argument(
+        None, "Steps in which DQN's exploration falls to its end. Default: 30000."
+    )
+    exploration_final: float | None = _argument(None, "DQN's exploration after that. Default: 0.01.")
+    action_noise: float | None = _argument(None, "Standard deviation of TD3's exploration, of [-1, 1]. Default: 0.1.")
+    net_arch: tuple[int, ...] | None = _argument(
+        None, "Hidden layers; repeat the option. Default: the algorithm's in SB3."
+    )
+    evaluations: int = _argument(10, "Evaluations during training, evenly spread, beside the scripted policy.")
+    eval_episodes: int = _argument(20, "Episodes a goal in each of them.")
+    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.")
+    checkpoints: int = _argument(
+        40, "Checkpoints during training, evenly spread (a crash loses what is after the last)."
+    )
+
+
+_LIMITS: dict[str, float] = {
+    "steps": 1,
+    "seed": 0,
+    "envs": 1,
+    "rollout": 1,
+    "batch_size": 1,
+    "epochs": 1,
+    "gradient_steps": 1,
+    "buffer_size": 1,
+    "learning_starts": 0,
+    "exploration_steps": 1,
+    "exploration_final": 0.0,
+    "action_noise": 0.0,
+    "evaluations": 1,
+    "eval_episodes": 1,
+    "final_episodes": 1,
+    "checkpoints": 1,
+}
+
+_ONLY: dict[str, tuple[str, ...]] = {
+    "gae_lambda": ON_POLICY,
+    "ent_coef": (*ON_POLICY, "sac"),
+    "batch_size": ("ppo", "maskable-ppo", "dqn", "sac", "td3"),
+    "epochs": ("ppo", "maskable-ppo"),
+    "clip_range": ("ppo", "maskable-ppo"),
+    "gradient_steps": ("dqn", "sac", "td3"),
+    "buffer_size": ("dqn", "sac", "td3"),
+    "learning_starts": ("dqn", "sac", "td3"),
+    "exploration_steps": ("dqn",),
+    "exploration_final": ("dqn",),
+    "action_noise": ("td3",),
+}
+"""Fields that are some algorithms' own."""
+
+_DEFAULTS: dict[str, Any] = {
+    "gamma": 0.99,
+    "buffer_size": 1_000_000,
+    "learning_starts": 100,
+    "exploration_steps": 30_000,
+    "exploration_final": 0.01,
+    "action_noise": 0.1,
+    "epochs": 10,
+    "clip_range": 0.2,
+}
+
+
+def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
+    """The value as the field's type, or a ValueError that says what is wanted."""
+    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind is not type(None)]
+    if get_origin(hint) is tuple:
+        kinds = [hint]
+    kind = kinds[0]
+    if value is None and type(None) in get_args(hint):
+        return None
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)[0]
+        items = [value] if isinstance(value, (str, int)) else value
+        if isinstance(items, (list, tuple)) and items and all(type(item) is inner for item in items):
+            return tuple(items)
+        raise ValueError(f"{where}: {name}: needs a list of {inner.__name__}, given {value!r}")
+    if kind is float and type(value) is int:
+        value = float(value)
+    if kind is int and type(value) is float and value.is_integer():
+        value = int(value)  # 1e6 is how people write a million
+    if type(value) is not kind:
+        raise ValueError(f"{where}: {name}: needs {kind.__name__}, given {value!r}")
+    return value
+
+
+def arguments_of(values: Mapping[str, Any], where: str = "arguments") -> TrainArguments:
+    """Arguments from {field: value}; what is not there is the preset's.
+
+    Args:
+        values: as a TOML table has them; None where a flag was not given.
+        where: file or command, for errors.
+
+    Raises:
+        ValueError: unknown field, or a value of the wrong type or out of bounds.
+    """
+    hints = get_type_hints(TrainArguments)
+    names = [f.name for f in fields(TrainArguments)]
+    given = {}
+    for name, value in values.items():
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            raise ValueError(f"{where}: {name}: no such argument{f'; did you mean {near[0]}?' if near else ''}")
+        if value is not None:
+            given[name] = _converted(name, hints[name], value, where)
+    preset = given.get("preset", "paper")
+    if preset not in PRESETS:
+        raise ValueError(f"{where}: preset: known: {', '.join(PRESETS)}; given {preset!r}")
+    arguments = TrainArguments(**{**PRESETS[preset], **given})
+    _check(arguments, where)
+    return arguments
+
+
+def _check(arguments: TrainArguments, where: str) -> None:
+    algo = arguments.algo
+    if algo not in ALGORITHMS:
+        raise ValueError(f"{where}: algo: known: {', '.join(ALGORITHMS)}; given {algo!r}")
+    for name, least in _LIMITS.items():
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise ValueError(f"{where}: {name}: must be at least {least}, given {value}")
+    for name, algorithms in _ONLY.items():
+        if getattr(arguments, name) is not None and algo not in algorithms:
+            raise ValueError(f"{where}: {name}: is for {', '.join(algorithms)}, not for {algo}")
+    if arguments.learning_rate is not None and arguments.learning_rate <= 0.0:
+        raise ValueError(f"{where}: learning_rate: must be above 0, given {arguments.learning_rate}")
+
+
+def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> TrainArguments:
+    """Arguments from a TOML file and flags, which win.
+
+    Raises:
+        DataError: the file is missing or not TOML.
+        ValueError: unknown field, or a value of the wrong type or out of bounds.
+    """
+    values = {} if path is None else read_toml(path)
+    if path is not None:
+        arguments_of(values, str(path))
+    return arguments_of({**values, **{k: v for k, v in flags.items() if v is not None}}, "train")
+
+
+def resolved(arguments: TrainArguments) -> TrainArguments:
+    """The same with every default of ours that depends on the algorithm filled in (SB3's own stay None)."""
+    known = {**_DEFAULTS, "gradient_steps": 256 if arguments.algo == "dqn" else 128}
+    values = {
+        name: value
+        for name, value in known.items()
+        if getattr(arguments, name) is None and arguments.algo in _ONLY.get(name, ALGORITHMS)
+    }
+    return replace(arguments, **values)
+
+
+def label_of(arguments: TrainArguments) -> str:
+    """What figures and tables call it: the preset's name if it is not the paper's, else the algorithm's."""
+    return arguments.algo if arguments.preset == "paper" else arguments.preset
+
+
+def folder_of(arguments: TrainArguments, label: str | None = None) -> Path:
+    """Where a run stands in a folder of results: bench, label, seed."""
+    bench = arguments.env_id.rpartition("/")[2].rpartition("-v")[0] or arguments.env_id
+    if bench == "Bench":
+        scenario = Path(arguments.scenario or "wurtz_dodecane").stem
+        bench = f"{scenario}-{arguments.bench or 'rxn'}"
+    return Path(bench, label or label_of(arguments), f"seed-{arguments.seed}")
+
+
+def flags_of(arguments: TrainArguments) -> list[str]:
+    """What to give ``chemlab train`` after the environment to get these arguments."""
+    preset = TrainArguments(**PRESETS[arguments.preset])
+    flags = []
+    for f in fields(TrainArguments):
+        value = getattr(arguments, f.name)
+        # Some are always said: a command should show what it trains.
+        if f.name == "env_id" or (value == getattr(preset, f.name) and f.name not in ("algo", "steps", "seed")):
+            continue
+        for item in value if isinstance(value, tuple) else (value,):
+            flags += [f"--{f.name.replace('_', '-')}", str(item)]
+    return flags

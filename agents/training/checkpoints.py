@@ -1,0 +1,157 @@
+"""Checkpoints that a crash cannot spoil, with everything that a run needs to go on as if it had not stopped.
+
+A checkpoint is written into a folder of another name, which is then renamed; the one before is removed afterwards.
+Replay memory is written once: each checkpoint adds the steps since the last one as a file of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from ..sb3 import ChemlabVecEnv
+from .runs import Run
+
+__all__ = ["load_checkpoint", "save_checkpoint", "tidy"]
+
+_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _synced(path: Path) -> None:
+    """Wait until a file is on the disk: a folder must not be renamed before its content is there."""
+    with path.open("rb+") as handle:
+        os.fsync(handle.fileno())
+
+
+def save_checkpoint(run: Run, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any], best: bool) -> None:
+    """Write the ``last`` checkpoint, and a copy of its model as ``best`` if it is that.
+
+    Args:
+        run: whose checkpoint.
+        model, venv: the learner between two rollouts and its environments.
+        progress: what the training loop itself has to remember.
+        best: whether this is the best model so far.
+    """
+    step = model.num_timesteps
+    draft = run.checkpoints / f"new-{step}"
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    model.save(draft / "model.zip")
+    rows = _save_replay(run, model) if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer) else 0
+    state = {
+        "step": step,
+        "replay_rows": rows,
+        "environments": venv.get_state(),
+        "action_space": model.action_space.np_random.bit_generator.state,
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from the global stream
+        "torch": torch.get_rng_state(),
+        "progress": progress,
+    }
+    (draft / "state.pkl").write_bytes(pickle.dumps(state))
+    for file in draft.iterdir():
+        _synced(file)
+    if best:
+        copy = run.checkpoints / f"new-best-{step}"
+        shutil.rmtree(copy, ignore_errors=True)
+        copy.mkdir()
+        shutil.copyfile(draft / "model.zip", copy / "model.zip")
+        _renamed(copy, run.checkpoints / f"best-{step}")
+    _renamed(draft, run.checkpoints / f"last-{step}")
+    tidy(run, step, progress["best_step"])
+    if rows:
+        size = model.replay_buffer.buffer_size  # type: ignore[attr-defined]
+        for _, stop, file in _replay_files(run):
+            if stop <= rows - size:
+                file.unlink()
+
+
+def _renamed(draft: Path, final: Path) -> None:
+    """A folder of that name is from before a crash, of the same step."""
+    shutil.rmtree(final, ignore_errors=True)
+    draft.rename(final)
+
+
+def tidy(run: Run, last: int, best: int | None) -> None:
+    """Remove every checkpoint but these two, and drafts."""
+    keep = {f"last-{last}", f"best-{best}", "replay"}
+    for folder in run.checkpoints.iterdir():
+        if folder.is_dir() and folder.name not in keep:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _save_replay(run: Run, model: Any) -> int:
+    """Write the rows that no file has yet; the number of rows there have ever been."""
+    buffer: ReplayBuffer = model.replay_buffer
+    size, rows = buffer.buffer_size, int(model.num_timesteps // model.n_envs)
+    files = _replay_files(run)
+    start = max(max((stop for _, stop, _ in files), default=0), rows - size)
+    if start < rows:
+        at = np.arange(start, rows) % size
+        target = run.checkpoints / "replay" / f"{start}-{rows}.npz"
+        target.parent.mkdir(exist_ok=True)
+        draft = target.with_suffix(".tmp")
+        with draft.open("wb") as handle:
+            np.savez(handle, **{name: getattr(buffer, name)[at] for name in _ARRAYS})
+        _synced(draft)
+        draft.replace(target)
+    return rows
+
+
+def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
+    """(first row, row after the last, file), in order."""
+    found = []
+    for file in (run.checkpoints / "replay").glob("*-*.npz"):
+        start, _, stop = file.stem.partition("-")
+        found.append((int(start), int(stop), file))
+    return sorted(found)
+
+
+def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
+    size, expected = buffer.buffer_size, 0
+    for start, stop, file in _replay_files(run):
+        if stop > rows:  # written just before a crash, for a checkpoint that was not
+            file.unlink()
+            continue
+        if stop > rows - size:
+            with np.load(file) as saved:
+                at = np.arange(start, stop) % size
+                for name in _ARRAYS:
+                    getattr(buffer, name)[at] = saved[name]
+        expected = stop
+    if expected != rows:
+        raise ValueError(f"{run.checkpoints / 'replay'}: has {expected} of {rows} rows; delete the run to begin anew")
+    buffer.pos, buffer.full = rows % size, rows >= size
+
+
+def load_checkpoint(
+    run: Run, folder: Path, algorithm: type[BaseAlgorithm], venv: ChemlabVecEnv
+) -> tuple[BaseAlgorithm, dict[str, Any]]:
+    """The learner of a ``last`` checkpoint with the environments as they were, and the loop's own memory.
+
+    The process's random streams go on as they were there.
+
+    Raises:
+        ValueError: replay memory is missing.
+    """
+    # Only a run's own files are unpickled, as SB3 does with the model beside them.
+    state = pickle.loads((folder / "state.pkl").read_bytes())
+    model = algorithm.load(folder / "model.zip", env=venv, device="cpu", force_reset=False)
+    if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer):
+        _load_replay(run, model.replay_buffer, state["replay_rows"])  # type: ignore[attr-defined]
+    # Making the model has seeded everything anew: the streams come last.
+    venv.set_state(state["environments"])
+    model.action_space.np_random.bit_generator.state = state["action_space"]
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002 - SB3 draws from the global stream
+    torch.set_rng_state(state["torch"])
+    return model, dict(state["progress"])

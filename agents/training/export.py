@@ -1,0 +1,205 @@
+"""Make a policy that needs numpy alone out of a training run's best checkpoint, and see that it is the same policy.
+
+Needs the extra: ``pip install "chemlab-marl[train]"``.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from safetensors.numpy import save
+
+from chemlab.bench.base import ObservationArray
+from chemlab.files import write_text
+from chemlab.laboratory.bench_env import BenchVectorEnv
+
+from ..evaluation.trials import Trials
+from ..policy import bench_heuristic
+from ..pretrained import Card, PretrainedPolicy, fingerprint, interface, load_pretrained
+from .arguments import TrainArguments, arguments_of, flags_of, resolved
+from .learn import RESULT_SEED, load_learner
+from .runs import Run, to_text
+
+try:
+    import torch
+    from torch import nn
+except ImportError as error:
+    raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
+
+__all__ = ["export_run", "largest_difference", "network_of"]
+
+_TOLERANCE = 1e-5
+_ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+
+
+def network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
+    """Weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
+
+    Raises:
+        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them.
+    """
+    policy = model.policy
+    if hasattr(policy, "q_net"):  # DQN
+        parts, output = [policy.q_net.q_net], "argmax"
+    elif hasattr(policy, "actor"):  # SAC has the mean in a layer of its own; TD3's network ends with it
+        actor = policy.actor
+        parts, output = [actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else [actor.mu], "tanh"
+    else:
+        parts = [policy.mlp_extractor.policy_net, policy.action_net]
+        output = "argmax" if isinstance(model.action_space, gymnasium.spaces.Discrete) else "clip"
+    modules = [m for part in parts for m in part.modules() if not isinstance(m, nn.Sequential)]
+    linear = [m for m in modules if isinstance(m, nn.Linear)]
+    activation = policy.activation_fn
+    others = {type(m) for m in modules} - {nn.Linear, activation, *([nn.Tanh] if output == "tanh" else [])}
+    if activation not in _ACTIVATIONS or others:
+        raise ValueError(f"cannot export a network with {activation.__name__}, {', '.join(o.__name__ for o in others)}")
+    weights = {}
+    for i, layer in enumerate(linear):
+        weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
+        weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
+    return weights, _ACTIVATIONS[activation], output
+
+
+def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
+    """What SB3's own code makes of observations: Q values, log-probabilities, means, or (off policy) actions."""
+    if hasattr(model.policy, "actor"):
+        return np.asarray(model.predict(observation, deterministic=True)[0])
+    with torch.no_grad():
+        seen, _ = model.policy.obs_to_tensor(observation)
+        if hasattr(model.policy, "q_net"):
+            return np.asarray(model.policy.q_net(seen).numpy())
+        distribution = model.policy.get_distribution(seen).distribution
+        discrete = isinstance(model.action_space, gymnasium.spaces.Discrete)
+        return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
+
+
+def _observations(scenario: str, bench: str, starts: str, members: int = 64) -> ObservationArray:
+    """Observations of random experiments."""
+    env = BenchVectorEnv(members, scenario, bench, None, starts, AutoresetMode.SAME_STEP)
+    env.action_space.seed(0)
+    seen = [env.reset(seed=0)[0]]
+    seen += [env.step(env.action_space.sample())[0] for _ in range(20)]
+    return np.concatenate(seen)
+
+
+def largest_difference(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
+    """Largest difference between what the two make of the same observations, relative where that is above 1.
+
+    Of actions, and of what they are made from where that says more: Q values, log-probabilities, means before they are
+    clipped. Infinite if another discrete action is chosen and it is not a tie.
+    """
+    theirs, ours = _outputs(model, observation), policy.values(observation)
+    nothing = np.zeros(len(observation), dtype=np.int64)
+    played = np.asarray(model.predict(observation, deterministic=True)[0])
+    actions = policy.act(observation, None, nothing, nothing)
+    if policy.card.output == "argmax":
+        if not hasattr(model.policy, "q_net"):
+            highest = ours.max(axis=1, keepdims=True)
+            ours = ours - highest - np.log(np.exp(ours - highest).sum(axis=1, keepdims=True))
+        rows = np.arange(len(played))
+        if _relative(theirs[rows, actions], theirs[rows, played]) > _TOLERANCE:
+            return float("inf")
+        return _relative(ours, theirs)
+    return max(_relative(actions, played), _relative(ours, theirs) if policy.card.output == "clip" else 0.0)
+
+
+def _relative(ours: npt.NDArray[Any], theirs: npt.NDArray[Any]) -> float:
+    return float((np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))).max())
+
+
+def export_run(folder: Path, out: Path) -> Card:
+    """Write ``OUT.safetensors`` and ``OUT.json`` from a run's best checkpoint.
+
+    Args:
+        folder: the run.
+        out: path of the two files, with or without a suffix; its name is the policy's name.
+
+    Raises:
+        ValueError: the folder holds no run or no checkpoint, its bench has changed since, or the exported policy is
+            not the same as SB3's to 1e-5.
+    """
+    run = Run(folder)
+    config, best = run.config(), run.checkpoint("best")
+    if config is None:
+        raise ValueError(f"{folder}: holds no training run (no config.json)")
+    if best is None:
+        raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
+    scenario, bench_key, starts = config["scenario"], config["bench"], config["starts"]
+    trials = Trials(scenario, bench_key, config["final_episodes"], RESULT_SEED, config["goals"], starts)
+    if config["fingerprint"] != fingerprint(trials.bench):
+        raise ValueError(f"{folder}: bench {bench_key!r} of {scenario} has changed since this run; train it again")
+    model: Any = load_learner(best, config["algo"])
+    weights, activation, output = network_of(model)
+    path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
+    draft: dict[str, Any] = {
+        "name": path.name,
+        "env_id": config["env_id"],
+        "scenario": trials.bench.scenario.name,
+        "bench": bench_key,
+        "goals": config["goals"],
+        "starts": starts,
+        "fingerprint": config["fingerprint"],
+        "interface": json.loads(json.dumps(interface(trials.bench))),
+        "observation_size": int(trials.bench.observation_space.shape[0]),
+        "action_size": trials.bench.action_count or len(trials.bench.action_meanings),
+        "algo": config["algo"],
+        "label": config["label"],
+        "seed": config["seed"],
+        "step": int(best.name.rpartition("-")[2]),
+        "command": _command(config, trials),
+        "versions": config["versions"],
+        "activation": activation,
+        "output": output,
+    }
+    policy = PretrainedPolicy(Card(**draft, evaluation={}), weights)
+    difference = largest_difference(model, policy, _observations(scenario, bench_key, starts))
+    if not difference <= _TOLERANCE:
+        raise ValueError(
+            f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
+        )
+    found, heuristic = trials.by_goal(policy), _scripted(trials)
+    evaluation = {
+        "episodes_per_goal": trials.episodes,
+        "seed": trials.seed,
+        "mean": sum(found.values()) / len(found),
+        "by_goal": found,
+        "heuristic_mean": sum(heuristic.values()) / len(heuristic) if heuristic else None,
+        "heuristic_by_goal": heuristic,
+    }
+    card = Card(**draft, evaluation=evaluation)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = path.with_name(f"{path.name}.safetensors")
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(save(weights))
+    temporary.replace(file)
+    write_text(path.with_name(f"{path.name}.json"), to_text(card.as_dict()))
+    load_pretrained(path)  # what has been written can be read
+    return card
+
+
+def _scripted(trials: Trials) -> dict[str, float] | None:
+    try:
+        policy = bench_heuristic(trials.bench)
+    except ValueError:
+        return None
+    return trials.by_goal(policy)
+
+
+def _command(config: dict[str, Any], trials: Trials) -> str:
+    """What trains it again: the arguments that are not what the others imply."""
+    given = {f.name: config[f.name] for f in fields(TrainArguments)}
+    if config["env_id"] != "chemlab/Bench-v0":
+        given["scenario"] = given["bench"] = None  # the environment id says it
+    if config["goals"] == list(trials.bench.scenario.goals):
+        given["goals"] = None
+    implied = vars(resolved(arguments_of({name: given[name] for name in ("env_id", "algo", "preset")})))
+    own = {name: value for name, value in given.items() if value != implied[name]}
+    return shlex.join(["chemlab", "train", config["env_id"], *flags_of(arguments_of({**own, "algo": given["algo"]}))])

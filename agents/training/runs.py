@@ -1,0 +1,248 @@
+"""A training run's folder: what is in it, and reading it. Figures and tables are made from these files alone.
+
+| File | Content |
+|---|---|
+| `config.json` | :class:`RunConfig`: every argument, the bench, versions; written first |
+| `curve.jsonl` | :class:`CurvePoint` a line, one for each rollout: episodes that ended in it |
+| `evaluations.jsonl` | :class:`Evaluation` a line: deterministic policy beside the scripted one, on paired seeds |
+| `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; it is there when the run is finished |
+| `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
+| `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
+| `tensorboard/` | TensorBoard's event files; not for version control |
+
+Numbers are floats with full precision; `null` where there is none (no episode ended; no scripted policy).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from chemlab.files import write_text
+
+__all__ = [
+    "CurvePoint",
+    "Evaluation",
+    "Run",
+    "RunBusy",
+    "RunConfig",
+    "RunResult",
+    "find_runs",
+    "to_text",
+]
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """``config.json``."""
+
+    label: str
+    """What figures call the algorithm: ``ppo``, ``ppo-xl``, ..."""
+    arguments: dict[str, Any]
+    """Every field of :class:`~chemlab.agents.training.arguments.TrainArguments`; in the file they stand beside the others."""
+    scenario: str
+    bench: str
+    goals: list[str]
+    fingerprint: str
+    """Of the bench's chemistry, options and prices: equal fingerprints are equal tasks."""
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the file has it."""
+        values = asdict(self)
+        return {"label": self.label, **values.pop("arguments"), **values}
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A line of ``curve.jsonl``: the episodes that ended during one rollout."""
+
+    step: int
+    return_mean: float | None
+    return_std: float | None
+    episodes: int
+    seconds: float
+    """Wall time until then, with evaluations and checkpoints, over all sittings."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A line of ``evaluations.jsonl``; ``mean`` is the mean over goals."""
+
+    step: int
+    mean: float
+    by_goal: dict[str, float]
+    heuristic_mean: float | None
+    heuristic_by_goal: dict[str, float] | None
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """``result.json``. ``mean`` and ``by_goal`` are the best checkpoint's, ``last_`` the last one's."""
+
+    env_id: str
+    label: str
+    algo: str
+    seed: int
+    steps: int
+    seconds: float
+    frames_per_second: float
+    best_step: int
+    episodes_per_goal: int
+    mean: float
+    by_goal: dict[str, float]
+    heuristic_mean: float | None
+    heuristic_by_goal: dict[str, float] | None
+    last_mean: float
+    last_by_goal: dict[str, float]
+
+
+class RunBusy(ValueError):
+    """Another process is training this run."""
+
+
+Line = TypeVar("Line", CurvePoint, Evaluation)
+
+
+class Run:
+    """A run's folder.
+
+    Args:
+        path: the folder; it need not exist yet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_file = path / "config.json"
+        self.curve_file = path / "curve.jsonl"
+        self.evaluations_file = path / "evaluations.jsonl"
+        self.result_file = path / "result.json"
+        self.failed_file = path / "failed.json"
+        self.checkpoints = path / "checkpoints"
+        self.tensorboard = path / "tensorboard"
+
+    def config(self) -> dict[str, Any] | None:
+        """``config.json`` as it is, or None.
+
+        Raises:
+            ValueError: the file is not JSON.
+        """
+        return _read_json(self.config_file)
+
+    def result(self) -> RunResult | None:
+        """``result.json``, or None while the run is not finished.
+
+        Raises:
+            ValueError: the file is not what a run writes.
+        """
+        values = _read_json(self.result_file)
+        try:
+            return None if values is None else RunResult(**values)
+        except TypeError as error:
+            raise ValueError(f"{self.result_file}: not a result of this version ({error})") from error
+
+    def curve(self) -> list[CurvePoint]:
+        """The learning curve so far."""
+        return list(_lines(self.curve_file, CurvePoint))
+
+    def evaluations(self) -> list[Evaluation]:
+        """The evaluations so far."""
+        return list(_lines(self.evaluations_file, Evaluation))
+
+    def append(self, line: CurvePoint | Evaluation) -> None:
+        """Add a line to the curve or to the evaluations."""
+        file = self.curve_file if isinstance(line, CurvePoint) else self.evaluations_file
+        with file.open("a", encoding="utf-8") as handle:
+            handle.write(json.dumps(asdict(line)) + "\n")
+
+    def truncate(self, step: int) -> None:
+        """Forget lines past a step, and one that was being written."""
+        for file, points in ((self.curve_file, self.curve()), (self.evaluations_file, self.evaluations())):
+            kept = [json.dumps(asdict(point)) + "\n" for point in points if point.step <= step]
+            write_text(file, "".join(kept))
+
+    def checkpoint(self, kind: str) -> Path | None:
+        """Folder of the ``last`` or ``best`` checkpoint (the newest complete one), or None."""
+        found = [p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()]
+        return max(found, key=lambda p: int(p.name.rpartition("-")[2]), default=None)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the run: the system lets go of it when the process ends, however it ends.
+
+        Raises:
+            RunBusy: another process holds it.
+        """
+        self.checkpoints.mkdir(parents=True, exist_ok=True)
+        with (self.checkpoints / "lock").open("a+") as handle:
+            if not _lock(handle.fileno()):
+                raise RunBusy(f"{self.path}: another process is training this run; wait for it or give another --out")
+            yield
+
+    def busy(self) -> bool:
+        """Whether a process is training this run now."""
+        if not (self.checkpoints / "lock").exists():
+            return False
+        try:
+            with self.locked():
+                return False
+        except RunBusy:
+            return True
+
+
+def _lock(descriptor: int) -> bool:
+    """Take the system's lock on a file, if it is free."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, 0, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        raise ValueError(f"{path}: not valid JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"{path}: must be a JSON object")
+    return values
+
+
+def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
+    """The complete lines of a file; a last one that a crash has cut is not."""
+    if not path.exists():
+        return
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(keepends=True), start=1):
+        if not line.endswith("\n"):
+            return
+        try:
+            yield kind(**json.loads(line))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path}:{number}: not a line of this version ({error})") from error
+
+
+def to_text(values: Any) -> str:
+    """A JSON file's content."""
+    return json.dumps(values, indent=1) + "\n"
+
+
+def find_runs(folder: Path) -> list[Run]:
+    """Every run below a folder, in order of its path."""
+    return [Run(file.parent) for file in sorted(folder.rglob("config.json")) if "checkpoints" not in file.parts]

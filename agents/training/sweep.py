@@ -1,0 +1,222 @@
+"""Many training runs as a queue of processes on this machine's cores.
+
+A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``),
+algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each, and may set
+any other argument of ``chemlab train`` for all of them; ``[defaults]`` sets them for the whole file::
+
+    [[runs]]
+    env_id = ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"]
+    algo = ["ppo", "sac"]
+    seeds = 5
+    steps = 300_000
+
+Within a table the first seed of everything comes first. A run stands in ``OUT/BENCH/LABEL/seed-N``, where the label is
+the algorithm (or preset), or the table's ``name``. A run that is finished is not run again, an interrupted one goes on
+from its checkpoint, a failed one is tried again by the next sweep; what runs say is in ``log.txt`` in their folders.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from chemlab.files import write_text
+from chemlab.materials import read_toml
+
+from .arguments import TrainArguments, arguments_of, flags_of, folder_of, label_of, resolved
+from .runs import Run, to_text
+
+__all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
+
+STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
+"""``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments."""
+
+_OWN = ("name", "seeds")
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One run of a sweep."""
+
+    name: str
+    arguments: TrainArguments
+    run: Run
+
+    @property
+    def log(self) -> Path:
+        """What the process said."""
+        return self.run.path / "log.txt"
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a run is doing; ``mean`` is the result's, or the last evaluation's so far."""
+
+    state: str
+    step: int
+    steps: int
+    mean: float | None
+    note: str = ""
+
+
+def plan(file: Path, out: Path) -> list[Planned]:
+    """The runs of a sweep file, in the order in which they are run.
+
+    Raises:
+        DataError: the file is missing or not TOML.
+        ValueError: an unknown key or value, or two runs with one folder.
+    """
+    content = read_toml(file)
+    unknown = [key for key in content if key not in ("defaults", "runs")]
+    tables = content.get("runs")
+    if unknown or not isinstance(tables, list) or not tables:
+        raise ValueError(
+            f"{file}: needs [[runs]] tables, and may have [defaults]; found {', '.join(content) or 'nothing'}"
+        )
+    found: dict[Path, Planned] = {}
+    for number, table in enumerate(tables, start=1):
+        where = f"{file}: runs {number}"
+        values = {**content.get("defaults", {}), **table}
+        for seed in _seeds(values.get("seeds", 1), where):
+            for env_id in _several(values, "env_id"):
+                for preset in _several(values, "preset"):
+                    for algo in _several(values, "algo"):
+                        own = {k: v for k, v in values.items() if k not in _OWN}
+                        own |= {"seed": seed, "env_id": env_id, "preset": preset, "algo": algo}
+                        arguments = arguments_of(own, where)
+                        label = str(values.get("name", label_of(arguments)))
+                        path = out / folder_of(arguments, label)
+                        one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
+                        if path in found and found[path].arguments != arguments:
+                            raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
+                        found.setdefault(path, one)
+    return list(found.values())
+
+
+def _several(values: dict[str, Any], key: str) -> list[Any]:
+    value = values.get(key)
+    return value if isinstance(value, list) else [value]
+
+
+def _seeds(value: Any, where: str) -> list[int]:
+    seeds = list(range(value)) if type(value) is int else value
+    if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
+        raise ValueError(f"{where}: seeds: needs a list of integers from 0 or how many, given {value!r}")
+    return seeds
+
+
+def status_of(planned: Planned) -> Status:
+    """How a run is doing, from its folder.
+
+    Raises:
+        ValueError: a file there is damaged.
+    """
+    run, steps = planned.run, planned.arguments.steps
+    config = run.config()
+    if config is None:
+        return _unfinished(planned, 0, None, "waiting")
+    expected = vars(resolved(planned.arguments))
+    for name, value in expected.items():
+        mine = list(value) if isinstance(value, tuple) else value
+        # The file has what scenario, bench and goals stand for where they are not given.
+        if config.get(name) != mine and not (name in ("scenario", "bench", "goals") and mine is None):
+            return Status("other", 0, steps, None, f"{name} is {config.get(name)!r}, not {mine!r}: {run.path}")
+    result = run.result()
+    if result is not None:
+        return Status("done", result.steps, result.steps, result.mean)
+    curve, evaluations = run.curve(), run.evaluations()
+    step = curve[-1].step if curve else 0
+    mean = evaluations[-1].mean if evaluations else None
+    return _unfinished(planned, step, mean, "interrupted")
+
+
+def _unfinished(planned: Planned, step: int, mean: float | None, otherwise: str) -> Status:
+    state = "running" if planned.run.busy() else "failed" if planned.run.failed_file.exists() else otherwise
+    return Status(state, step, planned.arguments.steps, mean, str(planned.log) if state == "failed" else "")
+
+
+@dataclass
+class _Process:
+    planned: Planned
+    handle: subprocess.Popen[bytes]
+
+
+def run_sweep(
+    runs: list[Planned], jobs: int, watch: Callable[[list[Status]], None], interval: float = 0.5
+) -> list[Status]:
+    """Run what is not finished, ``jobs`` at a time; returns how each run ended.
+
+    Interrupting it (Ctrl-C) ends its processes; the next sweep goes on with them. Runs that another process trains are
+    left to it and waited for.
+
+    Args:
+        runs: see :func:`plan`.
+        jobs: processes at a time.
+        watch: is shown every run's status now and then.
+        interval: seconds between looks.
+
+    Raises:
+        ValueError: a file of a run is damaged.
+    """
+    queue = [one for one in runs if status_of(one).state not in ("done", "other")]
+    active: list[_Process] = []
+    known: dict[str, Status] = {}
+
+    def look(fresh: set[str]) -> list[Status]:
+        for one in runs:
+            # Finished runs' files do not change: there may be hundreds of them.
+            if one.name not in known or one.name in fresh or known[one.name].state in ("running", "waiting"):
+                known[one.name] = status_of(one)
+        return [known[one.name] for one in runs]
+
+    try:
+        while queue or active:
+            fresh = set()
+            for process in [p for p in active if p.handle.poll() is not None]:
+                active.remove(process)
+                fresh.add(process.planned.name)
+                if process.handle.returncode != 0:
+                    _note_failure(process.planned, process.handle.returncode)
+            for one in list(queue):
+                if len(active) >= jobs:
+                    break
+                if one.run.busy():
+                    continue
+                queue.remove(one)
+                fresh.add(one.name)
+                if status_of(one).state != "done":
+                    active.append(_Process(one, _start(one)))
+            watch(look({p.planned.name for p in active} | fresh))
+            if queue or active:
+                time.sleep(interval)
+    finally:
+        for process in active:
+            process.handle.terminate()
+        for process in active:
+            process.handle.wait()
+    final = look({one.name for one in runs})
+    watch(final)
+    return final
+
+
+def _start(one: Planned) -> subprocess.Popen[bytes]:
+    one.run.path.mkdir(parents=True, exist_ok=True)
+    one.run.failed_file.unlink(missing_ok=True)
+    command = [sys.executable, "-c", "from chemlab.cli import main; main()", "train", one.arguments.env_id]
+    command += [*flags_of(one.arguments), "--out", str(one.run.path), "--quiet"]
+    # One core a run: libraries that start threads of their own would share it with the other runs.
+    single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    with one.log.open("ab") as log:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **single}
+        )
+
+
+def _note_failure(one: Planned, code: int) -> None:
+    write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))

@@ -1,0 +1,157 @@
+"""Commands about results: evaluate, figures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ..files import write_text
+from .common import JsonOption, SeedOption, app, err, out, readable_errors
+
+__all__: list[str] = []
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=err,
+        transient=True,
+    )
+
+
+@app.command()
+def evaluate(
+    target: Annotated[str, typer.Argument(help="A single bench's environment id, or a scenario (see `chemlab list`).")],
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="heuristic, random, pretrained, or (single benches) the path of a training run, of a checkpoint "
+            "or of exported weights; repeat the option. Default: heuristic and random."
+        ),
+    ] = None,
+    bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
+    goal: Annotated[list[str] | None, typer.Option(help="A goal; repeat the option. Default: all.")] = None,
+    starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper or lab.")] = "paper",
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
+    seed: SeedOption = 0,
+    baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "heuristic",
+    output: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare policies goal by goal from the same seeds, with bootstrap confidence intervals.
+
+    The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy does
+    better than the baseline does from the same seed, a tie counting one half.
+    """
+    with readable_errors():
+        from ..agents.evaluation.play import evaluate as play
+        from ..agents.evaluation.play import find_target
+
+        chosen = find_target(target, bench, starts)
+        policies = policy or ["heuristic", "random"]
+        total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
+        with _progress() as progress:
+            task = progress.add_task("episodes", total=total)
+            results = play(chosen, policies, episodes, seed, goal, baseline, watch=lambda n: progress.advance(task, n))
+        if output is not None:
+            write_text(output, json.dumps(results, separators=(",", ":")) + "\n")
+    if as_json:
+        brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
+        typer.echo(json.dumps({**results, "policies": brief}))
+        return
+    for table in _tables(results):
+        Console().print(table)
+    if output is not None:
+        out.print(f"wrote {output}")
+
+
+def _interval(estimate: dict[str, float], digits: int = 3) -> str:
+    """A statistic and its interval for a table's cell; what rounds to 0 has no sign."""
+    value, low, high = (f"{round(estimate[k], digits) + 0.0:.{digits}f}" for k in ("value", "low", "high"))
+    return f"{value} \\[{low}, {high}]"
+
+
+def _tables(results: dict[str, Any]) -> list[Table]:
+    """What people see of an evaluation: the whole, then goal by goal."""
+    target, rows = results["target"], results["policies"]
+    what = f"{target['scenario']}, bench {target['bench']}" if target["bench"] else f"{target['scenario']}, laboratory"
+    count, share = results["episodes_per_goal"], results["confidence"]
+    whole = Table(title=f"{what}: {count} episodes a goal; [{share:.0%} intervals]".replace("[", r"\["), box=SIMPLE)
+    for name in ("policy", "mean", "interquartile mean", f"minus {results['baseline']}", "P(improvement)", "steps"):
+        whole.add_column(name, justify="left" if name == "policy" else "right", overflow="fold")
+    for row in rows:
+        numbers = [_interval(row[key]) for key in ("mean", "interquartile_mean", "difference")]
+        same = row["policy"] == results["baseline"]
+        cells = [*numbers[:2], "" if same else numbers[2], "" if same else _interval(row["improvement"], 2)]
+        whole.add_row(row["policy"], *cells, f"{row['mean_length']:.1f}")
+    tables = [whole]
+    for key, title in (("by_goal", "goal"), ("by_case", "starting state")):
+        keys = list(rows[0][key])
+        if len(keys) < 2:
+            continue
+        table = Table(title=f"mean return by {title}", box=SIMPLE)
+        table.add_column(title)
+        for row in rows:
+            table.add_column(row["policy"], justify="right", overflow="fold")
+        for name in keys:
+            values = [row[key][name].get("mean", row[key][name]) for row in rows]
+            table.add_row(name, *map(_interval, values))
+        tables.append(table)
+    if rows[0]["measures"]:
+        table = Table(title="means of episodes", box=SIMPLE)
+        table.add_column("")
+        for row in rows:
+            table.add_column(row["policy"], justify="right", overflow="fold")
+        for name in rows[0]["measures"]:
+            table.add_row(name, *(f"{row['measures'][name]:.3f}" for row in rows))
+        tables.append(table)
+    return tables
+
+
+@app.command()
+def figures(
+    results: Annotated[Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it.")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Where figures and tables go.")] = Path("figures"),
+    collect: Annotated[
+        bool, typer.Option("--collect", help="First play the best policies and store what they do in traces.json.")
+    ] = False,
+    file_format: Annotated[
+        list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
+    ] = None,
+) -> None:
+    """Draw the paper's figures from training runs, and tables of its results beside ours.
+
+    Needs nothing but results files (and the extra `plot`); --collect also needs the runs' checkpoints.
+    """
+    with readable_errors():
+        from ..agents.evaluation.figures import FIGURES, write_figures
+        from ..agents.evaluation.results import read_results
+        from ..agents.evaluation.summary import write_summary
+
+        found = read_results(results)
+        with _progress() as progress:
+            if collect:
+                from ..agents.evaluation.traces import collect_traces, trace_count
+
+                task = progress.add_task("policies", total=trace_count(found))
+                collect_traces(found, watch=lambda _: progress.advance(task))
+            task = progress.add_task("figures", total=len(FIGURES))
+            lacking = write_figures(found, output, file_format or ["png"], lambda _: progress.advance(task))
+        page, _ = write_summary(found, output, lacking)
+    for stem, missing in lacking.items():
+        out.print(f"{stem}: {'missing: ' + '; '.join(missing) if missing else 'complete'}")
+    for line in found.left_out:
+        out.print(f"[yellow]left out[/yellow] {line}")
+    out.print(f"wrote {page}")

@@ -1,0 +1,86 @@
+"""Commands about records of episodes: verify, replay."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from .common import JsonOption, app, err, out, readable_errors
+
+__all__: list[str] = []
+
+TrustOption = Annotated[
+    bool, typer.Option("--trust", help="Import benches of somebody's own (module:Class) that the record names.")
+]
+_COLORS = {"ok": "green", "tampered": "red", "torn": "yellow", "other": "yellow", "unchecked": "red"}
+_WORST_FIRST = ("tampered", "unchecked", "other", "torn", "ok")
+
+
+@app.command()
+def verify(
+    files: Annotated[list[Path], typer.Argument(help="Records (see `chemlab run --record`).")],
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            help="What the records must have been made on: a shipped scenario or a path. "
+            "Default: the shipped scenario of the same name, if there is one."
+        ),
+    ] = None,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Check records of episodes by playing their actions on the simulator again and comparing every number.
+
+    Ends with 0 if every record is right, 1 if something in one is not what happens (the first difference is named),
+    3 if the end is missing, 4 if it is of another version, scenario or platform, 5 if it is no record or cannot be
+    played here; of several records, with the first of 1, 5, 4, 3 there is.
+    """
+    from ..record import EXIT_CODES, verify_record
+
+    results = []
+    with readable_errors():
+        for path in files:
+            result = verify_record(path, scenario, trust)
+            results.append(result)
+            if as_json:
+                typer.echo(json.dumps(result.as_dict()))
+                continue
+            color = _COLORS[result.status]
+            out.print(f"[{color}]{result.status}[/{color}] {escape(result.path)}: {escape(result.message)}")
+            for note in result.notes:
+                out.print(f"   {escape(note)}")
+    found = {result.status for result in results}
+    raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in found)])
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The page (default: the record's name with .html).")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there already.")] = False,
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    trust: TrustOption = False,
+) -> None:
+    """Make a page of a record: one HTML file to look through the episode with, which needs no network."""
+    with readable_errors():
+        from ..files import write_text
+        from ..record import read_record
+        from ..render.replay import replay_page
+
+        path = output or file.with_suffix(".html")
+        if path.exists() and not force:
+            raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+        record = read_record(file)
+        if record.torn:
+            err.print(f"{escape(str(file))}: the end is missing; the page shows the episode as far as it goes")
+        text = replay_page(record, trust)
+        write_text(path, text)
+    out.print(f"{escape(str(path))}: {len(record.turns)} turns, {len(text.encode()) / 1e6:.2f} MB")
+    if show:
+        typer.launch(path.resolve().as_uri())

@@ -1,0 +1,273 @@
+"""Commands about learning: train, sweep, export."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin, get_type_hints
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ..agents.training.arguments import TrainArguments, folder_of, load_arguments
+from .common import JsonOption, app, err, out, readable_errors
+
+if TYPE_CHECKING:
+    from ..agents.training.runs import Evaluation, RunResult
+    from ..agents.training.sweep import Planned, Status
+
+__all__: list[str] = []
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """A missing extra is the user's to install: a message, like every other error of theirs."""
+    with readable_errors():
+        try:
+            yield
+        except ImportError as error:
+            raise ValueError(str(error)) from error
+
+
+# -- train ------------------------------------------------------------------------------------------------------------
+
+
+class _Account:
+    """A bar with the time left and the latest return, or, where nobody watches, a line for each evaluation."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._task = TaskID(0)
+        self._steps = 0
+
+    def _say(self, text: str) -> None:
+        # A line is there at once, so that a log shows where a run is.
+        console = self._progress.console if self._progress is not None else err
+        console.print(text)
+
+    def begun(self, step: int, steps: int) -> None:
+        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        self._steps = steps
+        if step:
+            self._say(f"resuming at step {step:,} of {steps:,}")
+        if self._progress is not None:
+            self._task = self._progress.add_task("training", total=steps, completed=step, mean="")
+
+    def advanced(self, step: int, mean: float | None) -> None:
+        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        if self._progress is not None:
+            shown = "" if mean is None else f"return {mean:.3f}"
+            self._progress.update(self._task, completed=step, mean=shown)
+
+    def evaluated(self, evaluation: Evaluation, best: bool) -> None:
+        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        scripted = evaluation.heuristic_mean
+        beside = "" if scripted is None else f", scripted {scripted:.3f}"
+        self._say(f"step {evaluation.step:>9,}: mean return {evaluation.mean:.3f}{beside}{'  (best)' if best else ''}")
+
+    def finishing(self) -> None:
+        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        if self._progress is not None:
+            self._progress.update(self._task, mean="last evaluation")
+
+
+def _train(config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]) -> None:
+    with _errors():
+        arguments = load_arguments(config, flags)
+        from ..agents.training.learn import train as run_training
+        from ..agents.training.runs import Run
+
+        folder = folder or Path("runs") / folder_of(arguments)
+        known = Run(folder).result_file.exists()
+        silent = quiet or as_json or not err.is_terminal
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+        clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[mean]}"))
+        try:
+            if silent:
+                result = run_training(arguments, folder, None if as_json else _Account(None))
+            else:
+                with Progress(*columns, *clocks, console=err) as progress:
+                    result = run_training(arguments, folder, _Account(progress))
+        except KeyboardInterrupt:
+            err.print(f"stopped; the same command goes on from the last checkpoint in {folder}")
+            raise typer.Exit(130) from None
+    if as_json:
+        typer.echo(json.dumps({**asdict(result), "folder": str(folder)}))
+        return
+    if known:
+        out.print(f"{folder} is finished; nothing is run again")
+    out.print(_outcome(result))
+    out.print(f"best checkpoint (step {result.best_step:,}) and everything else: {folder}")
+
+
+def _outcome(result: RunResult) -> Table:
+    title = f"{result.env_id}, {result.label}, seed {result.seed}: {result.steps:,} steps in {result.seconds:,.0f} s"
+    table = Table(title=f"{title} (mean return of {result.episodes_per_goal} episodes)", box=SIMPLE)
+    for name in ("goal", "best", "last", "scripted"):
+        table.add_column(name, justify="left" if name == "goal" else "right")
+    scripted = result.heuristic_by_goal or {}
+    for goal, value in result.by_goal.items():
+        table.add_row(goal, f"{value:.3f}", f"{result.last_by_goal[goal]:.3f}", _number(scripted.get(goal)))
+    table.add_row("mean", f"{result.mean:.3f}", f"{result.last_mean:.3f}", _number(result.heuristic_mean))
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
+
+def _train_command() -> Any:
+    """``train`` with one option for each field of :class:`TrainArguments`: there is one list of arguments."""
+    hints = get_type_hints(TrainArguments)
+    parameters: list[tuple[str, Any, Any]] = []
+    for f in fields(TrainArguments):
+        kinds = [kind for kind in (get_args(hints[f.name]) or (hints[f.name],)) if kind is not type(None)]
+        kind: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
+        text = f.metadata["help"]
+        if f.name == "env_id":
+            parameters.append((f.name, Annotated[kind, typer.Argument(help=text)], inspect.Parameter.empty))
+            continue
+        # No flag is None, so that what was given wins over file and preset, which win over the field's default.
+        shown = text if f.default is None else f"{text} Default: {f.default}."
+        option = typer.Option(f"--{f.name.replace('_', '-')}", help=shown, show_default=False)
+        parameters.append((f.name, Annotated[Optional[kind], option], None))  # noqa: UP045 - made at run time
+    config = typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False)
+    folder = typer.Option("--out", help="The run's folder. Default: runs/BENCH/ALGO/seed-SEED.", show_default=False)
+    quiet = typer.Option("--quiet", help="No progress bar; a line for each evaluation.")
+    parameters.append(("config", Annotated[Optional[Path], config], None))  # noqa: UP045
+    parameters.append(("out", Annotated[Optional[Path], folder], None))  # noqa: UP045
+    parameters.append(("quiet", Annotated[bool, quiet], False))
+    parameters.append(("as_json", JsonOption, False))
+
+    def train(**given: Any) -> None:
+        own = [given.pop(name) for name in ("config", "out", "quiet", "as_json")]
+        flags = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        _train(own[0], own[1], own[2], own[3], {name: value for name, value in flags.items() if value != ()})
+
+    train.__doc__ = """Train a bench's agent; a run that was interrupted goes on where it was.
+
+    Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
+    scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
+    """
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    train.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, keyword, default=default, annotation=hint) for name, hint, default in parameters]
+    )
+    train.__annotations__ = {name: hint for name, hint, _ in parameters}
+    return train
+
+
+app.command("train")(_train_command())
+
+
+# -- sweep ------------------------------------------------------------------------------------------------------------
+
+_COLOURS = {"done": "green", "running": "cyan", "failed": "red", "other": "red", "interrupted": "yellow"}
+
+
+@app.command()
+def sweep(
+    file: Annotated[Path, typer.Argument(help="Sweep file (see experiments/).")],
+    jobs: Annotated[int | None, typer.Option(min=1, help="Runs at a time. Default: one for each core.")] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),
+    status: Annotated[bool, typer.Option("--status", help="Show what is done and run nothing.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
+    with _errors():
+        from ..agents.training.sweep import plan, run_sweep, status_of
+
+        runs = plan(file, folder)
+        if status:
+            found = [status_of(one) for one in runs]
+        else:
+            from ..agents.training import learn as training  # noqa: F401 - without the extra, say so once and not in every log
+
+            # A sweep that is told to stop takes its runs along, as one that is interrupted does.
+            signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+            count = jobs or os.cpu_count() or 1
+            try:
+                found = run_sweep(runs, count, lambda _: None) if as_json else _live(runs, count)
+            except KeyboardInterrupt:
+                err.print("stopped; the same command goes on")
+                raise typer.Exit(130) from None
+    if as_json:
+        rows = [{"run": one.name, **asdict(now)} for one, now in zip(runs, found, strict=True)]
+        typer.echo(json.dumps(rows, indent=1))
+    elif status:
+        Console().print(_table(runs, found, every=True))
+    if any(now.state in ("failed", "other") for now in found) and not status:
+        raise typer.Exit(1)
+
+
+def _live(runs: list[Planned], jobs: int) -> list[Status]:
+    """Run it with a table that is kept up to date, or, where nobody watches, a line whenever a run's state changes."""
+    from ..agents.training.sweep import run_sweep
+
+    if out.is_terminal:
+        with Live(console=out, auto_refresh=False) as live:
+            ended: list[Status] = run_sweep(runs, jobs, lambda now: live.update(_table(runs, now), refresh=True))
+            return ended
+    states: dict[str, str] = {}
+
+    def tell(found: list[Status]) -> None:
+        for one, now in zip(runs, found, strict=True):
+            if states.get(one.name, "waiting") != now.state:
+                out.print(f"{now.state:<11} {one.name}  {_number(now.mean)} {now.note}".rstrip())
+            states[one.name] = now.state
+
+    ended = run_sweep(runs, jobs, tell)
+    return ended
+
+
+def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Table:
+    """All runs, or only those that say something: running, failed, the latest done, the next in the queue."""
+    counts = {state: sum(now.state == state for now in found) for state in dict.fromkeys(s.state for s in found)}
+    table = Table(title=", ".join(f"{count} {state}" for state, count in counts.items()), box=SIMPLE)
+    for name in ("run", "state", "step", "of", "mean return", ""):
+        table.add_column(name, justify="right" if name in ("step", "of", "mean return") else "left", overflow="fold")
+    shown: dict[str, int] = {}
+    for one, now in zip(runs, found, strict=True):
+        shown[now.state] = shown.get(now.state, 0) + 1
+        hidden = counts["done"] - shown["done"] >= 8 if now.state == "done" else shown[now.state] > 8
+        if hidden and not every and now.state != "running":
+            continue
+        colour = _COLOURS.get(now.state, "dim")
+        state = f"[{colour}]{now.state}[/{colour}]"
+        table.add_row(one.name, state, f"{now.step:,}", f"{now.steps:,}", _number(now.mean), now.note)
+    return table
+
+
+# -- export -----------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
+    to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Make a policy that needs no PyTorch out of a run's best checkpoint: NAME.safetensors and NAME.json.
+
+    It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
+    """
+    with _errors():
+        from ..agents.training.export import export_run
+
+        card = export_run(run, to)
+    if as_json:
+        typer.echo(json.dumps(card.as_dict()))
+        return
+    found = card.evaluation
+    out.print(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}")
+    out.print(f"mean return {found['mean']:.3f}, scripted {_number(found['heuristic_mean']) or 'none'}")

@@ -1,0 +1,67 @@
+"""Rendering, the same for every environment: text, a picture, or the same picture in a window."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from ..render.scene import Scene
+
+__all__ = ["RENDER_MODES", "Rendered"]
+
+RENDER_MODES = ("ansi", "rgb_array", "human")
+
+
+class Rendered:
+    """What an environment needs to be looked at; it says what its text and its scene are."""
+
+    metadata: dict[str, Any]
+    render_mode: str | None
+    _viewer: Any = None
+
+    def _set_render_mode(self, mode: str | None) -> None:
+        if mode is not None and mode not in RENDER_MODES:
+            raise ValueError(f"render_mode must be one of {list(RENDER_MODES)} or None, given {mode!r}")
+        self.render_mode = mode
+
+    @abstractmethod
+    def _text(self) -> str:
+        """What the render mode ``ansi`` shows."""
+
+    @abstractmethod
+    def _scene(self) -> Scene:
+        """What pictures show."""
+
+    def _show(self) -> None:
+        """After every reset and step: a window follows by itself."""
+        if self.render_mode == "human":
+            self.render()
+
+    def render(self) -> str | npt.NDArray[np.uint8] | None:
+        """As the render mode says: ``ansi`` a text, ``rgb_array`` a picture [540, 960, 3], ``human`` the same picture
+        in a window.
+
+        Raises:
+            ImportError: Pillow, or for a window pygame, is not installed; the message names the extra.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(f"render() was called without a render_mode; pass one of {', '.join(RENDER_MODES)}.")
+            return None
+        if self.render_mode == "ansi":
+            return self._text()
+        from ..render.frames import Viewer
+
+        if self._viewer is None:
+            self._viewer = Viewer(self.render_mode, self.metadata["render_fps"])
+        frame: npt.NDArray[np.uint8] | None = self._viewer.show(self._scene())
+        return frame
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()

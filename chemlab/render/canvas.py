@@ -1,0 +1,172 @@
+"""A canvas that knows where its text stands, and draws text as fast as pictures are pasted."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+try:
+    from PIL import Image, ImageDraw, ImageFont
+except ImportError as error:
+    raise ImportError("pictures need Pillow: pip install 'chemlab-marl[plot]'") from error
+
+__all__ = ["Box", "Canvas", "Image", "ImageDraw", "TextBox", "text_width"]
+
+_DOTS = "..."
+_FINER = 4
+
+
+class Box(NamedTuple):
+    """A rectangle in pixels; right and bottom are outside."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+class TextBox(NamedTuple):
+    """Where a text's ink stands."""
+
+    text: str
+    box: Box
+
+
+@functools.lru_cache(maxsize=32)
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    font = ImageFont.load_default(size)
+    if not isinstance(font, ImageFont.FreeTypeFont):  # Pillow built without FreeType has a single bitmap font
+        raise ImportError("pictures need a Pillow with FreeType support; pip's has it: pip install pillow")
+    return font
+
+
+@functools.lru_cache(maxsize=4096)
+def _ink(text: str, size: int) -> tuple[Image.Image, int, int]:
+    """(grey picture of the text's ink, its offset from the start of the baseline).
+
+    Drawn larger and shrunk: the font's hints, made for print, space small letters unevenly.
+    """
+    left, top, right, bottom = (int(value) for value in _font(size * _FINER).getbbox(text, anchor="ls"))
+    # Whole pixels around the ink, so that the baseline stays on one.
+    left, top = math.floor(left / _FINER), math.floor(top / _FINER)
+    right, bottom = max(math.ceil(right / _FINER), left + 1), max(math.ceil(bottom / _FINER), top + 1)
+    large = Image.new("L", ((right - left) * _FINER, (bottom - top) * _FINER))
+    start = (-left * _FINER, -top * _FINER)
+    ImageDraw.Draw(large).text(start, text, fill=255, font=_font(size * _FINER), anchor="ls")
+    return large.resize((right - left, bottom - top), Image.Resampling.BOX), left, top
+
+
+@functools.lru_cache(maxsize=4096)
+def text_width(text: str, size: int) -> int:
+    """Width in pixels of a text of ``size`` pixels."""
+    return math.ceil(_font(size * _FINER).getlength(text) / _FINER)
+
+
+@functools.lru_cache(maxsize=4096)
+def _fitted(text: str, size: int, room: int) -> str:
+    """The text, its end replaced by dots if it takes more than ``room`` pixels; empty if not even they fit."""
+    if text_width(text, size) <= room:
+        return text
+    for end in range(len(text) - 1, 0, -1):
+        shorter = text[:end].rstrip() + _DOTS
+        if text_width(shorter, size) <= room:
+            return shorter
+    return ""
+
+
+class Canvas:
+    """An RGB picture of which every text is recorded.
+
+    Coordinates are in units, ``scale`` pixels each; colours are ``#rrggbb``.
+    """
+
+    def __init__(self, image: Image.Image, scale: float, texts: Iterable[TextBox] = ()) -> None:
+        self.image = image
+        self.scale = scale
+        self.texts = list(texts)
+        self.pen = ImageDraw.Draw(image)
+
+    def px(self, units: float) -> int:
+        """Units as whole pixels."""
+        return round(units * self.scale)
+
+    def text(
+        self,
+        x: float,
+        baseline: float,
+        text: str,
+        size: float = 10.0,
+        color: str = "#1b2733",
+        align: str = "left",
+        room: float | None = None,
+    ) -> float:
+        """Write a line; ``room`` units at most, the rest becomes dots. Returns the units it took.
+
+        ``align`` says what ``x`` is: the text's ``left``, ``center`` or ``right``.
+        """
+        pixels = max(self.px(size), 5)
+        if room is not None:
+            text = _fitted(text, pixels, max(int(room * self.scale), 0))
+        if not text.strip():
+            return 0.0
+        ink, left, top = _ink(text, pixels)
+        width = text_width(text, pixels)
+        at = self.px(x) - {"left": 0, "center": width // 2, "right": width}[align] + left
+        y = self.px(baseline) + top
+        self.image.paste(color, (at, y), ink)
+        self.texts.append(TextBox(text, Box(at, y, at + ink.width, y + ink.height)))
+        return width / self.scale
+
+    def rectangle(
+        self, left: float, top: float, right: float, bottom: float, fill: str | None, outline: str | None = None
+    ) -> None:
+        """A rectangle between two corners."""
+        box = (
+            self.px(left),
+            self.px(top),
+            max(self.px(right) - 1, self.px(left)),
+            max(self.px(bottom) - 1, self.px(top)),
+        )
+        self.pen.rectangle(box, fill=fill, outline=outline)
+
+    def card(
+        self,
+        left: float,
+        top: float,
+        right: float,
+        bottom: float,
+        fill: str,
+        outline: str,
+        radius: float = 5.0,
+        width: int = 1,
+    ) -> None:
+        """A rectangle with round corners."""
+        self.pen.rounded_rectangle(
+            (self.px(left), self.px(top), self.px(right) - 1, self.px(bottom) - 1),
+            radius=self.px(radius),
+            fill=fill,
+            outline=outline,
+            width=width,
+        )
+
+    def line(self, points: Sequence[tuple[float, float]], color: str, width: int = 1) -> None:
+        """A polyline."""
+        self.pen.line([(x * self.scale, y * self.scale) for x, y in points], fill=color, width=width)
+
+    def bar(self, left: float, top: float, right: float, bottom: float, share: float, color: str, track: str) -> None:
+        """A horizontal bar filled to ``share``."""
+        self.rectangle(left, top, right, bottom, track)
+        end = left + (right - left) * min(max(share, 0.0), 1.0)
+        if self.px(end) > self.px(left):
+            self.rectangle(left, top, end, bottom, color)
+
+    def stack(self, left: float, top: float, right: float, bottom: float, parts: Sequence[tuple[float, str]]) -> None:
+        """A horizontal bar of (share, colour) parts beside each other."""
+        at = left
+        for share, color in parts:
+            end = min(at + (right - left) * share, right)
+            if self.px(end) > self.px(at):
+                self.rectangle(at, top, end, bottom, color)
+            at = end

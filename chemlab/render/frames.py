@@ -1,0 +1,78 @@
+"""What environments return from ``render()``: frames as arrays, or a window that shows the same frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .draw import draw
+from .scene import Scene
+
+__all__ = ["Viewer"]
+
+
+class Viewer:
+    """Shows an environment's scenes, one frame a call.
+
+    Args:
+        mode: ``rgb_array`` or ``human``.
+        frames_per_second: how fast a window's frames follow each other at most.
+        size: pixels (width, height) of a frame.
+
+    Raises:
+        ImportError: Pillow, or for a window pygame, is not installed; the message names the extra.
+    """
+
+    def __init__(self, mode: str, frames_per_second: float, size: tuple[int, int] = (960, 540)) -> None:
+        self.mode = mode
+        self.frames_per_second = frames_per_second
+        self.size = size
+        self._pygame = _pygame() if mode == "human" else None
+        self._window: Any = None
+        self._closed = False
+
+    def show(self, scene: Scene) -> npt.NDArray[np.uint8] | None:
+        """The frame [height, width, 3] as ``rgb_array``; as ``human`` it appears in the window and None is returned.
+
+        Once the window's user has closed it, nothing more is shown.
+        """
+        frame = draw(scene, *self.size)
+        if self._pygame is None:
+            return frame
+        if not self._closed:
+            self._present(self._pygame, frame, f"chemlab: {scene.title}")
+        return None
+
+    def _present(self, pygame: Any, frame: npt.NDArray[np.uint8], title: str) -> None:
+        if self._window is None:
+            pygame.display.init()
+            self._window = pygame.display.set_mode(self.size)
+            self._clock = pygame.time.Clock()
+        pygame.display.set_caption(title)
+        self._window.blit(pygame.image.frombuffer(frame.tobytes(), self.size, "RGB"), (0, 0))
+        pygame.display.flip()
+        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+            self.close()
+            self._closed = True
+            return
+        self._clock.tick(self.frames_per_second)
+
+    def close(self) -> None:
+        """Close the window; the next frame opens it again."""
+        if self._window is not None:
+            self._window = None
+            self._pygame.display.quit()  # type: ignore[union-attr]
+
+    def __reduce__(self) -> tuple[type[Viewer], tuple[str, float, tuple[int, int]]]:
+        # A copied or pickled environment gets a viewer of its own: a window is not part of its state.
+        return Viewer, (self.mode, self.frames_per_second, self.size)
+
+
+def _pygame() -> Any:
+    try:
+        import pygame
+    except ImportError as error:
+        raise ImportError("render_mode='human' needs pygame: pip install 'chemlab-marl[human]'") from error
+    return pygame

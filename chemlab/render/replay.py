@@ -1,0 +1,237 @@
+"""A record as a page to look through: one HTML file with everything in it, which asks the network for nothing.
+
+The record is played on the simulator again, so that records stay small; what is drawn are the scenes of
+:mod:`chemlab.render.scene`. Scenes change little from turn to turn: the page holds every different part once
+(:class:`_Pool`) and a frame refers to its parts, so any frame can be shown without those before it.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from ..laboratory.core import Laboratories
+from ..laboratory.manager import COST_ITEMS
+from ..laboratory.text import action_words, reading_words
+from ..physics.transfer import liquid_volume
+from ..record import Play, Record, Replay, verify_record
+from ..shelf import WAVELENGTHS_NM
+from .scene import laboratory_scene
+
+__all__ = ["replay_data", "replay_page"]
+
+_DIGITS = 4
+_LONG = 30
+"""Lists of numbers in [0, 1] from this length on (spectra, pictures) are kept in thousandths."""
+_STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
+"""What frames leave out: the same in all of them, or kept as columns of numbers."""
+_INLINE = 14
+_EVENT_WORDS = {
+    "spill_l": "{:.3g} L spilled",
+    "relief_valve_mol": "{:.3g} mol lost through the relief valve",
+    "boiled_dry": "boiled dry",
+    "dry_heating": "heated without liquid",
+    "metal_in_water_mol": "{:.3g} mol of metal met water",
+}
+
+
+class _Pool:
+    """Values by content: ``pack`` gives what stands for a value, equal values being kept once.
+
+    A number or a string stands for itself; ``[-2, i]`` is entry i; ``[-1, ...]`` a list; ``[s, ...]`` an object with
+    the keys ``shapes[s]``.
+    """
+
+    def __init__(self) -> None:
+        self.shapes: list[list[str]] = []
+        self.entries: list[list[Any]] = []
+        self._shape_of: dict[tuple[str, ...], int] = {}
+        self._entry_of: dict[str, int] = {}
+
+    def pack(self, value: Any) -> Any:
+        """What stands for ``value`` (JSON data)."""
+        if isinstance(value, dict):
+            keys = tuple(value)
+            shape = self._shape_of.setdefault(keys, len(self.shapes))
+            if shape == len(self.shapes):
+                self.shapes.append(list(keys))
+            packed = [shape, *map(self.pack, value.values())]
+        elif isinstance(value, list):
+            packed = [-1, *map(self.pack, value)]
+        else:
+            return value
+        text = json.dumps(packed)
+        if len(text) <= _INLINE:
+            return packed
+        entry = self._entry_of.setdefault(text, len(self.entries))
+        if entry == len(self.entries):
+            self.entries.append(packed)
+        return [-2, entry]
+
+
+def _compact(value: Any) -> Any:
+    """Long lists of numbers in thousandths; mixtures in hundredths."""
+    if isinstance(value, dict):
+        return {
+            key: [[round(100 * share) for share in part] for part in item] if key == "mixture" else _compact(item)
+            for key, item in value.items()
+        }
+    if isinstance(value, list):
+        if len(value) >= _LONG and all(isinstance(item, (int, float)) for item in value):
+            return [round(1000 * item) for item in value]
+        return [_compact(item) for item in value]
+    return value
+
+
+def _frame(labs: Laboratories) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(what is drawn of a moment, the whole scene)."""
+    scene = laboratory_scene(labs).as_dict(_DIGITS)
+    frame = {key: value for key, value in scene.items() if key not in _STATIC}
+    rows, chemistry = labs.shelf.vessels[0], labs.shelf.chemistry
+    # Spectra are drawn from the amounts; per litre of liquid, which the amounts alone do not tell.
+    frame["liquid_l"] = [float(f"{liquid_volume(row, chemistry):.4g}") for row in rows]
+    return _compact(frame), scene
+
+
+def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str:
+    """What came of a turn, in words."""
+    words = ["not possible now: the turn is lost"] if turn.get("lost") else []
+    for agent, events in turn.get("events", {}).items():
+        words += [f"safety, {agent}: {_EVENT_WORDS.get(kind, kind).format(x)}" for kind, x in events.items()]
+    for agent, score in turn.get("scores", {}).items():
+        meaning = labs.benches[labs.bench_agents.index(agent)].score_meaning
+        words.append(f"experiment of {agent} over: {score:+.3f} {meaning}")
+    reading = turn.get("reading")
+    if reading:
+        words.append(reading_words(labs, reading["slot"], reading["instrument"]))
+    if plays[0].agent == 0 and not turn.get("lost") and labs.actions.decode(int(plays[0].action))[0] == "submit":
+        order = int(labs.actions.table[int(plays[0].action), 2])
+        mol, purity = labs.desk.submitted[0, order].tolist()
+        words.append(f"{mol:.3f} mol {labs.scenario.goals[labs.desk.goal[0, order]]} at purity {purity:.3f}")
+    return "; ".join(words)
+
+
+def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]]:
+    """The legend, and what a spectrum is made of."""
+    found = []
+    for picture in scene["materials"]:
+        material = labs.scenario.materials[picture["name"]]
+        peaks = [[peak.height_l_mol, peak.center_nm, peak.width_nm] for peak in material.absorption]
+        found.append({**picture, "peaks": peaks})
+    return found
+
+
+def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
+    """What the page shows, as JSON data: see the functions of ``replay.html`` that read it.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that the record names.
+
+    Raises:
+        RecordError: the record cannot be played here.
+    """
+    replay = Replay(record, trust)
+    labs, pool = replay.laboratories, _Pool()
+    first, scene = _frame(labs)
+    frames, costs, results = [pool.pack(first)], [list(labs.costs().values())], [scene["result"]]
+    turns: list[dict[str, Any]] = []
+    experiments: list[dict[str, Any]] = []
+    running: dict[str, dict[str, Any]] = {}
+    stopped = ""
+    for recorded in record.turns:
+        tick = int(labs.desk.ticks[0])
+        try:
+            plays = replay.play(recorded)
+        except (ValueError, TypeError) as error:
+            stopped = str(error)
+            break
+        # Told from what happens now, not from what the file says.
+        number = len(turns) + 1
+        turn = _turn(labs, plays)
+        shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
+        kind = labs.actions.decode(int(plays[0].action))[0] if plays[0].agent == 0 else ""
+        turns.append({"tick": tick, "plays": shown, "kind": kind, "outcome": _outcome(labs, turn, plays), **turn})
+        frame, scene = _frame(labs)
+        frames.append(pool.pack(frame))
+        costs.append(list(labs.costs().values()))
+        results.append(scene["result"])
+        for agent, score in turn.get("scores", {}).items():
+            if agent in running:
+                running.pop(agent).update(end=number, score=score)
+        for bench in scene["benches"]:
+            if bench["busy"] and bench["agent"] not in running:
+                agent = bench["agent"]
+                running[agent] = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
+                experiments.append(running[agent])
+    verified = verify_record(record, trust=trust)
+    return {
+        "title": labs.scenario.title,
+        "scenario": labs.scenario.name,
+        "summary": labs.scenario.summary,
+        "seed": record.header.get("seed"),
+        "version": record.header.get("chemlab"),
+        "policies": record.header.get("policies"),
+        "verified": {"status": verified.status, "message": verified.message},
+        "stopped": stopped,
+        "agents": labs.agents,
+        "limits": {"ticks": labs.scenario.limits.ticks, "manager_actions": labs.scenario.limits.manager_actions},
+        "materials": _materials(labs, scene),
+        "largest_capacity_l": scene["largest_capacity_l"],
+        "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
+        "analytes": [*(labs.shelf.layout.materials[a] for a in labs.instruments.analytes), "residue"],
+        "reagents": {
+            agent: list(getattr(bench, "reagent_names", ()))
+            for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
+        },
+        "positions": record.header["positions"],
+        "cost_items": list(COST_ITEMS),
+        "costs": [[float(f"{x:.4g}") for x in row] for row in costs],
+        "results": results,
+        "turns": turns,
+        "experiments": experiments,
+        "shapes": pool.shapes,
+        "pool": pool.entries,
+        "frames": frames,
+    }
+
+
+def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
+    """Rewards, costs, events and scores of the turn just played; only what there is."""
+    found: dict[str, Any] = {}
+    for key, values in (("rewards", labs.rewards[0]), ("cost", labs.cost[0]), ("scores", labs.scores[0])):
+        entries = {
+            agent: float(f"{value:.6g}")
+            for agent, value in zip(labs.agents, values.tolist(), strict=True)
+            if np.isfinite(value) and (value or key == "scores")
+        }
+        if entries:
+            found[key] = entries
+    infos = {labs.agents[play.agent]: labs.info(play.agent) for play in plays}
+    lost = [agent for agent, info in infos.items() if info["illegal_action"]]
+    events = {agent: info["events"] for agent, info in infos.items() if info["events"]}
+    if lost:
+        found["lost"] = lost
+    if events:
+        found["events"] = events
+    if plays[0].agent == 0 and not lost:
+        kind, *arguments = labs.actions.decode(int(plays[0].action))
+        if kind == "measure":
+            found["reading"] = {"slot": arguments[0], "instrument": arguments[1]}
+        if kind in ("start", "measure", "discard", "submit"):
+            found["slot"] = arguments[1] if kind == "start" else arguments[0]
+    return found
+
+
+def replay_page(record: Record, trust: bool = False) -> str:
+    """The page, complete; arguments and errors as for :func:`replay_data`."""
+    data = replay_data(record, trust)
+    # In a script element only "</" and "<!--" mean anything; in JSON "<" can be written otherwise.
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
+    head, tail = page.split("__DATA__")
+    return head.replace("__TITLE__", html.escape(f"{data['title']}, seed {data['seed']}")) + text + tail

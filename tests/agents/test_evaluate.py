@@ -1,0 +1,234 @@
+"""Evaluating policies: what is played, from which seeds, and what is reported."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents.evaluation import play as module
+from chemlab.agents.evaluation.play import (
+    BenchTarget,
+    LaboratoryTarget,
+    bench_policy,
+    evaluate,
+    find_target,
+    play_bench,
+)
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.scenario import load_scenario
+
+runner = CliRunner()
+DIT = "chemlab/WurtzDistillation-v0"
+
+
+@pytest.mark.parametrize(("bench", "goal"), [("rxn", "NaCl"), ("ext", "dodecane"), ("dit", "4-ethyldecane")])
+def test_a_batch_plays_what_single_environments_play(bench: str, goal: str) -> None:
+    """Member i of a batch is a single environment reset with seed + i, step for step."""
+    target = BenchTarget(load_scenario("wurtz_dodecane"), bench)
+    batch = target.environment(4)
+    played = play_bench(batch, bench_policy("heuristic", batch.bench), goal, 30, record=True)
+    assert played.actions is not None
+    for i in range(4):
+        env = BenchEnv(target.scenario, bench)
+        env.reset(seed=30 + i, options={"goal": goal})
+        total, steps, over = 0.0, 0, False
+        for action in played.actions[i]:
+            assert not over
+            _, reward, over, _, _ = env.step(np.array(action) if bench == "rxn" else action)
+            total, steps = total + reward, steps + 1
+        assert over
+        assert steps == played.lengths[i]
+        assert total == pytest.approx(played.returns[i], abs=1e-12)
+
+
+def test_only_first_episodes_count() -> None:
+    """A member that ends early goes on with an experiment that is not counted, and its policy is told it is new."""
+
+    class Enders:
+        """Member 0 ends at once, member 1 never."""
+
+        seen: list[Any]
+
+        def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+            self.seen.append(np.array(step))
+            return np.where(members == 0, 30, 3)  # the last action ends, number 3 heats a little
+
+    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(2)
+    policy = Enders()
+    policy.seen = []
+    played = play_bench(env, policy, "dodecane", 0)
+    assert played.lengths.tolist() == [1, 50]
+    assert played.returns[0] == 0.0  # nothing was done
+    assert np.array(policy.seen)[:, 0].tolist() == [0] * 50
+    assert np.array(policy.seen)[:, 1].tolist() == list(range(50))
+
+
+def test_lost_turns_are_counted() -> None:
+    """Masked actions are lost turns; the scripted policy has none."""
+
+    class Stubborn:
+        def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+            return mask.argmin(axis=1)  # an illegal one, as long as there is one
+
+    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(2)
+    assert (play_bench(env, Stubborn(), "dodecane", 0).illegal == 50).all()
+    heuristic = play_bench(env, bench_policy("heuristic", env.bench), "dodecane", 0)
+    assert (heuristic.illegal == 0).all()
+
+
+def test_cases_are_what_is_in_the_vessel() -> None:
+    """DiT begins with or without salt with equal chances, and with dodecane where salt is the goal."""
+    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(64)
+    policy = bench_policy("heuristic", env.bench)
+    cases = play_bench(env, policy, "5-methylundecane", 5).cases
+    assert set(cases) == {"with NaCl", "without NaCl"}
+    assert 15 < cases.count("with NaCl") < 49  # 5 standard deviations
+    for member in range(4):
+        single = BenchEnv("wurtz_dodecane", "dit")
+        single.reset(seed=5 + member, options={"goal": "5-methylundecane"})
+        assert cases[member].startswith("without") != ("Na+" in single.arena.shelf.vessel(0, 0).amounts(1e-6))
+    assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
+    rxn = BenchTarget(load_scenario("wurtz_dodecane"), "rxn").environment(2)
+    assert play_bench(rxn, bench_policy("heuristic", rxn.bench), "NaCl", 0).cases == ["", ""]
+
+
+def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seeds go on from batch to batch."""
+    target = find_target(DIT)
+    whole = target.play("heuristic", "dodecane", 7, 11)
+    monkeypatch.setattr(module, "BATCH", 3)
+    parts = target.play("heuristic", "dodecane", 7, 11)
+    assert parts.cases == whole.cases
+    np.testing.assert_array_equal(parts.returns, whole.returns)
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "random"])
+def test_laboratories_play_what_episodes_play(policy: str) -> None:
+    """Laboratory i of a batch is an episode with seed + i (random policies draw for the batch: one at a time)."""
+    target = find_target("wurtz_dodecane")
+    assert isinstance(target, LaboratoryTarget)
+    count = 3 if policy == "heuristic" else 1
+    played = target.play(policy, "dodecane", count, 4)
+    env = raw_env(target.scenario)
+    for i in range(count):
+        single = play_episode(env, make_policies(policy, env.laboratories, 4 + i), 4 + i, options={"goal": "dodecane"})
+        assert played.returns[i] == pytest.approx(single.score, abs=1e-12)
+        assert played.lengths[i] == single.ticks
+        assert played.measures["purity"][i] == pytest.approx(single.purity, abs=1e-12)
+        assert played.measures["reward ext_0"][i] == pytest.approx(single.rewards["ext_0"], abs=1e-12)
+
+
+def test_report_is_made_of_the_returns() -> None:
+    """Means, differences and wins follow from the returns that are stored with them, pair by pair."""
+    results = evaluate(find_target(DIT), ["random"], episodes=5, seed=3, goals=["dodecane", "NaCl"])
+    rows = {row["policy"]: row for row in results["policies"]}
+    assert list(rows) == ["heuristic", "random"]  # the baseline is played as well
+    ours, base = (
+        np.array([rows[name]["returns"][goal] for goal in results["goals"]]) for name in ("random", "heuristic")
+    )
+    row = rows["random"]
+    assert row["mean"]["value"] == pytest.approx(ours.mean(), abs=1e-6)
+    assert row["difference"]["value"] == pytest.approx((ours - base).mean(), abs=1e-6)
+    assert row["improvement"]["value"] == pytest.approx((ours > base).mean())
+    assert row["by_goal"]["NaCl"]["mean"]["value"] == pytest.approx(ours[1].mean(), abs=1e-6)
+    assert rows["heuristic"]["difference"] == {"value": 0.0, "low": 0.0, "high": 0.0}
+    assert rows["heuristic"]["improvement"]["value"] == 0.5
+    assert rows["heuristic"]["cases"] == rows["random"]["cases"]  # the same starting states
+    for case, estimate in row["by_case"].items():
+        members = np.array([row["cases"][goal] for goal in results["goals"]]) == case
+        means = [values[chosen].mean() for values, chosen in zip(ours, members, strict=True) if chosen.any()]
+        assert estimate["value"] == pytest.approx(np.mean(means), abs=1e-6)
+
+
+def test_targets() -> None:
+    """Environment ids, benches of scenarios and laboratories."""
+    for name, spec in gymnasium.registry.items():
+        if name.startswith("chemlab/") and str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
+            assert isinstance(find_target(name), BenchTarget)
+    ext = find_target("salt_from_oil", "ext", "lab")
+    assert ext.as_dict() == {
+        "kind": "bench",
+        "env_id": None,
+        "scenario": "salt_from_oil",
+        "bench": "ext",
+        "starts": "lab",
+    }
+    assert find_target("chemlab/FictitiousReaction-v0").goals == ("E", "F", "G", "H", "I")
+    for wrong, bench, words in (
+        ("CartPole-v1", None, "not a single bench"),
+        ("chemlab/Nothing-v0", None, "chemlab/WurtzReaction-v0"),
+        ("wurtz_dodecane", "oven", "rxn, ext, dit"),
+        ("no_such", None, "no_such"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            find_target(wrong, bench)
+
+
+def test_command_for_people_and_programs(tmp_path: Path) -> None:
+    """A table, or one JSON object; the file has each episode's return."""
+    arguments = ["evaluate", DIT, "--goal", "dodecane", "--episodes", "4", "--seed", "2"]
+    file = tmp_path / "sub" / "out.json"
+    shown = runner.invoke(app, [*arguments, "-o", str(file)], env={"COLUMNS": "160"})
+    assert shown.exit_code == 0, shown.output
+    for part in ("heuristic", "random", "interquartile mean", "P(improvement)", "without NaCl"):
+        assert part in shown.output
+    stored = json.loads(file.read_text())
+    assert [len(row["returns"]["dodecane"]) for row in stored["policies"]] == [4, 4]
+    printed = json.loads(runner.invoke(app, [*arguments, "--json"]).stdout)
+    assert printed["policies"][1]["mean"] == stored["policies"][1]["mean"]
+    assert "returns" not in printed["policies"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([DIT, "--policy", "clever"], ["clever", "heuristic", "path"]),
+        ([DIT, "--goal", "gold"], ["gold", "dodecane"]),
+        (["no_such"], ["no_such"]),
+        (["wurtz_dodecane", "--policy", "clever", "--episodes", "1"], ["clever", "heuristic"]),
+    ],
+)
+def test_mistakes_are_explained(arguments: list[str], words: list[str]) -> None:
+    result = runner.invoke(app, ["evaluate", *arguments, "--episodes", "1"])
+    assert result.exit_code == 2
+    assert all(word in result.output for word in words)
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    bench = BenchEnv("wurtz_dodecane", "dit").bench
+    with pytest.raises(ValueError, match=r"config\.json is missing"):
+        bench_policy(str(tmp_path), bench)
+    (tmp_path / "config.json").write_text('{"algo": "ppo"}')
+    with pytest.raises(ValueError, match="checkpoints is missing"):
+        bench_policy(str(tmp_path), bench)
+
+
+def test_checkpoints_play_as_their_model(tmp_path: Path) -> None:
+    """A run's folder, its checkpoint and the model file are the same policy, the model's own without exploration."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    from chemlab.agents.sb3 import ChemlabVecEnv
+
+    model = sb3.PPO("MlpPolicy", ChemlabVecEnv(1, bench="dit"), seed=1, n_steps=8, batch_size=8, device="cpu")
+    folder = tmp_path / "checkpoints" / "best-8"
+    folder.mkdir(parents=True)
+    model.save(folder / "model.zip")
+    (tmp_path / "config.json").write_text('{"algo": "ppo"}')
+    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(3)
+    seen = env.reset(seed=0)[0]
+    expected = model.predict(seen, deterministic=True)[0]
+    for path in (tmp_path, folder, folder / "model.zip"):
+        policy = bench_policy(str(path), env.bench)
+        found = policy.act(seen, env.action_masks().astype(np.int8), np.zeros(3, dtype=np.int64), np.arange(3))
+        np.testing.assert_array_equal(found, expected)
+    with pytest.raises(ValueError, match="was trained for"):
+        bench_policy(str(tmp_path), BenchEnv("wurtz_dodecane", "ext").bench)

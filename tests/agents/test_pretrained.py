@@ -1,0 +1,284 @@
+"""Policies that need numpy alone: equal to what they were exported from, and refused where they do not fit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents import pretrained
+from chemlab.agents.evaluation.trials import Trials
+from chemlab.agents.policy import make_policies
+from chemlab.agents.pretrained import (
+    Card,
+    PretrainedPolicy,
+    fingerprint,
+    interface,
+    load_pretrained,
+    pretrained_for,
+    pretrained_names,
+)
+from chemlab.agents.run import play_episode
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.scenario import load_scenario
+
+RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
+CASES = [("ppo", RXN), ("a2c", RXN), ("sac", RXN), ("td3", RXN)]
+CASES += [("ppo", DIT), ("a2c", DIT), ("dqn", DIT), ("maskable-ppo", DIT)]
+
+
+def bench_of(env_id: str) -> Any:
+    scenario, key = ("fictitious", "rxn") if env_id == RXN else ("wurtz_dodecane", "dit")
+    return BenchArena(scenario, key).bench
+
+
+def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
+    """A random network for a bench, as if it had been trained there."""
+    rng = np.random.default_rng(seed)
+    sizes = [int(bench.observation_space.shape[0]), 8, bench.action_count or len(bench.action_meanings)]
+    weights = {}
+    for i in range(2):
+        weights[f"{i}.weight"] = rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32)
+        weights[f"{i}.bias"] = rng.normal(size=sizes[i + 1]).astype(np.float32)
+    card = Card(
+        name="made_up",
+        env_id="chemlab/Bench-v0",
+        scenario=bench.scenario.name,
+        bench=bench.key,
+        goals=list(bench.goals.names),
+        starts="paper",
+        fingerprint=fingerprint(bench),
+        interface=json.loads(json.dumps(interface(bench))),
+        observation_size=sizes[0],
+        action_size=sizes[-1],
+        algo="ppo",
+        label="ppo",
+        seed=seed,
+        step=1,
+        command="chemlab train chemlab/Bench-v0",
+        versions={},
+        activation="tanh",
+        output="argmax" if bench.action_count else "clip",
+        evaluation={},
+    )
+    return PretrainedPolicy(replace(card, **changes), weights)
+
+
+def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
+    """Write a policy's files."""
+    from safetensors.numpy import save
+
+    layers = enumerate(policy._layers)
+    weights = {
+        f"{i}.{part}": np.ascontiguousarray(a) for i, (w, b) in layers for part, a in (("weight", w.T), ("bias", b))
+    }
+    (folder / f"{name}.safetensors").write_bytes(save(weights))
+    (folder / f"{name}.json").write_text(json.dumps(replace(policy.card, name=name).as_dict()))
+
+
+def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
+    nothing = np.zeros(len(seen), dtype=np.int64)
+    return policy.act(seen, mask, nothing, nothing)
+
+
+@pytest.mark.parametrize(("algo", "env_id"), CASES)
+def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.training.export import export_run, largest_difference
+    from chemlab.agents.training.learn import load_learner, train
+    from chemlab.agents.training.runs import Run
+
+    values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
+    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
+    if algo in ("dqn", "sac", "td3"):
+        values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
+    run = Run(tmp_path / "run")
+    train(arguments_of(values), run.path)
+    card = export_run(run.path, tmp_path / "models" / "mine")
+    assert {path.name for path in (tmp_path / "models").iterdir()} == {"mine.json", "mine.safetensors"}
+    policy = load_pretrained(tmp_path / "models" / "mine.json")
+    assert policy.card == card
+    assert policy.card.command.startswith(f"chemlab train {env_id} --algo {algo} --steps 240 --seed 0 --envs 2")
+    assert "--gamma" not in policy.card.command
+    policy.check(bench_of(env_id))
+    folder = run.checkpoint("best")
+    assert folder is not None
+    model: Any = load_learner(folder, algo)
+    scenario, key = policy.card.scenario, policy.card.bench
+    env = BenchVectorEnv(50, scenario, key, autoreset_mode="SameStep")
+    seen, infos = env.reset(seed=3)
+    for _ in range(12):
+        expected, _ = model.predict(seen, deterministic=True)
+        chosen = act(policy, seen)
+        if key == "rxn":
+            np.testing.assert_allclose(chosen, expected, atol=1e-5)
+        else:
+            np.testing.assert_array_equal(chosen, expected)
+            masked = act(policy, seen, infos["action_mask"])
+            assert infos["action_mask"][np.arange(50), masked].all()
+            if algo == "maskable-ppo":
+                expected, _ = model.predict(seen, deterministic=True, action_masks=infos["action_mask"])
+                np.testing.assert_array_equal(masked, expected)
+        env.action_space.seed(0)
+        seen, _, _, _, infos = env.step(env.action_space.sample())
+    assert largest_difference(model, policy, seen) < 1e-5
+    # A weight that is a little off is noticed.
+    weight, bias = policy._layers[-1]
+    policy._layers[-1] = (weight + np.float32(1e-2) * np.arange(weight.shape[1], dtype=np.float32), bias)
+    assert largest_difference(model, policy, seen) > 1e-5
+
+
+def test_layers_activation_and_output_are_what_the_card_says() -> None:
+    bench = bench_of(RXN)
+    seen = np.random.default_rng(5).random((7, 212), dtype=np.float32)
+    for activation, hidden in (("tanh", np.tanh), ("relu", lambda x: np.maximum(x, 0.0))):
+        for output, shape in (("clip", lambda x: np.clip(x, 0, 1)), ("tanh", lambda x: (np.tanh(x) + 1.0) / 2.0)):
+            policy = made_up(bench, activation=activation, output=output)
+            (w0, b0), (w1, b1) = [(w.astype(np.float64), b.astype(np.float64)) for w, b in policy._layers]
+            expected = shape(hidden(seen @ w0 + b0) @ w1 + b1)
+            actions = act(policy, seen)
+            assert actions.dtype == np.float64
+            np.testing.assert_allclose(actions, expected, atol=1e-5)
+
+
+def test_only_legal_actions_are_played() -> None:
+    policy = made_up(bench_of(DIT))
+    seen = np.random.default_rng(5).random((200, 310), dtype=np.float32)
+    values = policy.values(seen)
+    np.testing.assert_array_equal(act(policy, seen), values.argmax(axis=1))
+    mask = (np.random.default_rng(6).random(values.shape) < 0.3).astype(np.int8)
+    mask[:, 4] = 1
+    chosen = act(policy, seen, mask)
+    for row, legal, action in zip(values, mask, chosen, strict=True):
+        assert action == max(np.flatnonzero(legal), key=lambda i: row[i])
+
+
+def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
+    bench = bench_of(DIT)
+    with pytest.raises(ValueError, match="none come with this version"):
+        pretrained_for(bench)
+    ship(made_up(bench, seed=1, scenario="elsewhere"), tmp_path, "a")
+    ship(made_up(bench, seed=2), tmp_path, "b")
+    ship(made_up(bench_of(RXN), seed=3), tmp_path, "c")
+    assert pretrained_names() == ["a", "b", "c"]
+    assert pretrained_for(bench).card.name == "b", "the one trained on this bench"
+    # The direct scenario has the same bench of the same chemistry.
+    direct = BenchArena("wurtz_dodecane_direct", "dit").bench
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert pretrained_for(direct).card.name in ("a", "b")
+    with pytest.raises(ValueError, match=r"no pretrained policy fits bench 'ext'.*a: it is for a distillation bench"):
+        pretrained_for(BenchArena("wurtz_dodecane", "ext").bench)
+
+
+def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
+    env = raw_env("wurtz_dodecane")
+    policies = make_policies("heuristic", env.laboratories, 0)
+    for agent, bench in zip(env.laboratories.bench_agents, env.laboratories.benches, strict=True):
+        ship(made_up(bench), tmp_path, bench.key)
+        policies[agent] = pretrained_for(bench)
+    result = play_episode(env, policies, 0, "pretrained")
+    assert result.terminated or result.truncated
+
+
+def test_what_does_not_fit_is_named() -> None:
+    policy = made_up(bench_of(DIT))
+    with pytest.raises(
+        ValueError, match=r"it is for a distillation bench, this is reaction; train one for it: chemlab"
+    ):
+        policy.check(bench_of(RXN))
+    with pytest.raises(ValueError, match=r"bench 'dit' of salt_from_oil: observation '.*': it knows"):
+        policy.check(BenchArena("salt_from_oil", "dit").bench)
+    values = load_scenario("wurtz_dodecane").model_dump()
+    values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
+    fewer = BenchArena(load_scenario(values), "dit").bench
+    with pytest.raises(ValueError, match="has 31 actions, here there are 30; they differ from"):
+        policy.check(fewer)
+    with pytest.raises(ValueError, match=r"sees \[B, 310\] numbers, given \(4, 12\)"):
+        policy.values(np.zeros((4, 12), dtype=np.float32))
+
+
+def test_a_bench_that_has_changed_is_a_warning() -> None:
+    policy = made_up(bench_of(DIT))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        policy.check(bench_of(DIT))
+    values = load_scenario("wurtz_dodecane").model_dump()
+    values["benches"]["dit"]["step_limit"] += 1
+    with pytest.warns(UserWarning, match="has changed since it was trained.*chemlab train"):
+        policy.check(BenchArena(load_scenario(values), "dit").bench)
+
+
+def test_fingerprints_are_of_the_task() -> None:
+    def changed(change: Any) -> str:
+        values = load_scenario("wurtz_dodecane").model_dump()
+        change(values)
+        return fingerprint(BenchArena(load_scenario(values), "dit").bench)
+
+    same = fingerprint(bench_of(DIT))
+    assert changed(lambda v: v.update(title="Another")) == same
+    assert changed(lambda v: v["limits"].update(manager_actions=7)) == same
+    assert changed(lambda v: v["benches"]["dit"].update(count=2)) == same
+    assert changed(lambda v: v["costs"].update(illegal_action=0.5)) != same
+    assert changed(lambda v: v["benches"]["dit"].update(step_limit=7)) != same
+    assert changed(lambda v: v.update(ambient_pressure_kpa=90.0)) != same
+
+
+def test_damaged_and_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no such card"):
+        load_pretrained("nothing")
+    ship(made_up(bench_of(DIT)), tmp_path, "a")
+    file = tmp_path / "a.safetensors"
+    file.write_bytes(file.read_bytes()[:-5])
+    with pytest.raises(ValueError, match=r"a\.safetensors: cannot be read"):
+        load_pretrained(tmp_path / "a")
+    ship(made_up(bench_of(RXN)), tmp_path, "b")
+    file.write_bytes((tmp_path / "b.safetensors").read_bytes())
+    with pytest.raises(ValueError, match="do not belong together"):
+        load_pretrained(tmp_path / "a")
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(ValueError, match="not a card of this version"):
+        load_pretrained(tmp_path / "a")
+
+
+def test_export_says_what_is_missing(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
+    assert result.exit_code == 2
+    assert "holds no training run" in result.output
+    (tmp_path / "config.json").write_text("{}")
+    result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
+    assert "holds no checkpoint" in result.output
+
+
+def test_it_needs_neither_torch_nor_sb3() -> None:
+    code = "import sys, chemlab.agents.pretrained, chemlab.cli; print({'torch', 'sb3_contrib'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
+    policy = load_pretrained(name)
+    card = policy.card
+    trials = Trials(card.scenario, card.bench, 10, card.evaluation["seed"], card.goals, card.starts)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        policy.check(trials.bench)
+    found = trials.by_goal(policy)
+    mean = sum(found.values()) / len(found)
+    assert mean == pytest.approx(card.evaluation["mean"], rel=0.05, abs=0.01)

@@ -1,0 +1,172 @@
+"""Sweeps: what is planned, that nothing finished is run again, and that failures are shown and do not stop the rest."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents.training.runs import Run
+from chemlab.agents.training.sweep import plan, status_of
+from chemlab.cli import app
+from chemlab.materials import DataError
+
+SMALL = """
+[defaults]
+envs = 2
+rollout = 16
+steps = 64
+evaluations = 1
+eval_episodes = 1
+final_episodes = 1
+"""
+
+
+def sweep_file(folder: Path, text: str) -> Path:
+    file = folder / "sweep.toml"
+    file.write_text(SMALL + text)
+    return file
+
+
+def test_order_and_folders(tmp_path: Path) -> None:
+    file = sweep_file(
+        tmp_path,
+        """
+        [[runs]]
+        env_id = "chemlab/WurtzReaction-v0"
+        algo = "ppo"
+        seeds = [3]
+        [[runs]]
+        env_id = ["chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
+        algo = ["ppo", "dqn"]
+        seeds = 2
+        steps = 1e5
+        [[runs]]
+        env_id = "chemlab/WurtzExtraction-v0"
+        preset = "ppo-xl"
+        [[runs]]
+        name = "ppo-lab"
+        env_id = "chemlab/Bench-v0"
+        scenario = "salt_from_oil"
+        bench = "ext"
+        starts = "lab"
+        """,
+    )
+    runs = plan(file, tmp_path / "out")
+    cells = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "dqn")]
+    middle = [f"{cell}/seed-{seed}" for seed in (0, 1) for cell in cells]
+    last = ["WurtzExtraction/ppo-xl/seed-0", "salt_from_oil-ext/ppo-lab/seed-0"]
+    assert [one.name for one in runs] == ["WurtzReaction/ppo/seed-3", *middle, *last]
+    assert [one.arguments.steps for one in runs[:2]] == [64, 100_000]
+    assert runs[-2].arguments.envs == 2, "the file's defaults win over the preset's"
+    assert runs[0].run.path == tmp_path / "out" / "WurtzReaction" / "ppo" / "seed-3"
+
+
+def test_the_papers_sweep_is_complete() -> None:
+    file = Path(__file__).parents[2] / "experiments" / "paper.toml"
+    runs = plan(file, Path("results"))
+    cells: dict[str, int] = {}
+    for one in runs:
+        cell = one.name.rpartition("/")[0]
+        cells[cell] = cells.get(cell, 0) + 1
+    reactions = [f"{b}Reaction/{a}" for b in ("Wurtz", "Fictitious") for a in ("ppo", "a2c", "sac", "td3")]
+    others = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "ppo-xl", "a2c", "dqn")]
+    assert {cell: cells[cell] for cell in [*reactions, *others]} == dict.fromkeys([*reactions, *others], 5)
+    steps = {one.arguments.steps for one in runs if one.arguments.preset == "ppo-xl"}
+    assert steps == {2_000_000}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"needs \[\[runs\]\]"),
+        ("[[runs]]\nseeds = 0", "seeds: needs a list"),
+        ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: no such argument; did you mean seed"),
+        ('[[runs]]\nalgo = "ppo"\n[[runs]]\nalgo = "ppo"\ngamma = 0.9', "another run above; give this table a name"),
+    ],
+)
+def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises((ValueError, DataError), match=message):
+        plan(sweep_file(tmp_path, text), tmp_path)
+
+
+def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    file = sweep_file(
+        tmp_path,
+        """
+        [[runs]]
+        env_id = "chemlab/FictitiousReaction-v0"
+        algo = ["dqn", "ppo"]
+        """,
+    )
+    out, runner = tmp_path / "out", CliRunner()
+    command = ["sweep", str(file), "--jobs", "2", "--out", str(out)]
+    first = runner.invoke(app, [*command, "--json"])
+    assert first.exit_code == 1
+    states = {row["run"]: row for row in json.loads(first.stdout)}
+    failed, done = states["FictitiousReaction/dqn/seed-0"], states["FictitiousReaction/ppo/seed-0"]
+    assert (failed["state"], done["state"]) == ("failed", "done")
+    assert "actions are continuous" in Path(failed["note"]).read_text()
+    finished = Run(out / "FictitiousReaction" / "ppo" / "seed-0")
+    result = finished.result()
+    assert result is not None
+    assert done["mean"] == result.mean
+    times = {path: path.stat().st_mtime_ns for path in finished.path.rglob("*")}
+    assert "results" in runner.invoke(app, ["sweep", "--help"]).output
+    assert runner.invoke(app, [*command, "--json"]).exit_code == 1
+    assert {path: path.stat().st_mtime_ns for path in finished.path.rglob("*")} == times
+    shown = runner.invoke(app, [*command, "--status"])
+    assert shown.exit_code == 0
+    assert "1 failed, 1 done" in shown.output
+    # Other arguments in the same folder are neither done nor overwritten.
+    file.write_text(file.read_text().replace("steps = 64", "steps = 96"))
+    states = {one.name: status_of(one).state for one in plan(file, out)}
+    assert states["FictitiousReaction/ppo/seed-0"] == "other"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    file = sweep_file(
+        tmp_path,
+        """
+        [[runs]]
+        env_id = "chemlab/FictitiousReaction-v0"
+        algo = "ppo"
+        steps = 1600
+        checkpoints = 50
+        """,
+    )
+    (one,) = plan(file, tmp_path / "out")
+    assert status_of(one).state == "waiting"
+    code = "from chemlab.cli import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    deadline = time.monotonic() + 120
+    while one.run.checkpoint("last") is None:
+        assert process.poll() is None, process.communicate()[0]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert status_of(one).state == "running"
+    os.kill(process.pid, signal.SIGTERM)
+    process.communicate()
+    assert process.returncode == 130
+    stopped = status_of(one)
+    assert stopped.state == "interrupted", "its run has been stopped too"
+    assert 0 < stopped.step < stopped.steps
+    result = CliRunner().invoke(app, ["sweep", str(file), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert status_of(one).state == "done"
+    assert "resuming at step" in one.log.read_text()
+    assert [point.step for point in one.run.curve()] == list(range(32, 1601, 32))

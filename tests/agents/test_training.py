@@ -1,0 +1,400 @@
+"""Training: what a run writes, that a killed one comes to the same end, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("stable_baselines3")
+
+from chemlab.agents.evaluation.trials import Trials
+from chemlab.agents.policy import bench_heuristic
+from chemlab.agents.training import learn as training
+from chemlab.agents.training.arguments import (
+    ALGORITHMS,
+    TrainArguments,
+    arguments_of,
+    flags_of,
+    folder_of,
+    label_of,
+    load_arguments,
+    resolved,
+)
+from chemlab.agents.training.learn import load_learner, train
+from chemlab.agents.training.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.cli import app
+from chemlab.laboratory.bench_env import BenchEnv
+
+SMALL: dict[str, Any] = {
+    "envs": 2,
+    "rollout": 32,
+    "steps": 6 * 64,
+    "evaluations": 3,
+    "checkpoints": 6,
+    "eval_episodes": 1,
+    "final_episodes": 2,
+}
+RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
+
+
+def small(algo: str, **more: Any) -> TrainArguments:
+    """Arguments of a run of a second."""
+    values = {"env_id": DIT if algo in ("dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
+    if algo in ("dqn", "sac", "td3"):
+        # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
+        values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
+    return arguments_of(values)
+
+
+def weights(run: Run, algo: str, kind: str = "last") -> Any:
+    """All parameters of a checkpoint in one array."""
+    folder = run.checkpoint(kind)
+    assert folder is not None
+    model = load_learner(folder, algo)
+    return np.concatenate([p.detach().numpy().ravel() for p in model.policy.parameters()])
+
+
+class Killed(BaseException):
+    """As a signal would, it stops a run where it is."""
+
+
+class Stop:
+    """Stops a run at its n-th rollout, before or after that rollout's checkpoint."""
+
+    def __init__(self, rounds: int) -> None:
+        self.rounds = rounds
+        self.first = -1
+
+    def begun(self, step: int, steps: int) -> None:
+        self.first = step
+
+    def advanced(self, step: int, mean: float | None) -> None:
+        self.rounds -= 1
+        if self.rounds == 0:
+            raise Killed
+
+    def evaluated(self, evaluation: Any, best: bool) -> None: ...
+
+    def finishing(self) -> None: ...
+
+
+def without_times(run: Run) -> list[Any]:
+    """Everything a run writes but how long it took."""
+    curve = [{**asdict(point), "seconds": 0} for point in run.curve()]
+    result = asdict(run.result())  # type: ignore[arg-type]
+    return [curve, run.evaluations(), {**result, "seconds": 0, "frames_per_second": 0}]
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path) -> None:
+    # Checkpoints at rollouts 2, 4 and 6, so that the first stop loses a rollout.
+    arguments = small(algo, checkpoints=3)
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+    for stop, resumed_at in ((3, 0), (2, 2 * 64)):
+        watcher = Stop(stop)
+        with pytest.raises(Killed):
+            train(arguments, broken.path, watcher)
+        assert watcher.first == resumed_at
+        assert broken.result() is None
+    watcher = Stop(99)
+    train(arguments, broken.path, watcher)
+    assert watcher.first == 4 * 64
+    assert without_times(broken) == without_times(whole)
+    assert [point.step for point in whole.curve()] == [64 * i for i in range(1, 7)]
+    assert sum(point.episodes for point in whole.curve()) > 0
+    np.testing.assert_array_equal(weights(broken, algo), weights(whole, algo))
+    np.testing.assert_array_equal(weights(broken, algo, "best"), weights(whole, algo, "best"))
+    left = {path.name.partition("-")[0] for path in broken.checkpoints.iterdir()}
+    assert left == {"last", "best", "lock"}, "one of each, and no replay memory of a finished run"
+    other = Run(tmp_path / "other")
+    train(small(algo, checkpoints=3, seed=1), other.path)
+    assert not np.array_equal(weights(other, algo), weights(whole, algo))
+
+
+def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
+    """Only the final evaluation is missing: it is made up for, and nothing is trained."""
+    arguments, whole, broken = small("a2c"), Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+    watcher = Stop(99)
+    watcher.finishing = lambda: watcher.advanced(0, None)  # type: ignore[method-assign]
+    watcher.rounds = 7
+    with pytest.raises(Killed):
+        train(arguments, broken.path, watcher)
+    assert broken.result() is None
+    watcher = Stop(1)
+    train(arguments, broken.path, watcher)
+    assert watcher.first == 384
+    assert without_times(broken) == without_times(whole)
+
+
+COMMAND = [sys.executable, "-c", "from chemlab.cli import main; main()", "train"]
+
+
+def start(arguments: TrainArguments, out: Path) -> subprocess.Popen[str]:
+    command = [*COMMAND, arguments.env_id, *flags_of(arguments), "--out", str(out), "--quiet"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    """Until the condition holds, or fail with what the process said."""
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, process.communicate()[0]
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_kill_9_at_any_moment(tmp_path: Path) -> None:
+    """Killed twice by the system, at moments nobody chose, it still says where it goes on and ends the same."""
+    arguments = small("ppo", steps=100 * 64, checkpoints=100, evaluations=5)
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+
+    def step() -> int:
+        last = broken.checkpoint("last")
+        return 0 if last is None else int(last.name.partition("-")[2])
+
+    for least in (10 * 64, 40 * 64):
+        process = start(arguments, broken.path)
+        wait_for(lambda least=least: step() >= least, process)  # type: ignore[misc]
+        process.kill()
+        said = process.communicate()[0]
+        assert broken.result() is None
+        assert ("resuming at step" in said) == (least > 10 * 64)
+    reached = step()
+    process = start(arguments, broken.path)
+    said = process.communicate()[0]
+    assert process.returncode == 0, said
+    assert f"resuming at step {reached:,} of 6,400" in said
+    assert without_times(broken) == without_times(whole)
+    seconds = [point.seconds for point in broken.curve()]
+    assert seconds == sorted(seconds)
+    np.testing.assert_array_equal(weights(broken, "ppo"), weights(whole, "ppo"))
+
+
+def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    arguments = small("a2c", checkpoints=3)
+    with pytest.raises(Killed):
+        train(arguments, tmp_path, Stop(3))
+    time.sleep(1.1)  # files are told apart, and put in order, by the second they were begun in
+    train(arguments, tmp_path)
+    shown = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.step for event in shown.Scalars("rollout/ep_rew_mean")] == [64 * i for i in range(1, 7)]
+    assert [event.step for event in shown.Scalars("eval/mean_reward")] == [64 * i for i in (2, 4, 6)]
+
+
+def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a checkpoint is not taken for one; the one before is still there."""
+    arguments = small("sac", checkpoints=6)
+    whole = Run(tmp_path / "whole")
+    train(arguments, whole.path)
+    run = Run(tmp_path / "broken")
+    from chemlab.agents.training import checkpoints
+
+    renamed, calls = checkpoints._renamed, []
+
+    def crash(draft: Path, final: Path) -> None:
+        calls.append(final.name)
+        if final.name == "last-192":
+            raise Killed
+        renamed(draft, final)
+
+    monkeypatch.setattr(checkpoints, "_renamed", crash)
+    with pytest.raises(Killed):
+        train(arguments, run.path)
+    assert (run.checkpoints / "new-192").is_dir()
+    assert (run.checkpoints / "replay" / "64-96.npz").exists()
+    last = run.checkpoint("last")
+    assert last is not None
+    assert last.name == "last-128"
+    with run.curve_file.open("a") as handle:
+        handle.write('{"step": 256, "ret')
+    monkeypatch.setattr(checkpoints, "_renamed", renamed)
+    train(arguments, run.path)
+    assert without_times(run) == without_times(whole)
+    np.testing.assert_array_equal(weights(run, "sac"), weights(whole, "sac"))
+
+
+def test_a_finished_run_is_not_run_again_and_another_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = CliRunner()
+    flags = ["train", RXN, *flags_of(small("ppo")), "--out", str(tmp_path / "run")]
+    first = runner.invoke(app, [*flags, "--json"])
+    assert first.exit_code == 0, first.output
+    result = Run(tmp_path / "run").result()
+    assert result is not None
+    assert json.loads(first.stdout)["mean"] == result.mean
+    monkeypatch.setattr(training, "_train", None)
+    again = runner.invoke(app, flags)
+    assert again.exit_code == 0, again.output
+    assert "is finished" in again.output
+    assert f"{result.mean:.3f}" in again.output
+    refused = runner.invoke(app, [*flags, "--learning-rate", "0.01"])
+    assert refused.exit_code == 2
+    assert "learning_rate None (now 0.01)" in refused.output
+    assert "--out" in refused.output
+    config = Run(tmp_path / "run").config()
+    assert config is not None
+    Run(tmp_path / "run").config_file.write_text(json.dumps({**config, "fingerprint": "another"}))
+    changed = runner.invoke(app, flags)
+    assert changed.exit_code == 2
+    assert "has changed since" in changed.output
+
+
+def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    assert not run.busy()
+    with run.locked():
+        assert run.busy()
+        with pytest.raises(RunBusy, match="another process"):
+            train(small("ppo"), tmp_path)
+    assert not run.busy()
+
+
+def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:
+    arguments = small("ppo", goals=["F", "E"], starts="paper")
+    result = train(arguments, tmp_path)
+    (run,) = find_runs(tmp_path)
+    config = run.config()
+    assert config is not None
+    assert {f.name for f in fields(TrainArguments)} <= set(config)
+    assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
+    assert config["gamma"] == 0.99
+    assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])
+    assert result.steps == 384
+    assert list(result.by_goal) == ["F", "E"]
+    assert result.mean == pytest.approx(sum(result.by_goal.values()) / 2)
+    evaluations = run.evaluations()
+    assert [evaluation.step for evaluation in evaluations] == [128, 256, 384]
+    assert result.best_step == max(evaluations, key=lambda e: (e.mean, -e.step)).step
+    best = run.checkpoint("best")
+    assert best is not None
+    assert best.name == f"best-{result.best_step}"
+    assert run.result() == result
+
+
+def test_trials_are_single_environments_with_the_same_seeds() -> None:
+    trials = Trials("wurtz_dodecane", "dit", 2, 50, ["NaCl", "dodecane"])
+    policy = bench_heuristic(trials.bench)
+    returns = trials.returns(policy)
+    np.testing.assert_array_equal(returns, trials.returns(policy))
+    env = BenchEnv("wurtz_dodecane", "dit")
+    for g, goal in enumerate(trials.goals):
+        for i in range(2):
+            observation, info = env.reset(seed=50 + i, options={"goal": goal})
+            total, step, over = 0.0, 0, False
+            while not over:
+                action = policy.act(observation[None], info["action_mask"][None], np.array([step]), np.array([0]))
+                observation, reward, over, _, info = env.step(int(action[0]))
+                total, step = total + reward, step + 1
+            assert returns[g, i] == pytest.approx(total, abs=1e-12)
+
+
+# -- arguments --------------------------------------------------------------------------------------------------------
+
+
+def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
+    file = tmp_path / "train.toml"
+    file.write_text('preset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')
+    arguments = load_arguments(file, {"seed": 7, "gamma": None})
+    assert (arguments.steps, arguments.seed, arguments.envs, arguments.net_arch) == (100_000, 7, 32, (32, 32))
+    assert label_of(arguments) == "ppo-xl"
+    assert folder_of(arguments) == Path("WurtzReaction", "ppo-xl", "seed-7")
+    assert arguments_of({}) == TrainArguments()
+
+
+def test_the_papers_protocol_is_the_default() -> None:
+    ppo, dqn = resolved(arguments_of({})), resolved(arguments_of({"algo": "dqn"}))
+    assert (ppo.envs, ppo.rollout, ppo.steps) == (10, 256, 1_000_000)
+    assert (dqn.buffer_size, dqn.exploration_steps, dqn.exploration_final) == (1_000_000, 30_000, 0.01)
+    assert ppo.buffer_size is None
+
+
+def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
+    train(small("dqn", exploration_steps=192, exploration_final=0.25), tmp_path)
+    folder = Run(tmp_path).checkpoint("last")
+    assert folder is not None
+    schedule = load_learner(folder, "dqn").exploration_schedule  # type: ignore[attr-defined]
+    # The schedule takes what is left of the run's 384 steps.
+    assert [schedule(left) for left in (1.0, 0.75, 0.5, 0.1)] == pytest.approx([1.0, 0.625, 0.25, 0.25])
+
+
+def test_flags_say_the_same_as_arguments() -> None:
+    arguments = small("sac", goals=["E", "F"], learning_rate=1e-3)
+    flags = flags_of(arguments)
+    assert flags.count("--goals") == 2
+    pairs = dict(zip(flags[::2], flags[1::2], strict=True))
+    assert (pairs["--rollout"], pairs["--learning-rate"]) == ("32", "0.001")
+    assert "--starts" not in flags
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"algo": "reinforce"}, "known: ppo, a2c"),
+        ({"preset": "huge"}, "known: paper, .*ppo-xl"),
+        ({"stepz": 3}, "did you mean steps"),
+        ({"steps": "many"}, "needs int, given 'many'"),
+        ({"steps": True}, "needs int, given True"),
+        ({"steps": 0}, "at least 1, given 0"),
+        ({"goals": [1]}, "list of str"),
+        ({"buffer_size": 10}, "is for dqn, sac, td3, not for ppo"),
+        ({"learning_rate": -1.0}, "above 0"),
+    ],
+)
+def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        arguments_of(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"env_id": "chemlab/Nothing-v0"}, "benches are chemlab/WurtzReaction-v0"),
+        ({"env_id": "CartPole-v1"}, "benches are"),
+        ({"scenario": "fictitious"}, "has 'wurtz_dodecane'"),
+        ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
+        ({"algo": "dqn"}, "actions are continuous"),
+        ({"env_id": DIT, "algo": "sac"}, "actions are discrete"),
+    ],
+)
+def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        train(arguments_of(values), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "chemlab.agents.training.learn")
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    result = CliRunner().invoke(app, ["train", RXN])
+    assert result.exit_code == 2
+    assert 'pip install "chemlab-marl[train]"' in result.output.replace("\n", "")
+
+
+def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    points = [CurvePoint(step, 0.5, 0.1, 3, 1.0) for step in (10, 20, 30)]
+    for point in points:
+        run.append(point)
+    with run.curve_file.open("a") as handle:
+        handle.write('{"step": 4')
+    assert run.curve() == points
+    run.truncate(20)
+    assert run.curve() == points[:2]
+    assert os.path.getsize(run.evaluations_file) == 0

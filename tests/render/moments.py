@@ -1,0 +1,114 @@
+"""Scenes that tests look at: heuristic episodes, laboratories of awkward sizes, single benches."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chemlab.agents.policy import bench_heuristic, make_policies
+from chemlab.agents.run import Turn, play_episode
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import read_toml
+from chemlab.render.scene import Scene, bench_scene, laboratory_scene
+from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.shelf import CLOCK, CLOCK_WAS
+
+SCENARIOS = scenario_names()
+BENCHES = [(name, key) for name in SCENARIOS for key in load_scenario(name).benches]
+_EVERY = 7
+"""Turns from one look at an episode to the next."""
+
+
+@functools.lru_cache(maxsize=len(SCENARIOS))
+def episode(name: str) -> tuple[Scene, ...]:
+    """A heuristic episode of a shipped scenario: its first scene, some in between, its last."""
+    env = raw_env(name)
+    env.reset(seed=0)
+    scenes, turns = [laboratory_scene(env.laboratories)], 0
+
+    def watch(turn: Turn) -> None:
+        nonlocal turns
+        turns += 1
+        if turns % _EVERY == 0:
+            scenes.append(laboratory_scene(env.laboratories))
+
+    play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, watch=watch)
+    return (*scenes, laboratory_scene(env.laboratories))
+
+
+@functools.lru_cache(maxsize=len(BENCHES))
+def experiment(name: str, key: str) -> tuple[Scene, ...]:
+    """An experiment on a single bench: its first scene, some in between, the one after its end."""
+    env = BenchEnv(name, key)
+    observation, info = env.reset(seed=1)
+    policy = bench_heuristic(env.bench)
+    scenes, over, step = [bench_scene(env.arena)], False, 0
+    while not over:
+        mask = info.get("action_mask")
+        given = None if mask is None else mask[None]
+        action = policy.act(observation[None], given, np.array([step]), np.array([0]))[0]
+        observation, _, over, _, info = env.step(action)
+        step += 1
+        if step % 3 == 1:
+            scenes.append(bench_scene(env.arena))
+    return (*scenes, bench_scene(env.arena))
+
+
+def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
+    """``wurtz_any`` with another shelf and other numbers of benches."""
+    data = read_toml(Path(load_scenario("wurtz_any").origin))
+    vessel = data["shelf"]["vessel"][0]
+    data["shelf"] = {"slots": slots, "vessel": [vessel] * min(4, slots)}
+    for key, count in counts.items():
+        data["benches"][key]["count"] = count
+    return load_scenario(
+        {**data, "title": "A title that goes on for longer than there is room in a picture" * 2, **changes}
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
+    """A laboratory as busy as can be: every bench started, random actions, everything measured."""
+    labs = Laboratories(variant(slots, {"rxn": rxn, "ext": ext, "dit": dit}, orders=3))
+    labs.seed(0, 0)
+    labs.reset(labs.members)
+    random = np.random.default_rng(0)
+    scenes = [laboratory_scene(labs)]
+    for turn in range(240):
+        if labs.desk.status[0] != 0:
+            break
+        agent = labs.turn()
+        mask = labs.mask(agent, labs.members)
+        if mask is None:
+            action = random.random((1, *labs.action_space(agent).shape))
+        else:
+            legal = np.flatnonzero(mask[0])
+            if agent == 0:
+                kinds = [str(labs.actions.decode(int(a))[0]) for a in legal]
+                wanted = ["start", "measure"] if turn % 3 else ["measure", "start"]
+                kind = next((k for k in wanted if k in kinds), "wait")
+                legal = legal[[k == kind for k in kinds]] if kind in kinds else legal
+            elif random.random() < 0.95 and len(legal) > 1:
+                legal = legal[:-1]  # the last action ends the experiment
+            action = np.array([random.choice(legal)])
+        labs.act(agent, labs.members, action)
+        if turn % 12 == 0:
+            scenes.append(laboratory_scene(labs))
+    return (*scenes, laboratory_scene(labs))
+
+
+def filled(contents: Mapping[str, float], clock: float | None = None, capacity_l: float = 1.2) -> Laboratories:
+    """A laboratory of ``wurtz_any`` with these contents (mol) in slot 0, just as they are: no phases are settled."""
+    labs = Laboratories("wurtz_any")
+    labs.seed(0, 0)
+    labs.reset(labs.members)
+    row = labs.shelf.fill(0, 0, capacity_l, dict(contents)).row
+    if clock is not None:
+        row[CLOCK] = row[CLOCK_WAS] = clock
+    return labs

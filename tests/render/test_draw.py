@@ -1,0 +1,319 @@
+"""Pictures are true to their scenes, readable, the same every time, and drawn without a screen."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import itertools
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Sequence
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pytest
+from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
+
+from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.render import draw as drawing
+from chemlab.render.canvas import TextBox
+from chemlab.render.draw import GlassBox, draw, paint
+from chemlab.render.frames import Viewer
+from chemlab.render.scene import Scene, VesselPicture, laboratory_scene
+from chemlab.shelf import T_MIX
+
+CROWDS = [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (1, 1, 1, 1), (6, 16, 1, 1)]
+
+
+def rgb(color: str) -> tuple[int, ...]:
+    return tuple(bytes.fromhex(color[1:]))
+
+
+def rows_of(pixels: npt.NDArray[np.uint8], glass: GlassBox) -> list[tuple[int, ...]]:
+    """The most frequent colour (there are tags, and corners) of each row of a vessel's inside, bottom first."""
+    box = glass.box
+    inside = pixels[box.top : box.bottom, box.left : box.right]
+    return [Counter(map(tuple, row.tolist())).most_common(1)[0][0] for row in inside[::-1]]
+
+
+def vessels_of(scene: Scene) -> dict[tuple[str, str], VesselPicture]:
+    found = {("shelf", slot.vessel.position): slot.vessel for slot in scene.shelf if slot.vessel is not None}
+    return found | {(bench.agent, vessel.position): vessel for bench in scene.benches for vessel in bench.vessels}
+
+
+# -- proportions --------------------------------------------------------------------------------------------------
+
+
+def check_proportions(scene: Scene, width: int = 960, height: int = 540) -> int:
+    """Rows of every layer against its volume, within the pixel by which a boundary is rounded; layers checked."""
+    painting = paint(scene, width, height)
+    pixels = np.asarray(painting.image)
+    vessels = vessels_of(scene)
+    assert {(glass.owner, glass.position) for glass in painting.glasses} == set(vessels)
+    checked = 0
+    for glass in painting.glasses:
+        vessel = vessels[glass.owner, glass.position]
+        tall = glass.box.bottom - glass.box.top
+        assert tall == pytest.approx(vessel.capacity_l * glass.pixels_per_l, abs=0.5 + 1e-9)
+        if vessel.mixture:
+            continue
+        rows = Counter(rows_of(pixels, glass)[2:])  # the lowest two are round corners more than anything else
+        reached = 0.0
+        for layer in vessel.layers:
+            low, reached = reached, reached + layer.volume_l * glass.pixels_per_l
+            expected = min(reached, tall) - max(low, 2.0)
+            if expected > 2.0:
+                assert abs(rows[rgb(layer.color)] - expected) <= 1.0, (glass, layer)
+                checked += 1
+        air = tall - max(reached, 2.0)
+        if air > 2.0:
+            assert abs(rows[rgb(drawing.AIR)] - air) <= 1.0
+    for owner in {glass.owner for glass in painting.glasses}:
+        assert len({glass.pixels_per_l for glass in painting.glasses if glass.owner == owner}) == 1
+    return checked
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_layers_are_as_high_as_their_volumes(name: str) -> None:
+    assert sum(check_proportions(scene) for scene in episode(name)[::2]) >= 5
+
+
+@pytest.mark.parametrize("size", [(480, 270), (1280, 720), (1600, 600)])
+def test_layers_are_as_high_as_their_volumes_at_any_size(size: tuple[int, int]) -> None:
+    assert sum(check_proportions(scene, *size) for scene in crowd(12, 2, 2, 3)[::4]) >= 3
+
+
+def test_a_full_vessel_is_full_and_an_empty_one_empty() -> None:
+    per_mol = 18.01528 / 997.05 / 1.0  # litres of water a mole takes, to a pixel
+    labs = filled({"water": 1.2 / per_mol})
+    labs.shelf.fill(0, 1, 1.2, {})
+    painting = paint(laboratory_scene(labs))
+    pixels = np.asarray(painting.image)
+    full, empty = painting.glasses
+    water = rgb(labs.scenario.materials["water"].color)
+    assert Counter(rows_of(pixels, full)[2:]).keys() <= {water, rgb(drawing.AIR)}
+    assert rows_of(pixels, full).count(water) >= full.box.bottom - full.box.top - 3
+    assert set(rows_of(pixels, empty)[2:]) == {rgb(drawing.AIR)}
+
+
+def test_a_stirred_vessel_has_the_mean_colour_up_to_its_fill_level() -> None:
+    labs = filled({"diethyl_ether": 4.0, "water": 20.0}, clock=T_MIX)
+    scene = laboratory_scene(labs)
+    painting = paint(scene)
+    glass, vessel = painting.glasses[0], vessels_of(scene)["shelf", "slot 0"]
+    volumes = np.array([layer.volume_l for layer in vessel.layers])
+    colors = np.array([rgb(layer.color) for layer in vessel.layers])
+    mean = tuple(np.rint(volumes @ colors / volumes.sum()).astype(int).tolist())
+    rows = Counter(rows_of(np.asarray(painting.image), glass))
+    assert rows[mean] == pytest.approx(vessel.volume_l * glass.pixels_per_l, abs=3.0)
+
+
+# -- text ---------------------------------------------------------------------------------------------------------
+
+
+def check_text(texts: Sequence[TextBox], width: int, height: int) -> None:
+    for text, box in texts:
+        assert box.left >= 0, text
+        assert box.top >= 0, text
+        assert box.right <= width, text
+        assert box.bottom <= height, text
+    for (one, a), (two, b) in itertools.combinations(texts, 2):
+        apart = a.right <= b.left or b.right <= a.left or a.bottom <= b.top or b.bottom <= a.top
+        assert apart, f"{one!r} at {a} overlaps {two!r} at {b}"
+
+
+@pytest.mark.parametrize("size", [(960, 540), (480, 270), (800, 800)])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_no_text_overlaps_in_a_laboratory(name: str, size: tuple[int, int]) -> None:
+    for scene in episode(name):
+        check_text(paint(scene, *size).texts, *size)
+
+
+@pytest.mark.parametrize(("name", "key"), BENCHES)
+def test_no_text_overlaps_on_a_bench(name: str, key: str) -> None:
+    for scene in experiment(name, key):
+        check_text(paint(scene).texts, 960, 540)
+
+
+@pytest.mark.parametrize("size", [(960, 540), (640, 480)])
+@pytest.mark.parametrize("numbers", CROWDS)
+def test_no_text_overlaps_in_a_crowd(numbers: tuple[int, int, int, int], size: tuple[int, int]) -> None:
+    for scene in crowd(*numbers):
+        check_text(paint(scene, *size).texts, *size)
+
+
+def worst(scene: Scene) -> Scene:
+    """A scene in which every name and number is long."""
+    long = "4-ethyl-5-methyl-2,2-dimethoxynonadecane hydrate"
+    materials = tuple(dataclasses.replace(material, name=f"{material.name} {long}") for material in scene.materials)
+    benches = tuple(
+        dataclasses.replace(
+            bench,
+            goal=long,
+            busy=True,
+            step=9999,
+            step_limit=9999,
+            events=(("spill_l", 12.3456), ("relief_valve_mol", 12.3456), ("unheard_of_event", 1e9)),
+        )
+        for bench in scene.benches
+    )
+    return dataclasses.replace(
+        scene,
+        turn="distillation_15",
+        manager_actions=99_999,
+        manager_action_limit=99_999,
+        ticks=999_999,
+        tick_limit=999_999,
+        orders=tuple(dataclasses.replace(order, goal=long, filled=True) for order in scene.orders) * 4,
+        result=-12.3456,
+        costs=tuple((item, 12.3456) for item, _ in scene.costs),
+        safety=tuple((kind, 1234.5678) for kind in drawing._EVENT_WORDS),
+        stock=tuple(dataclasses.replace(b, material=f"{b.material} {long}", mol=9999.0) for b in scene.stock) * 3,
+        waste_l=1234.5,
+        benches=benches,
+        materials=materials,
+    )
+
+
+@pytest.mark.parametrize("kind", ["laboratory", "crowd", "bench"])
+def test_no_text_overlaps_where_names_and_numbers_are_long(kind: str) -> None:
+    scenes = {
+        "laboratory": lambda: episode("wurtz_any")[-3],
+        "crowd": lambda: crowd(12, 2, 2, 3)[-1],
+        "bench": lambda: experiment("fictitious", "rxn")[2],
+    }
+    check_text(paint(worst(scenes[kind]())).texts, 960, 540)
+
+
+def test_the_check_of_texts_would_see_an_overlap() -> None:
+    texts = paint(episode("wurtz_any")[0]).texts
+    moved = texts[0]._replace(box=texts[1].box)
+    with pytest.raises(AssertionError, match="overlaps"):
+        check_text([texts[1], moved], 960, 540)
+
+
+def test_what_people_look_for_is_written() -> None:
+    scene = episode("wurtz_dodecane")[-4]
+    texts = [text for text, _ in paint(scene).texts]
+    assert "Order: dodecane" in texts
+    assert scene.title in texts
+    assert f"{scene.manager_actions} / 60" in texts
+    assert f"{scene.ticks} / 400" in texts
+    assert f"{dict(scene.costs)['stock']:.4f}" in texts
+    assert {bench.agent for bench in scene.benches} <= set(texts)
+    assert {bottle.material.replace("_", " ") for bottle in scene.stock} <= set(texts)
+    assert {material.name.replace("_", " ") for material in scene.materials} <= set(texts)
+    assert {material.tag for material in scene.materials} <= set(texts)
+
+
+def test_a_thick_layer_carries_its_tag_and_so_needs_no_colours() -> None:
+    painting = paint(laboratory_scene(filled({"diethyl_ether": 4.0, "water": 20.0})))
+    glass = painting.glasses[0].box
+    tags = {
+        text: box
+        for text, box in painting.texts
+        if glass.left <= box.left < box.right <= glass.right and glass.top <= box.top < box.bottom <= glass.bottom
+    }
+    assert set(tags) == {"W", "DE"}
+    assert tags["W"].top > tags["DE"].bottom
+
+
+# -- frames -------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_is_drawn_the_same_every_time() -> None:
+    scene = episode("wurtz_dodecane")[5]
+    first = draw(scene)
+    assert first.shape == (540, 960, 3)
+    assert first.dtype == np.uint8
+    drawing._background.cache_clear()
+    drawing._glass.cache_clear()
+    np.testing.assert_array_equal(draw(scene), first)
+    first[:] = 0  # an array of its own
+    assert draw(scene).any()
+
+
+def test_scenes_that_differ_look_different() -> None:
+    pictures = [draw(scene) for scene in episode("wurtz_dodecane")]
+    assert all((a != b).any() for a, b in itertools.pairwise(pictures[:-1]))
+
+
+def test_too_small_a_picture_is_refused() -> None:
+    with pytest.raises(ValueError, match="480 x 270, given 479 x 540"):
+        draw(episode("wurtz_dodecane")[0], 479, 540)
+
+
+@pytest.mark.parametrize(("name", "key"), BENCHES)
+def test_a_bench_renders_arrays(name: str, key: str) -> None:
+    env = gymnasium.make("chemlab/Bench-v0", scenario=name, bench=key, render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = env.render()
+    assert isinstance(frame, np.ndarray)
+    assert frame.shape == (540, 960, 3)
+    bench = env.unwrapped
+    assert isinstance(bench, BenchEnv)
+    before = bench.get_state()
+    np.testing.assert_array_equal(env.render(), frame)
+    for array, kept in zip(bench.get_state(), before, strict=True):
+        np.testing.assert_array_equal(array, kept)
+    np.testing.assert_array_equal(copy.deepcopy(bench).render(), frame)
+    env.close()
+
+
+def test_pictures_need_neither_a_screen_nor_pygame() -> None:
+    code = (
+        "import os, sys; os.environ.pop('DISPLAY', None); sys.modules['pygame'] = None\n"
+        "from chemlab.laboratory.bench_env import BenchEnv\n"
+        "assert 'PIL' not in sys.modules, 'imported before it is needed'\n"
+        "env = BenchEnv(render_mode='rgb_array'); env.reset(seed=0); print(env.render().shape)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "(540, 960, 3)" in run.stdout, run.stderr
+
+
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match=r"chemlab-marl\[human\]"):
+        Viewer("human", 4)
+    code = (
+        "import sys; sys.modules['PIL'] = None\n"
+        "from chemlab.laboratory.bench_env import BenchEnv\n"
+        "env = BenchEnv(render_mode='rgb_array'); env.reset(seed=0); env.render()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "chemlab-marl[plot]" in run.stderr
+
+
+def test_a_window_shows_the_same_frames_and_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame")
+    scene = episode("wurtz_dodecane")[5]
+    viewer = Viewer("human", 1000)
+    assert viewer.show(scene) is None
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    np.testing.assert_array_equal(shown, draw(scene))
+    assert scene.title in pygame.display.get_caption()[0]
+    viewer.close()
+    assert not pygame.display.get_init()
+    viewer.show(scene)  # opens again
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    viewer.show(scene)
+    assert not pygame.display.get_init()
+    viewer.show(scene)  # its user has closed it
+    assert not pygame.display.get_init()
+    viewer.close()
+
+
+def test_a_bench_for_people_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame")
+    env = BenchEnv("wurtz_dodecane", "rxn", render_mode="human")
+    env.metadata = {**env.metadata, "render_fps": 1000}
+    env.reset(seed=0)
+    first = pygame.surfarray.array3d(pygame.display.get_surface())
+    env.step(np.ones(6, dtype=np.float32))
+    assert (pygame.surfarray.array3d(pygame.display.get_surface()) != first).any()
+    env.close()
+    assert not pygame.display.get_init()

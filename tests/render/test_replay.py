@@ -1,0 +1,368 @@
+"""The replay page: complete, small, and in a browser what it says it is."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.record import Recorder, Replay, read_record
+from chemlab.render.replay import replay_data, replay_page
+from chemlab.scenario import Scenario, dump_scenario, restore_scenario, scenario_names
+
+runner = CliRunner()
+CHROMIUM = shutil.which("chromium")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+FLAGS += ["--disable-component-update", "--disable-sync"]
+
+
+def record(path: Path, scenario: str | Scenario = "wurtz_dodecane", policy: str = "heuristic", seed: int = 0) -> Path:
+    """A recorded episode."""
+    env = raw_env(scenario)
+    with Recorder(path, env.laboratories) as recorder:
+        play_episode(env, make_policies(policy, env.laboratories, seed), seed, recorder=recorder)
+    return path
+
+
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("episode") / "a.jsonl")
+
+
+@pytest.fixture(scope="module")
+def page_file(episode: Path) -> Path:
+    path = episode.with_suffix(".html")
+    path.write_text(replay_page(read_record(episode)), encoding="utf-8")
+    return path
+
+
+def unpack(data: dict[str, Any], value: Any) -> Any:
+    """What the page's own ``unpack`` does."""
+    if not isinstance(value, list):
+        return value
+    if value[0] == -2:
+        return unpack(data, data["pool"][value[1]])
+    if value[0] == -1:
+        return [unpack(data, item) for item in value[1:]]
+    return {key: unpack(data, item) for key, item in zip(data["shapes"][value[0]], value[1:], strict=True)}
+
+
+# -- the data -------------------------------------------------------------------------------------------------
+
+
+def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
+    """Whatever is asked for: contents, steps and costs are those of the simulator at that turn."""
+    found = read_record(episode)
+    data = replay_data(found)
+    assert len(data["frames"]) == len(found.turns) + 1 == len(data["turns"]) + 1
+    replay = Replay(found)
+    labs: Laboratories = replay.laboratories
+    for i, turn in enumerate([None, *found.turns]):
+        if turn is not None:
+            replay.play(turn)
+        frame = unpack(data, data["frames"][i])
+        assert frame["ticks"] == labs.desk.ticks[0]
+        assert data["costs"][i] == pytest.approx(list(labs.costs().values()), rel=1e-3, abs=1e-9)
+        for slot, picture in enumerate(frame["shelf"]):
+            vessel = labs.shelf.vessel(0, slot)
+            assert (picture["vessel"] is not None) == vessel.present
+            if vessel.present:
+                assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
+        for bench, station in zip(frame["benches"], labs.stations, strict=True):
+            assert bench["busy"] == station.busy[0]
+    assert found.end is not None
+    assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-3)
+    # Each experiment once, with its score; the scores are the benches' rewards.
+    for agent, total in found.end["end"]["rewards"].items():
+        scores = [e["score"] for e in data["experiments"] if e["agent"] == agent]
+        assert agent == "manager_0" or sum(scores) == pytest.approx(total, abs=1e-5)
+
+
+def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
+    data = replay_data(read_record(episode))
+    decisions = [turn for turn in data["turns"] if turn["kind"]]
+    assert len(decisions) == unpack(data, data["frames"][-1])["manager_actions"]
+    assert decisions[0]["plays"] == [[0, "start rxn_0 on slot 0, goal dodecane"]]
+    assert re.search(r"\d\.\d{3} mol dodecane at purity", decisions[-1]["outcome"])
+    assert any("dodecane" in turn["outcome"] for turn in decisions if turn["kind"] == "measure")
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "random"])
+@pytest.mark.parametrize("name", scenario_names())
+def test_pages_are_small(name: str, policy: str, tmp_path: Path) -> None:
+    found = read_record(record(tmp_path / "a.jsonl", name, policy, 1))
+    text = replay_page(found)
+    ticks = max(found.turns[-1]["tick"], 1)
+    assert len(text.encode()) < 100_000 + 1_900_000 * max(ticks, 20) / 200
+    # Nothing is asked of a network, and nothing may be.
+    assert not re.search(r"""(?:src|href)=["'](?!data:)""", text)
+    assert "default-src 'none'" in text
+    assert "http" not in re.sub(
+        r"http://www\.w3\.org/2000/svg|http-equiv", "", text.split('type="application/json"')[0]
+    )
+
+
+def test_names_cannot_break_out_of_the_page(episode: Path, tmp_path: Path) -> None:
+    """Text of a scenario is data in the page, whatever stands in it."""
+    found = read_record(episode)
+    evil = "</script><script>alert(1)</script><!-- <b> & \u2028 __DATA__"
+    data = dump_scenario(raw_env("wurtz_dodecane").scenario)
+    data["scenario"]["title"] = evil
+    text = replay_page(read_record(record(tmp_path / "evil.jsonl", restore_scenario(data, "test"))))
+    assert len(re.findall(r"</script", text)) == len(re.findall(r"</script", replay_page(found))) == 2
+    assert "<!--" not in text
+    inside = text.split('type="application/json">')[1].split("</script>")[0]
+    assert json.loads(inside)["title"] == evil
+
+
+def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
+    part = tmp_path / "a.jsonl.part"
+    part.write_bytes(b"".join(episode.read_bytes().splitlines(keepends=True)[:31]) + b'{"turn"')
+    output = tmp_path / "page.html"
+    result = runner.invoke(app, ["replay", str(part), "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    assert "as far as it goes" in result.output
+    data = json.loads(output.read_text().split('type="application/json">')[1].split("</script>")[0])
+    assert len(data["turns"]) == 30
+    assert data["verified"]["status"] == "torn"
+    # What the user has is not written over unasked.
+    assert runner.invoke(app, ["replay", str(part), "-o", str(output)]).exit_code == 2
+    assert runner.invoke(app, ["replay", str(part), "-o", str(output), "--force"]).exit_code == 0
+    assert runner.invoke(app, ["replay", str(output)]).exit_code == 2
+
+
+def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
+    """The page shows what can be played, and says so."""
+    lines = episode.read_text().splitlines()
+    turn = json.loads(lines[20])
+    turn["play"] = {"nobody": ["", 0]}
+    path = tmp_path / "a.jsonl"
+    path.write_text("\n".join([*lines[:20], json.dumps(turn), *lines[21:]]) + "\n")
+    data = replay_data(read_record(path))
+    assert len(data["turns"]) == 19
+    assert "nobody" in data["stopped"]
+    assert data["verified"]["status"] == "tampered"
+
+
+# -- in the browser -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless Chromium with a profile of its own."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra test)")
+    if CHROMIUM is None:
+        pytest.skip("needs chromium on the path")
+    with playwright.sync_playwright() as driver:
+        context = driver.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp("profile")), executable_path=CHROMIUM, headless=True, args=FLAGS
+        )
+        yield context
+        context.close()
+
+
+@pytest.fixture
+def page(browser: Any, page_file: Path) -> Iterator[Any]:
+    """The page, opened at turn 40; anything on the console is a failure."""
+    page = browser.new_page()
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.goto(f"{page_file.as_uri()}#40")
+    yield page
+    assert said == []
+    assert all(url.startswith((page_file.as_uri(), "data:")) for url in asked)
+    page.close()
+
+
+def turn(page: Any) -> int:
+    """The turn that is shown."""
+    page.wait_for_timeout(30)  # it is drawn in the next frame
+    found = re.match(r"turn (\d+)/", page.inner_text("#now"))
+    assert found is not None
+    assert page.input_value("#scrub") == found[1]
+    return int(found[1])
+
+
+def test_it_loads_in_a_second(browser: Any, tmp_path: Path) -> None:
+    """A long episode, with everything drawn."""
+    found = read_record(record(tmp_path / "long.jsonl", "wurtz_any", "random", 5))
+    assert found.turns[-1]["tick"] > 100
+    path = tmp_path / "long.html"
+    path.write_text(replay_page(found), encoding="utf-8")
+    page = browser.new_page()
+    page.goto(path.as_uri())
+    page.wait_for_selector("#slots svg")
+    spent = page.evaluate("performance.timing.loadEventEnd - performance.timing.navigationStart")
+    page.close()
+    assert spent < 1000
+
+
+def test_scrubbing_shows_other_turns(page: Any, episode: Path) -> None:
+    turns = read_record(episode).turns
+    assert turn(page) == 40
+    before = page.inner_html("#benches")
+    page.fill("#scrub", "10")
+    assert turn(page) == 10
+    assert f"tick {turns[10]['tick']}/" in page.inner_text("#now")
+    assert page.inner_html("#benches") != before
+    page.fill("#scrub", "40")
+    turn(page)
+    assert page.inner_html("#benches") == before
+    # A click on the timeline, and on a decision.
+    box = page.locator("#timeline").bounding_box()
+    page.mouse.click(box["x"] + box["width"] - 13, box["y"] + 40)
+    assert turn(page) == len(turns)
+    page.click("#decisions button >> nth=0")
+    assert turn(page) == 1
+    assert "start rxn_0 on slot 0" in page.inner_text("#now")
+    assert page.get_attribute("#decisions button >> nth=0", "aria-current") == "true"
+
+
+def test_the_switch_hides_what_agents_do_not_see(page: Any) -> None:
+    """Turn 40 is at the extraction bench, whose agent sees pictures and no composition."""
+    shown = page.inner_text("#composition")
+    assert "dodecane" in shown
+    assert re.search(r"\d\.\d{3} mol", shown)
+    colors = page.locator("#benches svg rect").count()
+    page.click("text=What the agent sees")
+    hidden = page.inner_text("#composition")
+    assert "not seen by ext_0" in hidden
+    assert " mol" not in hidden
+    assert page.locator("#spectrum svg").count() == 3
+    assert page.locator("#benches svg rect").count() > colors + 250
+    assert not re.search(r"\d L", page.inner_text("#benches"))
+    page.click("text=What is true")
+    assert page.inner_text("#composition") == shown
+
+
+def test_what_was_measured_is_what_the_manager_sees(page: Any, episode: Path) -> None:
+    turns = read_record(episode).turns
+    number = next(i for i, t in enumerate(turns) if t.get("reading", {}).get("instrument") == "gas_chromatograph")
+    reading = turns[number]["reading"]
+    page.fill("#scrub", str(number + 1))
+    page.click("text=What the agent sees")
+    shown = page.inner_text("#composition")
+    assert "just now" in shown
+    assert f"{100 * max(reading['values']):.1f} %" in shown
+    page.select_option("#look", "slot_7")
+    assert "not measured" in page.inner_text("#composition")
+
+
+def test_the_true_spectrum_is_the_simulators(page: Any, episode: Path) -> None:
+    """At the reaction bench the page's spectrum is drawn from amounts; the agent sees the simulator's: the same."""
+    page.fill("#scrub", "10")
+    turn(page)
+    path = "document.querySelector('#spectrum path').getAttribute('d')"
+    number = r"(\d+\.\d) (\d+\.\d)"
+    true = [float(y) for _, y in re.findall(number, page.evaluate(path))]
+    page.keyboard.press("t")
+    seen = [float(y) for _, y in re.findall(number, page.evaluate(path))]
+    assert len(true) == len(seen) == 200
+    assert max(true) - min(true) > 20
+    assert true == pytest.approx(seen, abs=0.4)
+
+
+def test_it_can_be_worked_with_the_keyboard(page: Any, episode: Path) -> None:
+    last = len(read_record(episode).turns)
+    for key, expected in (
+        ("ArrowRight", 41),
+        ("ArrowLeft", 40),
+        ("Home", 0),
+        ("ArrowLeft", 0),
+        ("PageDown", 1),
+        ("PageDown", 2),
+        ("End", last),
+        ("ArrowRight", last),
+        ("PageUp", last - 1),
+    ):
+        page.keyboard.press(key)
+        assert turn(page) == expected
+    page.keyboard.press("Home")
+    page.select_option("#speed", "40")
+    page.locator("#speed").blur()
+    page.keyboard.press("Space")
+    assert page.inner_text("#play") == "Pause"
+    page.wait_for_timeout(400)
+    assert turn(page) > 3
+    page.keyboard.press("Space")
+    assert page.inner_text("#play") == "Play"
+    stopped = turn(page)
+    page.wait_for_timeout(150)
+    assert turn(page) == stopped
+    page.keyboard.press("t")
+    assert page.is_checked("input[value=seen]")
+    # Tab reaches everything in order, and shows where it is.
+    page.evaluate("document.activeElement.blur()")
+    order = []
+    for _ in range(9):
+        page.keyboard.press("Tab")
+        order.append(page.evaluate("document.activeElement.id || document.activeElement.value"))
+        assert page.evaluate(
+            """() => { const e = document.activeElement, shown = x => getComputedStyle(x).outlineStyle !== 'none';
+            return shown(e) || shown(e.closest('label') ?? e); }"""
+        )
+    assert order[:8] == ["scrub", "first", "back", "play", "forward", "last", "speed", "seen"]
+    # On a button space is the button's own, once.
+    page.focus("#forward")
+    before = turn(page)
+    page.keyboard.press("Space")
+    assert turn(page) == before + 1
+    assert page.inner_text("#play") == "Play"
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (768, 1024), (1280, 800), (1920, 1080)])
+def test_it_fits_windows(page: Any, width: int, height: int) -> None:
+    """No sideways scrolling, nothing cut off, whatever is shown."""
+    page.set_viewport_size({"width": width, "height": height})
+    for number in (0, 10, 40, 75):
+        page.fill("#scrub", str(number))
+        turn(page)
+        for _ in range(2):
+            page.keyboard.press("t")
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            cut = page.evaluate(
+                """() => [...document.querySelectorAll('main *')].filter(e => e.namespaceURI.endsWith('xhtml') &&
+                e.getClientRects().length && e.tagName !== 'LEGEND' && e.getBoundingClientRect().right > innerWidth + 1)
+                .map(e => e.outerHTML.slice(0, 80))"""
+            )
+            assert cut == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_can_be_read(page: Any, scheme: str) -> None:
+    """Contrast of 4.5 to 1 for text and 3 to 1 for lines, on cards, in both colour schemes (WCAG 2.1, AA)."""
+    page.emulate_media(color_scheme=scheme)
+    names = ["card", "page", "ink", "soft", "warn", "good", "mark", "glass", *(f"a{i}" for i in range(7))]
+    values = page.evaluate(
+        "names => names.map(n => getComputedStyle(document.documentElement).getPropertyValue('--' + n).trim())", names
+    )
+    color = dict(zip(names, values, strict=True))
+
+    def luminance(text: str) -> float:
+        parts = [int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    def contrast(one: str, other: str) -> float:
+        high, low = sorted((luminance(color[one]), luminance(color[other])), reverse=True)
+        return (high + 0.05) / (low + 0.05)
+
+    texts = ["ink", "soft", "good"]
+    assert min(contrast(text, ground) for text in texts for ground in ("card", "page")) >= 4.5
+    assert contrast("ink", "mark") >= 4.5
+    assert min(contrast(line, "card") for line in ["warn", "glass", *(f"a{i}" for i in range(7))]) >= 3.0

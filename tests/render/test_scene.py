@@ -1,0 +1,227 @@
+"""Scenes say what is in the arrays, in true proportions, and leave the arrays as they are."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from helpers import molar_volume
+from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import Turn, play_episode
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.core import Laboratories
+from chemlab.render.scene import MIXTURE_SLICES, VesselPicture, bench_scene, laboratory_scene, material_pictures
+from chemlab.scenario import load_scenario
+from chemlab.shelf import CLOCK_SETTLED, T_MIX
+
+WURTZ = load_scenario("wurtz_any")
+
+
+def slot_0(labs: Laboratories) -> VesselPicture:
+    vessel = laboratory_scene(labs).shelf[0].vessel
+    assert vessel is not None
+    return vessel
+
+
+def litres(name: str, mol: float) -> float:
+    return mol * molar_volume(WURTZ, name)
+
+
+# -- proportions --------------------------------------------------------------------------------------------------
+
+
+def test_layers_have_the_volumes_of_what_they_consist_of_densest_first() -> None:
+    vessel = slot_0(filled({"diethyl_ether": 3.0, "water": 10.0, "Na": 0.5, "NaCl": 1.0}))
+    assert [(layer.material, layer.phase) for layer in vessel.layers] == [
+        ("NaCl", "solid"),  # 2.165 kg/L
+        ("Na", "solid"),  # 0.97 kg/L
+        ("water", "liquid"),
+        ("diethyl_ether", "liquid"),
+    ]
+    expected = [litres("NaCl", 1.0), litres("Na", 0.5), litres("water", 10.0), litres("diethyl_ether", 3.0)]
+    np.testing.assert_allclose([layer.volume_l for layer in vessel.layers], expected, rtol=1e-6)
+    assert vessel.volume_l == pytest.approx(sum(expected))
+    assert vessel.mixture == ()
+    assert dict(vessel.contents) == {"diethyl_ether": 3.0, "water": 10.0, "Na": 0.5, "NaCl": 1.0}
+
+
+def test_without_a_solvent_solutes_are_layers_and_ions_a_crust() -> None:
+    vessel = slot_0(filled({"dodecane": 1.0, "Na+": 0.5, "Cl-": 0.5}))
+    assert {(layer.material, layer.phase) for layer in vessel.layers} == {
+        ("Na+", "solid"),
+        ("Cl-", "solid"),
+        ("dodecane", "liquid"),
+    }
+    assert vessel.layers[-1].volume_l == pytest.approx(litres("dodecane", 1.0), rel=1e-6)
+    crust = sum(layer.volume_l for layer in vessel.layers[:-1])
+    assert crust == pytest.approx(litres("Na+", 0.5) + litres("Cl-", 0.5), rel=1e-6)
+
+
+def test_a_stirred_vessel_is_the_same_mixture_at_every_height() -> None:
+    vessel = slot_0(filled({"diethyl_ether": 3.0, "water": 10.0, "NaCl": 1.0}, clock=T_MIX))
+    volumes = np.array([litres("water", 10.0), litres("diethyl_ether", 3.0)])
+    assert vessel.settling == pytest.approx(0.0)
+    mixture = np.array(vessel.mixture)
+    assert mixture.shape == (MIXTURE_SLICES, 2)
+    np.testing.assert_allclose(mixture, np.tile(volumes / volumes.sum(), (MIXTURE_SLICES, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9])
+def test_while_it_settles_every_liquid_keeps_its_volume_and_the_denser_one_sinks(share: float) -> None:
+    clock = T_MIX + share * (CLOCK_SETTLED - T_MIX)
+    vessel = slot_0(filled({"diethyl_ether": 4.0, "water": 20.0, "Na": 0.2}, clock=clock))
+    assert vessel.settling == pytest.approx(share, abs=1e-9)
+    volumes = np.array([layer.volume_l for layer in vessel.layers if layer.phase == "liquid"])
+    np.testing.assert_allclose(volumes, [litres("water", 20.0), litres("diethyl_ether", 4.0)], rtol=1e-6)
+    if vessel.mixture:
+        mixture = np.array(vessel.mixture)
+        np.testing.assert_allclose(mixture.sum(axis=1), 1.0, atol=1e-6)
+        np.testing.assert_allclose(mixture.mean(axis=0), volumes / volumes.sum(), atol=1e-6)
+        assert (np.diff(mixture[:, 0]) < 1e-6).all()
+    else:
+        assert share > 0.5
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
+    seen = 0
+    for scene in episode(name):
+        vessels = [slot.vessel for slot in scene.shelf] + [v for bench in scene.benches for v in bench.vessels]
+        for vessel in vessels:
+            if vessel is not None:
+                seen += 1
+                total = sum(layer.volume_l for layer in vessel.layers)
+                assert total == pytest.approx(vessel.volume_l, abs=1e-6)
+                assert vessel.capacity_l <= scene.largest_capacity_l
+    assert seen > 10
+
+
+# -- what stands where --------------------------------------------------------------------------------------------
+
+
+def test_a_bench_holds_what_was_brought_to_it_and_the_shelf_keeps_places_for_it() -> None:
+    labs = filled({"diethyl_ether": 4.0, "dodecane": 0.3})
+    start = labs.actions.encode("start", "ext_0", 0, "dodecane")
+    labs.act(0, labs.members, np.array([start]))
+    scene = laboratory_scene(labs)
+    assert scene.shelf[0].vessel is None
+    # Vessels stand in slots 0 and 1 of the scenario; the beakers' places are the next two.
+    assert [slot.slot for slot in scene.shelf if slot.reserved_for == "ext_0"] == [0, 2, 3]
+    bench = next(bench for bench in scene.benches if bench.agent == "ext_0")
+    assert (bench.busy, bench.goal, bench.step, bench.step_limit) == (True, "dodecane", 0, 50)
+    assert [vessel.position for vessel in bench.vessels] == ["EV", "B1", "B2"]
+    assert bench.vessels[0].volume_l == pytest.approx(litres("diethyl_ether", 4.0) + litres("dodecane", 0.3))
+    assert all(vessel.volume_l == 0.0 for vessel in bench.vessels[1:])
+    assert not any(other.busy or other.vessels for other in scene.benches if other is not bench)
+
+
+def test_what_an_agent_sees_is_its_observation() -> None:
+    arena = BenchArena("wurtz_dodecane", "dit", 3)
+    for member in range(3):
+        arena.seed(member, member)
+    arena.reset(arena.members)
+    arena.act(np.full(3, 6))
+    observation = arena.observe()
+    for member in range(3):
+        (bench,) = bench_scene(arena, member).benches
+        told = np.concatenate([channel.values for channel in bench.seen])
+        np.testing.assert_array_equal(told, observation[member, : len(told)])
+        assert len(told) + len(arena.bench.goals.names) == observation.shape[1]
+        np.testing.assert_allclose(bench.vessels[0].camera, bench.seen[0].values, rtol=1e-6)  # float32 is seen
+
+
+def test_readings_are_what_was_measured() -> None:
+    labs = filled({"diethyl_ether": 4.0})
+    labs.act(0, labs.members, np.array([labs.actions.encode("measure", 0, "balance")]))
+    labs.act(0, labs.members, np.array([labs.actions.encode("measure", 0, "gas_chromatograph")]))
+    readings = {reading.instrument: reading for reading in laboratory_scene(labs).shelf[0].readings}
+    balance = readings["balance"]
+    kilograms = balance.low + balance.values[0] * (balance.high - balance.low)
+    assert kilograms == pytest.approx(4.0 * WURTZ.materials["diethyl_ether"].molar_mass_g_mol / 1000.0)
+    shares = dict(zip(readings["gas_chromatograph"].labels, readings["gas_chromatograph"].values, strict=True))
+    assert shares["diethyl_ether"] == pytest.approx(1.0, abs=1e-6)
+    assert "residue" in shares
+    assert not laboratory_scene(labs).shelf[1].readings
+
+
+def test_costs_stock_and_waste_are_the_laboratorys() -> None:
+    labs = filled({"diethyl_ether": 4.0})
+    labs.shelf.stock[0, labs.shelf.layout.index("Na")] -= 2.0
+    labs.shelf.waste[0, labs.shelf.layout.index("water")] = 5.0
+    labs.act(0, labs.members, np.array([labs.actions.encode("measure", 0, "uv_vis")]))
+    scene = laboratory_scene(labs)
+    costs = dict(scene.costs)
+    prices = WURTZ.costs
+    assert costs["instruments"] == pytest.approx(WURTZ.instruments["uv_vis"].price)
+    assert costs["stock"] == pytest.approx(2.0 * prices.stock_per_mol["Na"])
+    assert scene.waste_l == pytest.approx(litres("water", 5.0))
+    assert costs["waste"] == pytest.approx(scene.waste_l * prices.waste_per_l)
+    assert scene.result == pytest.approx(-sum(costs.values()))
+    bottle = next(bottle for bottle in scene.stock if bottle.material == "Na")
+    assert (bottle.mol, bottle.full_mol) == (1.0, 3.0)
+
+
+def test_every_laboratory_has_a_scene_of_its_own() -> None:
+    many, one = Laboratories("wurtz_any", 3), Laboratories("wurtz_any")
+    for member in range(3):
+        many.seed(member, member)
+    many.reset(many.members)
+    one.seed(0, 2)
+    one.reset(one.members)
+    many.act(0, np.array([2]), np.array([many.actions.encode("start", "rxn_0", 1, "dodecane")]))
+    one.act(0, np.array([0]), np.array([one.actions.encode("start", "rxn_0", 1, "dodecane")]))
+    assert laboratory_scene(many, 2) == laboratory_scene(one, 0)
+    assert laboratory_scene(many, 1).shelf[1].vessel is not None
+
+
+# -- nothing changes, everything can be told ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_look_changes_nothing(name: str) -> None:
+    env = raw_env(name)
+    env.reset(seed=3)
+    labs = env.laboratories
+
+    def watch(turn: Turn) -> None:
+        before = labs.snapshot()
+        laboratory_scene(labs)
+        for array, kept in zip(labs.snapshot(), before, strict=True):
+            np.testing.assert_array_equal(array, kept)
+
+    play_episode(env, make_policies("random", labs, 3), 3, watch=watch)
+
+
+@pytest.mark.parametrize(("name", "key"), BENCHES)
+def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
+    arena = BenchArena(name, key)
+    arena.seed(0, 0)
+    arena.reset(arena.members)
+    before = [array.copy() for array in arena.arrays()]
+    bench_scene(arena)
+    for array, kept in zip(arena.arrays(), before, strict=True):
+        np.testing.assert_array_equal(array, kept)
+
+
+def test_scenes_are_json() -> None:
+    for scene in (episode("wurtz_dodecane")[4], experiment("wurtz_dodecane", "ext")[2], crowd(12, 2, 2, 3)[-1]):
+        told = json.loads(json.dumps(scene.as_dict(), allow_nan=False))
+        assert set(told) == set(vars(scene))
+        assert [slot["slot"] for slot in told["shelf"]] == list(range(len(scene.shelf)))
+        assert told["result"] == pytest.approx(scene.result, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_materials_have_tags_and_colours_of_their_own(name: str) -> None:
+    scenario = load_scenario(name)
+    pictures = material_pictures(scenario)
+    assert {picture.name for picture in pictures} == {n for n, m in scenario.materials.items() if m.role != "gas"}
+    tags = [picture.tag for picture in pictures]
+    assert len(set(tags)) == len(tags)
+    assert all(0 < len(tag) <= 4 for tag in tags)
+    colors = [picture.color for picture in pictures]
+    assert len(set(colors)) == len(colors)

@@ -1,0 +1,668 @@
+"""Records of episodes: what is honest is found right, what is not is found and named, what is torn can be read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import Careless, four_solvents
+from typer.testing import CliRunner
+
+import chemlab.record as module
+import chemlab.scenarios
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.parallel import parallel_env
+from chemlab.record import Play, Recorder, RecordError, read_record, verify_record
+from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
+
+SCENARIOS = scenario_names()
+runner = CliRunner()
+Lines = list[dict[str, Any]]
+
+
+def play(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "heuristic", seed: int = 3, **more: Any) -> Path:
+    """Record an episode."""
+    env = raw_env(scenario)
+    labs = env.laboratories
+    policies: Any = (
+        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
+        if policy == "careless"
+        else make_policies(policy, labs, seed)
+    )
+    with Recorder(path, labs) as recorder:
+        play_episode(env, policies, seed, policy, recorder=recorder, **more)
+    return path
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of a scripted episode, with a measurement in it."""
+    return play(tmp_path_factory.mktemp("honest") / "episode.jsonl")
+
+
+# -- honest records -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "random", "careless"])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
+    for seed in (1, 2):
+        path = play(tmp_path / f"{seed}.jsonl", name, policy, seed)
+        result = verify_record(path)
+        assert (result.status, result.exit_code, result.notes) == ("ok", 0, []), result.message
+        record = read_record(path)
+        assert result.turns == len(record.turns) > 0
+        assert not record.torn
+        assert record.broken is None
+        lost = any("lost" in turn for turn in record.turns)
+        assert lost if policy == "careless" else not lost
+
+
+def test_a_record_says_what_happened(tmp_path: Path) -> None:
+    """Rewards, score, contents and readings are those of the laboratory, to the last bit."""
+    env = raw_env("wurtz_dodecane")
+    path = tmp_path / "a.jsonl"
+    labs, contents, rewards = env.laboratories, [], []
+
+    def watch(turn: Any) -> None:
+        contents.append(labs.shelf.amounts[0].copy())
+        rewards.append(dict(env.rewards))
+
+    with Recorder(path, labs) as recorder:
+        result = play_episode(env, make_policies("heuristic", labs, 0), 0, watch=watch, recorder=recorder)
+    record = read_record(path)
+    assert record.end is not None
+    end = record.end["end"]
+    assert end["score"] == result.score
+    assert end["rewards"] == result.rewards
+    assert end["costs"] == result.costs
+    vessels: dict[str, Any] = dict(record.header["hidden"]["vessels"])
+    for turn, amounts, earned in zip(record.turns, contents, rewards, strict=True):
+        assert {k: v for k, v in earned.items() if v} == turn.get("rewards", {})
+        vessels.update(turn["hidden"].get("vessels", {}))
+        for position, row in enumerate(amounts):
+            vessel = vessels.get(str(position))
+            assert row.tolist() == (vessel[1] if vessel else [0.0] * len(row))
+    readings = [turn["reading"] for turn in record.turns if "reading" in turn]
+    assert readings
+    for reading in readings:
+        size = next(c.size for c in labs.instruments.channels if c.name == reading["instrument"])
+        assert len(reading["values"]) == size
+    # What agents must not see stands under one key.
+    assert all(set(turn) <= {"turn", "tick", "play", "rewards", "cost", "lost", "events", "scores", "reading", "hidden"}
+               for turn in record.turns)  # fmt: skip
+
+
+def test_the_same_episode_gives_the_same_bytes(honest: Path, tmp_path: Path) -> None:
+    assert play(tmp_path / "again.jsonl").read_bytes() == honest.read_bytes()
+
+
+def test_records_are_small(honest: Path) -> None:
+    record = read_record(honest)
+    turns = honest.stat().st_size - len(json.dumps(record.header))
+    assert turns / len(record.turns) < 600
+    assert turns * 200 / record.turns[-1]["tick"] + 40_000 < 300_000
+
+
+def test_a_goal_that_was_asked_for(tmp_path: Path) -> None:
+    path = play(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"})
+    assert read_record(path).header["goals"] == ["NaCl"]
+    assert verify_record(path).status == "ok"
+
+
+def test_streams_that_went_on(tmp_path: Path) -> None:
+    """An episode without a seed of its own is played again from the streams it began with."""
+    env = raw_env("wurtz_any")
+    labs = env.laboratories
+    env.reset(seed=5)
+    env.reset()
+    path = tmp_path / "a.jsonl"
+    recorder = Recorder(path, labs)
+    recorder.begin()
+    policies = make_policies("random", labs, 8)
+    while not path.exists():
+        number, (observation, _, _, _, info) = labs.turn(), env.last()
+        mask = info.get("action_mask")
+        action = policies[env.agent_selection].act(
+            observation[None], None if mask is None else mask[None], np.zeros(1, dtype=np.int64), labs.members
+        )[0]
+        env.step(action)
+        recorder.turn([Play(number, observation, mask, action)])
+    assert verify_record(path).status == "ok"
+    lines = load(path)
+    lines[0]["streams"]["ext_0"] += 1
+    assert verify_record(store(path, lines, expert=True)).key == "hidden.state"
+
+
+def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    env = parallel_env("wurtz_dodecane")
+    labs: Laboratories = env.unwrapped.laboratories
+    recorder = Recorder(path, labs, rounds=True)
+    observations, infos = env.reset(seed=4)
+    recorder.begin(4)
+    rng = np.random.default_rng(0)
+    together = 0
+    while env.agents:
+        acting = [agent for agent in labs.agents if infos[agent]["has_turn"]]
+        actions: dict[str, Any] = {}
+        for agent in acting:
+            mask = infos[agent].get("action_mask")
+            legal = None if mask is None else np.flatnonzero(mask)
+            if agent == "manager_0":
+                kinds = [str(labs.actions.decode(int(a))[0]) for a in legal]  # type: ignore[union-attr]
+                weights = np.array([{"start": 1.0, "wait": 1.0, "submit": 1e-4}.get(kind, 0.03) for kind in kinds])
+                actions[agent] = rng.choice(legal, p=weights / weights.sum())
+            else:
+                actions[agent] = rng.random(env.action_space(agent).shape) if legal is None else rng.choice(legal)
+        shown = [Play(labs.agents.index(a), observations[a], infos[a].get("action_mask"), actions[a]) for a in acting]
+        observations, _, _, _, infos = env.step(actions)
+        recorder.turn(shown)
+        together += len(acting) > 1
+    assert together > 5
+    result = verify_record(path)
+    assert result.status == "ok", result.message
+
+
+def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
+    """The record holds the scenario; what the file says afterwards does not matter."""
+    shipped = Path(chemlab.scenarios.__path__[0]) / "salt_from_oil.toml"
+    file = tmp_path / "mine.toml"
+    file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "mine"'))
+    path = play(tmp_path / "a.jsonl", file)
+    file.unlink()
+    result = verify_record(path)
+    assert result.status == "ok"
+    assert any("mine is the record's own" in note for note in result.notes)
+    assert verify_record(path, scenario="salt_from_oil").status == "other"
+
+
+@pytest.mark.parametrize("name", [*SCENARIOS, ""])
+def test_scenarios_survive_being_data(name: str) -> None:
+    scenario = load_scenario(name) if name else four_solvents()
+    text = json.dumps(dump_scenario(scenario))
+    restored = restore_scenario(json.loads(text), "text")
+    assert json.dumps(dump_scenario(restored)) == text
+    assert list(restored.materials) == list(scenario.materials)
+
+
+# -- tampering ------------------------------------------------------------------------------------------------
+
+
+def load(path: Path) -> Lines:
+    """The lines of a record."""
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def store(path: Path, lines: Lines, expert: bool) -> Path:
+    """Write lines back, as they are or (``expert``) with hashes that fit: anybody can compute those."""
+    chain, texts = "", []
+    for line in lines:
+        if expert:
+            body = json.dumps({k: v for k, v in line.items() if k != "chain"}, separators=(",", ":"))[:-1]
+            chain = hashlib.blake2b((chain + body).encode(), digest_size=8).hexdigest()
+            texts.append(f'{body},"chain":"{chain}"}}')
+        else:
+            texts.append(json.dumps(line, separators=(",", ":"), ensure_ascii=False))
+    path.write_text("\n".join(texts) + "\n")
+    return path
+
+
+def first(lines: Lines, key: str, after: int = 1) -> int:
+    """The first turn's line that has a key."""
+    return next(i for i, line in enumerate(lines) if i >= after and key in line)
+
+
+def rehash(lines: Lines) -> None:
+    """The header's scenario hash as it would be for what it holds now."""
+    text = json.dumps(lines[0]["scenario"], separators=(",", ":"), ensure_ascii=False)
+    lines[0]["scenario_hash"] = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def reward(lines: Lines) -> None:
+    lines[first(lines, "rewards")]["rewards"]["rxn_0"] += 1e-15
+
+
+def bench_score(lines: Lines) -> None:
+    lines[first(lines, "scores")]["scores"]["rxn_0"] = 0.5
+
+
+def score(lines: Lines) -> None:
+    lines[-1]["end"]["score"] = 0.99
+
+
+def total(lines: Lines) -> None:
+    lines[-1]["end"]["rewards"]["ext_0"] += 0.1
+
+
+def amount(lines: Lines) -> None:
+    lines[-1]["end"]["orders"][0]["submitted_mol"] = 0.5
+
+
+def number(lines: Lines) -> None:
+    action = next(line["play"]["rxn_0"][1] for line in lines[1:] if "rxn_0" in line["play"])
+    action[0] = 0.75
+
+
+def choice(lines: Lines) -> None:
+    play = next(line["play"]["ext_0"] for line in lines[1:] if "ext_0" in line["play"])
+    play[1] = (play[1] + 1) % 40
+
+
+def impossible(lines: Lines) -> None:
+    lines[1]["play"]["manager_0"][1] = 10**6
+
+
+def somebody_else(lines: Lines) -> None:
+    lines[1]["play"] = {"rxn_0": lines[1]["play"]["manager_0"]}
+
+
+def seen(lines: Lines) -> None:
+    lines[9]["play"]["rxn_0"][0] = "0" * 16
+
+
+def removed(lines: Lines) -> None:
+    del lines[10]
+
+
+def swapped(lines: Lines) -> None:
+    lines[10], lines[11] = lines[11], lines[10]
+
+
+def doubled(lines: Lines) -> None:
+    lines.insert(10, lines[10])
+
+
+def appended(lines: Lines) -> None:
+    lines.append(lines[10])
+
+
+def cut_short(lines: Lines) -> None:
+    del lines[-5:-1]
+
+
+def seed(lines: Lines) -> None:
+    lines[0]["seed"] += 1
+
+
+def goal(lines: Lines) -> None:
+    lines[0]["goals"] = ["NaCl"]
+
+
+def stream(lines: Lines) -> None:
+    lines[0]["streams"]["ext_0"] ^= 1
+
+
+def reading(lines: Lines) -> None:
+    values = lines[first(lines, "reading")]["reading"]["values"]
+    values[0] = values[0] + 1e-12 if values[0] < 1.0 else 1.0 - 1e-12
+
+
+def contents(lines: Lines) -> None:
+    line = next(line for line in lines[5:] if "vessels" in line["hidden"])
+    line["hidden"]["vessels"]["8"][1][0] += 1e-9
+
+
+def temperature(lines: Lines) -> None:
+    line = next(line for line in lines[5:] if "vessels" in line["hidden"])
+    line["hidden"]["vessels"]["8"][0] += 1.0
+
+
+def stock_left(lines: Lines) -> None:
+    line = next(line for line in lines[2:] if "stock" in line["hidden"])
+    line["hidden"]["stock"][0] = 1.0
+
+
+def state(lines: Lines) -> None:
+    lines[4]["hidden"]["state"] = "f" * 16
+
+
+def tick(lines: Lines) -> None:
+    lines[7]["tick"] += 1
+
+
+def event_hidden(lines: Lines) -> None:
+    del lines[first(lines, "events")]["events"]
+
+
+def something_more(lines: Lines) -> None:
+    lines[7]["rewards"] = {"rxn_0": 1.0}
+
+
+def nobody(lines: Lines) -> None:
+    lines[7]["play"] = {}
+
+
+TAMPERING: dict[Callable[[Lines], None], tuple[str, str]] = {
+    reward: ("turn", "rewards.rxn_0"),
+    bench_score: ("turn", "scores.rxn_0"),
+    score: ("end", "end.score"),
+    total: ("end", "end.rewards.ext_0"),
+    amount: ("end", "end.orders.0.submitted_mol"),
+    number: ("turn 2", "hidden.vessels"),
+    choice: ("turn", ""),
+    impossible: ("turn 0", "play"),
+    somebody_else: ("turn 0", "play"),
+    seen: ("turn 8", "play.rxn_0.0"),
+    removed: ("turn 9", "turn"),
+    swapped: ("turn 9", "turn"),
+    doubled: ("turn 10", "turn"),
+    appended: ("", ""),
+    cut_short: ("end", "end.status"),
+    seed: ("header", "streams"),
+    goal: ("header", "goals.0"),
+    stream: ("header", "streams.ext_0"),
+    reading: ("turn", "reading.values.0"),
+    contents: ("turn", "hidden.vessels.8.1.0"),
+    temperature: ("turn", "hidden.vessels.8.0"),
+    stock_left: ("turn", "hidden.stock.0"),
+    state: ("turn 3", "hidden.state"),
+    tick: ("turn 6", "tick"),
+    event_hidden: ("turn", "events"),
+    something_more: ("turn 6", "rewards"),
+    nobody: ("turn 6", "play"),
+}
+"""What is done to a record: where and at which key the first difference is."""
+
+
+@pytest.mark.parametrize("expert", [False, True], ids=["", "with hashes that fit"])
+@pytest.mark.parametrize("tamper", TAMPERING, ids=lambda tamper: tamper.__name__)
+def test_tampering_is_found(tamper: Callable[[Lines], None], expert: bool, honest: Path, tmp_path: Path) -> None:
+    lines = load(honest)
+    before = json.dumps(lines)
+    tamper(lines)
+    assert json.dumps(lines) != before
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
+    where, key = TAMPERING[tamper]
+    assert (result.status, result.exit_code) == ("tampered", 1), result.message
+    assert result.where.startswith(where)
+    assert result.key.startswith(key)
+    if where.startswith("turn"):
+        assert result.turn is not None
+        assert result.turn == result.turns
+        assert result.recorded != result.recomputed
+    if not expert:
+        assert "line" in result.message
+
+
+def test_what_replay_cannot_know_is_in_the_hashes(honest: Path, tmp_path: Path) -> None:
+    """Names of policies change no number: only the hash tells, and whoever computes it again is not found out."""
+    lines = load(honest)
+    lines[0]["policies"]["manager_0"] = "genius"
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=False))
+    assert (result.status, result.key) == ("tampered", "")
+    assert "line 1" in result.message
+    assert verify_record(store(tmp_path / "b.jsonl", lines, expert=True)).status == "ok"
+
+
+def test_bytes_after_the_end(honest: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    for extra in (b"x", b"{}", b"\n", b"{}\n"):
+        path.write_bytes(honest.read_bytes() + extra)
+        assert verify_record(path).status == "tampered"
+
+
+def test_a_line_that_cannot_be_read(honest: Path, tmp_path: Path) -> None:
+    lines = honest.read_bytes().split(b"\n")
+    for rubbish in (b"", b"\xff\xfe", b"[1]", b"{", b"[" * 100_000, b'{"turn":NaN}'):
+        path = tmp_path / "a.jsonl"
+        path.write_bytes(b"\n".join([*lines[:20], rubbish, *lines[21:]]))
+        result = verify_record(path)
+        assert result.status == "tampered"
+        assert "line 21" in result.message
+
+
+@pytest.mark.parametrize("expert", [False, True])
+def test_other_scenarios_are_told_apart(expert: bool, honest: Path, tmp_path: Path) -> None:
+    """A number of the scenario (with its hash) or of a material: found, whatever the results."""
+    for change in ("stock", "material", "bench"):
+        lines = load(honest)
+        data = lines[0]["scenario"]
+        if change == "stock":
+            data["scenario"]["stock"]["diethyl_ether"] += 1.0
+        elif change == "material":
+            data["materials"]["dodecane"]["boiling_point_k"] += 1.0
+        else:
+            data["scenario"]["benches"]["ext"]["step_limit"] += 1
+        result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
+        assert result.status == "tampered"
+        assert "scenario_hash" in result.message
+        rehash(lines)
+        result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
+        assert result.status == ("other" if expert else "tampered")
+        assert "wurtz_dodecane" in result.message
+
+
+def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
+    lines = load(honest)
+    lines[0]["chemlab"] = "9.9"
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    assert (result.status, result.exit_code) == ("other", 4)
+    assert "9.9" in result.message
+    assert verify_record(store(tmp_path / "a.jsonl", lines, expert=False)).status == "tampered"
+    lines[0]["format"]["version"] = 2
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    assert result.status == "other"
+    assert "format 2" in result.message
+
+
+def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Last digits and hashes may differ there, and are said to; a number that differs by more is tampering."""
+    lines = load(honest)
+    reward(lines)
+    state(lines)
+    lines[0]["environment"]["machine"] = "abacus"
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    assert (result.status, result.exit_code) == ("other", 4)
+    assert "2 values" in result.message
+    assert "abacus" in result.notes[0]
+    score(lines)
+    assert verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).key == "end.score"
+    # The same platform in another episode: nothing differs, and the difference is but a note.
+    monkeypatch.setattr(module, "_environment", lambda: {"machine": "abacus"})
+    result = verify_record(honest)
+    assert result.status == "ok"
+    assert result.notes
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("seed", -1),
+        ("seed", "x"),
+        ("options", 3),
+        ("options", {"goal": "gold"}),
+        ("goals", []),
+        ("streams", {}),
+        ("hidden", None),
+        ("materials", 5),
+    ],
+)
+def test_a_header_that_makes_no_sense(key: str, value: Any, honest: Path, tmp_path: Path) -> None:
+    lines = load(honest)
+    lines[0][key] = value
+    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    assert result.status == "tampered"
+    assert result.where == "header"
+
+
+# -- torn, unfinished, no records -----------------------------------------------------------------------------
+
+
+def test_a_torn_record_can_be_read_up_to_the_tear(honest: Path, tmp_path: Path) -> None:
+    content, path = honest.read_bytes(), tmp_path / "a.jsonl"
+    ends = [i + 1 for i, byte in enumerate(content) if byte == ord("\n")]
+    # In the middle of lines, at their ends, just before those.
+    for length in (*range(ends[0], len(content), 1777), *ends[:-1:7], ends[-1] - 1, ends[-2] + 1):
+        path.write_bytes(content[:length])
+        whole = sum(end <= length for end in ends)
+        record = read_record(path)
+        assert record.torn
+        assert record.broken is None
+        assert len(record.turns) == whole - 1
+    for length in (ends[0], ends[30], ends[30] + 5, ends[-2], ends[-1] - 1):
+        path.write_bytes(content[:length])
+        result = verify_record(path)
+        assert (result.status, result.exit_code) == ("torn", 3)
+        assert result.turns == sum(end <= length for end in ends) - 1
+    # A tear does not hide tampering.
+    lines = load(honest)[:40]
+    reward(lines)
+    assert verify_record(store(path, lines, expert=True)).status == "tampered"
+
+
+def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
+    env = raw_env("wurtz_dodecane")
+    path = tmp_path / "deep" / "a.jsonl"
+
+    def stop(turn: Any) -> None:
+        if turn.tick == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), Recorder(path, env.laboratories) as recorder:
+        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, watch=stop, recorder=recorder)
+    assert [file.name for file in path.parent.iterdir()] == ["a.jsonl.part"]
+    result = verify_record(recorder.part)
+    assert result.status == "torn"
+    assert result.turns == len(read_record(recorder.part).turns) > 5
+    with pytest.raises(RecordError, match=r"not finished: read .*a\.jsonl\.part"):
+        read_record(path)
+    # Neither does anything write over it unasked.
+    with pytest.raises(ValueError, match="already there"):
+        Recorder(path, env.laboratories)
+    with Recorder(path, env.laboratories, force=True) as recorder:
+        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=recorder)
+    assert [file.name for file in path.parent.iterdir()] == ["a.jsonl"]
+
+
+def test_a_file_that_appears_while_recording_is_kept(tmp_path: Path) -> None:
+    env = raw_env("salt_from_oil")
+    path = tmp_path / "a.jsonl"
+    recorder = Recorder(path, env.laboratories)
+    path.write_text("mine")
+    with pytest.raises(ValueError, match="somebody else"):
+        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=recorder)
+    assert path.read_text() == "mine"
+    assert verify_record(recorder.part).status == "ok"
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n", b"{}\n", b"\x00\x01", b'{"format":3}\n', b'{"format":{}}\n', b"[" * 9999]
+)
+def test_what_is_no_record(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    result = verify_record(path)
+    assert (result.status, result.exit_code) == ("unchecked", 5)
+
+
+def test_misuse_of_a_recorder(tmp_path: Path) -> None:
+    env = raw_env("salt_from_oil")
+    env.reset(seed=0)
+    with Recorder(tmp_path / "a.jsonl", env.laboratories) as recorder:
+        with pytest.raises(ValueError, match="begin"):
+            recorder.turn([])
+        recorder.begin(0)
+        with pytest.raises(ValueError, match="not over"):
+            recorder.begin(0)
+
+
+# -- things of one's own --------------------------------------------------------------------------------------
+
+
+def test_a_bench_of_ones_own_is_imported_only_on_trust(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A record names modules; what Python imports is the user's decision."""
+    shipped = Path(chemlab.scenarios.__path__[0]) / "salt_from_oil.toml"
+    file = tmp_path / "filtered.toml"
+    entry = '\n[benches.fil]\nkind = "filtration_bench:FiltrationBench"\nstep_limit = 5\n'
+    file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "filtered"') + entry)
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parent / "bench"))
+        path = play(tmp_path / "a.jsonl", file, "random")
+        result = verify_record(path)
+        assert result.status == "unchecked"
+        assert "filtration_bench" in result.message
+        assert verify_record(path, trust=True).status == "ok"
+    lines = load(path)
+    lines[0]["scenario"]["scenario"]["benches"]["fil"]["kind"] = "no_such_module:Bench"
+    result = verify_record(store(tmp_path / "b.jsonl", lines, expert=True), trust=True)
+    assert result.status == "unchecked"
+    assert "no_such_module" in result.message
+
+
+class Nothing:
+    """A reaction model in which nothing happens."""
+
+    def __call__(self, amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -> Any:
+        return amount_mol
+
+
+def test_physics_of_ones_own_has_to_be_given(tmp_path: Path) -> None:
+    env = raw_env("wurtz_dodecane", reaction_model=Nothing())
+    path = tmp_path / "a.jsonl"
+    play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
+    result = verify_record(path)
+    assert result.status == "unchecked"
+    assert "Nothing" in result.message
+    assert verify_record(path, reaction_model=Nothing()).status == "ok"
+    lines = load(path)
+    lines[0]["models"] = {}
+    assert verify_record(store(tmp_path / "b.jsonl", lines, expert=True)).status == "tampered"
+
+
+# -- the command ----------------------------------------------------------------------------------------------
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    run = ["run", "salt_from_oil", "--record", str(path), "--json"]
+    assert runner.invoke(app, run).exit_code == 0
+    refused = runner.invoke(app, run)
+    assert refused.exit_code == 2
+    assert "already there" in refused.output
+    assert runner.invoke(app, [*run, "--force"]).exit_code == 0
+    assert runner.invoke(app, [*run, "--episodes", "2", "--seed", "7"]).exit_code == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a-7.jsonl", "a-8.jsonl", "a.jsonl"]
+    assert read_record(tmp_path / "a-8.jsonl").header["seed"] == 8
+    assert read_record(path).header["policies"] == {
+        "manager_0": "heuristic",
+        "ext_0": "heuristic",
+        "dit_0": "heuristic",
+    }
+    good = runner.invoke(app, ["verify", *map(str, sorted(tmp_path.iterdir()))])
+    assert good.exit_code == 0
+    assert good.output.count("ok ") == 3
+
+
+def test_exit_codes_of_verify(honest: Path, tmp_path: Path) -> None:
+    """The worst record decides."""
+    lines = load(honest)
+    torn = store(tmp_path / "torn", lines[:-1], expert=True)
+    lines[0]["chemlab"] = "9.9"
+    other = store(tmp_path / "other", lines, expert=True)
+    lines = load(honest)
+    score(lines)
+    tampered = store(tmp_path / "tampered", lines, expert=True)
+    missing = tmp_path / "missing"
+    for files, code in (
+        ([honest], 0),
+        ([honest, torn], 3),
+        ([torn, other], 4),
+        ([other, missing], 5),
+        ([tampered, missing, other, torn, honest], 1),
+    ):
+        result = runner.invoke(app, ["verify", "--json", *map(str, files)])
+        assert result.exit_code == code
+        found = [json.loads(line) for line in result.stdout.splitlines()]
+        assert [item["path"] for item in found] == [str(file) for file in files]
+    text = runner.invoke(app, ["verify", str(tampered)]).output
+    assert "end.score: recorded 0.99, recomputed" in " ".join(text.split())
