@@ -77,6 +77,14 @@ class RandomPolicy:
         _draw_legal(mask, members, self._stream, chosen)
         return chosen
 
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return self._stream.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._stream = np.array(memory)
+
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from safetensors.numpy import load_file
 
 from chemlab.bench.base import Bench, MaskArray, ObservationArray
+from chemlab.laboratory.core import ManagerRole
 from chemlab.shelf import IntArray
 
 __all__ = [
@@ -38,21 +39,25 @@ __all__ = [
 Weights = Mapping[str, npt.NDArray[np.float32]]
 
 
-def interface(bench: Bench) -> dict[str, Any]:
-    """What an agent sees and may do on a bench, as plain values; policies fit where this is equal."""
+Role = Bench | ManagerRole
+"""What a policy may be for: a bench, or the manager of a laboratory (:meth:`Laboratories.role`)."""
+
+
+def interface(bench: Role) -> dict[str, Any]:
+    """What an agent sees and may do, as plain values; policies fit where this is equal."""
     return {
-        "kind": bench.spec.kind,
+        "kind": bench.kind,
         "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in bench.channels],
         "actions": list(bench.action_meanings),
         "discrete": bool(bench.action_count),
     }
 
 
-def fingerprint(bench: Bench) -> str:
-    """A number for the task: the bench's options, starting state, chemistry, stock and prices."""
+def fingerprint(bench: Role) -> str:
+    """A number for the task: the bench's options, starting state, chemistry, stock and prices; for a manager, those of
+    all benches, and the shelf, instruments, limits and costs."""
     scenario = bench.scenario
-    task = {
-        "bench": bench.spec.model_dump(mode="json", exclude={"count"}),
+    task: dict[str, Any] = {
         "materials": {name: m.model_dump(mode="json") for name, m in scenario.materials.items()},
         "family": scenario.family.model_dump(mode="json"),
         "goals": scenario.goals,
@@ -61,6 +66,11 @@ def fingerprint(bench: Bench) -> str:
         "safety": scenario.safety.model_dump(mode="json"),
         "illegal_action": scenario.costs.illegal_action,
     }
+    if isinstance(bench, Bench):
+        task["bench"] = bench.spec.model_dump(mode="json", exclude={"count"})
+    else:
+        # What a scenario is called changes nothing.
+        task["laboratory"] = scenario.model_dump(mode="json", exclude={"name", "title", "summary"})
     return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -135,7 +145,7 @@ class PretrainedPolicy:
                 f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
             )
 
-    def check(self, bench: Bench) -> None:
+    def check(self, bench: Role) -> None:
         """Refuse a bench it does not fit; warn if the bench has changed since it was trained there.
 
         Raises:
@@ -187,15 +197,16 @@ class PretrainedPolicy:
         return np.clip(values, 0.0, 1.0).astype(np.float64)
 
 
-def _advice(bench: Bench) -> str:
-    return f"chemlab train chemlab/Bench-v0 --scenario {bench.scenario.name} --bench {bench.key}, then chemlab export"
+def _advice(bench: Role) -> str:
+    what = f"chemlab/Bench-v0 --bench {bench.key}" if isinstance(bench, Bench) else "manager"
+    return f"chemlab train {what} --scenario {bench.scenario.name}, then chemlab export"
 
 
-def _difference(card: Card, bench: Bench) -> str:
+def _difference(card: Card, bench: Role) -> str:
     """The first thing in which a bench is not what the policy knows, or nothing."""
     mine, other = card.interface, json.loads(json.dumps(interface(bench)))
     if mine["kind"] != other["kind"]:
-        return f"it is for a {mine['kind']} bench, this is {other['kind']}"
+        return f"it is for {mine['kind']}, this is {other['kind']}"
     size = int(bench.observation_space.shape[0])
     for ours, theirs in zip(mine["channels"], other["channels"], strict=False):
         if ours != theirs:
@@ -250,7 +261,7 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     return PretrainedPolicy(card, weights)
 
 
-def pretrained_for(bench: Bench) -> PretrainedPolicy:
+def pretrained_for(bench: Role) -> PretrainedPolicy:
     """The shipped policy for a bench: one trained on it, else one that fits because all it sees and does is the same.
 
     Raises:

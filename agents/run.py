@@ -57,6 +57,14 @@ class EpisodeResult:
         """The fields as plain Python values."""
         return dict(vars(self))
 
+    def words(self) -> str:
+        """The outcome, the costs and the score as a line."""
+        costs = ", ".join(f"{item} {value:.4f}" for item, value in self.costs.items() if value > 0.0)
+        end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
+        if not self.terminated:
+            end = f"ran out of actions or ticks; {end if self.submitted_mol > 0.0 else 'nothing submitted'}"
+        return f"{end}; costs: {costs or 'none'}; score {self.score:.3f}"
+
 
 def _describe(env: raw_env, agent: int, action: Any) -> str:
     labs = env.laboratories
@@ -104,7 +112,7 @@ def play_episode(
         assert observation is not None
         mask = info.get("action_mask")
         tick = int(labs.desk.ticks[0])
-        step = int(labs.desk.actions[0] if number == 0 else labs.stations[number - 1].steps[0])
+        step = int(labs.turns_had(number)[0])
         action = policies[agent].act(
             observation[None], None if mask is None else mask[None], np.array([step]), members
         )[0]

@@ -211,7 +211,7 @@ class Scenario(BaseModel):
     orders: int = Field(default=1, ge=1, le=16)
     """Vessels the manager has to submit; each is worth an equal share of the score."""
     theoretical_maximum_mol: dict[str, float]
-    """Most moles of each laboratory goal that stock and shelf allow."""
+    """Most moles of each laboratory goal that stock and shelf allow, divided among the orders."""
     ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
     ambient_pressure_kpa: float = Field(default=101.325, gt=0.0, le=1000.0)
     stock: dict[str, float] = Field(default_factory=dict)
@@ -254,16 +254,20 @@ class Scenario(BaseModel):
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
         return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
 
-    def with_rewards(self, rewards: str | RewardSpec) -> Scenario:
+    def with_rewards(self, rewards: str | RewardSpec | Mapping[str, float]) -> Scenario:
         """The same laboratory with another reward mix.
 
         Args:
             rewards: ``individual``, ``cooperative``, ``mixed``, or the numbers.
 
         Raises:
-            ValueError: unknown mix.
+            ValueError: unknown mix, or numbers that are none.
         """
-        return self.model_copy(update={"rewards": _reward_mix(rewards)})
+        mix = _reward_mix(rewards)
+        if not isinstance(mix, (RewardSpec, Mapping)):
+            raise ValueError(f"rewards: must be {', '.join(REWARD_MIXES)} or the numbers, given {rewards!r}")
+        checked = mix if isinstance(mix, RewardSpec) else validated(RewardSpec, mix, "rewards")
+        return self.model_copy(update={"rewards": checked})
 
     def __hash__(self) -> int:
         return hash((self.name, self._origin))

@@ -339,14 +339,14 @@ def test_lint(name: str) -> None:
         else:
             assert bench.action_space == gymnasium.spaces.Discrete({"ext": 41, "dit": 31}[bench.key])
     starts = len(labs.stations) * slots * goals
-    others = slots * len(scenario.instruments) + 2 * slots + len(labs.stations) + 1
+    others = slots * len(scenario.instruments) + slots + slots * scenario.orders + len(labs.stations) + 1
     assert labs.manager_action_space == gymnasium.spaces.Discrete(starts + others)
     # Goals can be made, and no more of them than the file says.
     for goal in scenario.goals:
         assert most_moles(scenario, goal) > 0.0, f"{goal} cannot be made here"
     assert set(scenario.lab_goals) <= set(scenario.theoretical_maximum_mol) <= set(scenario.goals)
     for goal, mol in scenario.theoretical_maximum_mol.items():
-        assert mol == pytest.approx(most_moles(scenario, goal), rel=1e-9), goal
+        assert mol == pytest.approx(most_moles(scenario, goal) / scenario.orders, rel=1e-9), goal
     # Every reagent and everything that is added from a bottle has one; every priced bottle exists.
     for bench in labs.benches:
         wanted = list(getattr(bench.options, "reagents", {}))

@@ -16,6 +16,7 @@ import chemlab
 from chemlab.bench.base import Bench
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import play_on
 from chemlab.materials import DataError
 from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import FloatArray, IntArray
@@ -320,23 +321,15 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         labs.seed(int(member), np.random.SeedSequence(seed + int(member)))
     labs.reset(labs.members, goal)
     cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
-    while (running := labs.desk.status == 0).any():
-        turns = np.where(running, labs.desk.cursor + 1, -1)
-        for number, agent in enumerate(labs.agents):
-            members = np.flatnonzero(turns == number)
-            if not len(members):
-                continue
-            steps = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
-            actions = policies[agent].act(
-                labs.observe(number, members), labs.mask(number, members), steps[members].copy(), members
-            )
-            labs.act(number, members, actions)
-            rewards[members] += labs.rewards[members]
-            cost[members] += labs.cost[members].sum(axis=1)
-            lost = labs.desk.illegal if number == 0 else labs.stations[number - 1].illegal
-            illegal[members] += lost[members]
+
+    def count(number: int, members: IntArray) -> None:
+        rewards[members] += labs.rewards[members]
+        cost[members] += labs.cost[members].sum(axis=1)
+        illegal[members] += labs.illegal(number)[members]
+
+    play_on(labs, [policies[agent] for agent in labs.agents], labs.members, count)
     scores = labs.result(labs.members)
-    submitted = labs.desk.submitted.reshape(n, -1, 2)  # by order
+    submitted = labs.desk.submitted
     measures = {"submitted_mol": submitted[:, :, 0].sum(axis=1), "purity": submitted[:, :, 1].mean(axis=1)}
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
     return Played(scores, labs.desk.ticks.copy(), cost, illegal, [""] * n, measures)

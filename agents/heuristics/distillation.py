@@ -3,6 +3,7 @@ or nothing was there to boil off, swap the receiver and distil the goal over."""
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,14 @@ class DistillationHeuristic:
             [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
             dtype=np.int64,
         )
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy((self._phase, self._memory))
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._phase, self._memory = copy.deepcopy(memory)
 
     def _heat(self, kilojoules: float) -> int:
         """The largest heating step of at most ``kilojoules`` (the smallest there is, if none)."""

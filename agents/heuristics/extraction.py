@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,14 @@ class ExtractionHeuristic:
             ],
             dtype=np.int64,
         )
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy((self._phase, self._washes))
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._phase, self._washes = copy.deepcopy(memory)
 
     def _pixels(self, picture: ObservationArray, shades: list[float]) -> int:
         """How many pixels show one of the materials."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -89,6 +90,14 @@ class ManagerHeuristic:
             [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
             dtype=np.int64,
         )
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy(self._lines)
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._lines = copy.deepcopy(memory)
 
     def _value(self, observation: ObservationArray, name: str) -> float:
         return float(observation[self._slices[name]][0])

@@ -39,9 +39,14 @@ ON_POLICY = ("ppo", "a2c", "maskable-ppo")
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
+    "manager": {"algo": "maskable-ppo", "envs": 64, "rollout": 64, "ent_coef": 0.01, "gamma": 1.0},
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
 }
 """Presets: the fields that differ from the defaults, which are the paper's protocol."""
+
+
+_SHORT = {"manager": "chemlab/LabManager-v0"}
+"""What people may call an environment for short."""
 
 
 def _argument(default: Any, text: str) -> Any:
@@ -52,13 +57,22 @@ def _argument(default: Any, text: str) -> Any:
 class TrainArguments:
     """Everything that decides what a training run learns; ``chemlab train --help`` is made from this."""
 
-    env_id: str = _argument("chemlab/WurtzReaction-v0", "Environment to train in, as registered with Gymnasium.")
+    env_id: str = _argument(
+        "chemlab/WurtzReaction-v0", "Environment to train in, as registered with Gymnasium; manager for short."
+    )
     algo: str = _argument("ppo", f"Algorithm: {', '.join(ALGORITHMS)}.")
     preset: str = _argument("paper", f"Defaults to start from: {', '.join(PRESETS)}.")
     steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.")
     seed: int = _argument(0, "Seed of networks, exploration and environments.")
-    scenario: str | None = _argument(None, "Scenario, for chemlab/Bench-v0 (others have their own).")
-    bench: str | None = _argument(None, "Bench of the scenario, for chemlab/Bench-v0 (others have their own).")
+    scenario: str | None = _argument(
+        None, "Scenario, for chemlab/Bench-v0 and the laboratory's views (others have their own)."
+    )
+    bench: str | None = _argument(
+        None, "Bench of the scenario, for chemlab/Bench-v0; the agent, for chemlab/LabAgent-v0 (others have their own)."
+    )
+    background: str | None = _argument(
+        None, "Who plays the other roles of a laboratory, by name. Default: heuristic, for the laboratory's views."
+    )
     goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option. Default: all.")
     starts: str = _argument("paper", "Starting states: paper, or lab (as vessels reach the bench in a laboratory).")
     envs: int = _argument(10, "Environments side by side.")
@@ -179,6 +193,7 @@ def arguments_of(values: Mapping[str, Any], where: str = "arguments") -> TrainAr
             raise ValueError(f"{where}: {name}: no such argument{f'; did you mean {near[0]}?' if near else ''}")
         if value is not None:
             given[name] = _converted(name, hints[name], value, where)
+    given["env_id"] = _SHORT.get(given.get("env_id", ""), given.get("env_id", TrainArguments.env_id))
     preset = given.get("preset", "paper")
     if preset not in PRESETS:
         raise ValueError(f"{where}: preset: known: {', '.join(PRESETS)}; given {preset!r}")
@@ -234,9 +249,9 @@ def label_of(arguments: TrainArguments) -> str:
 def folder_of(arguments: TrainArguments, label: str | None = None) -> Path:
     """Where a run stands in a folder of results: bench, label, seed."""
     bench = arguments.env_id.rpartition("/")[2].rpartition("-v")[0] or arguments.env_id
-    if bench == "Bench":
-        scenario = Path(arguments.scenario or "wurtz_dodecane").stem
-        bench = f"{scenario}-{arguments.bench or 'rxn'}"
+    other = {"Bench": "rxn", "LabAgent": "manager_0", "LabManager": "manager_0"}.get(bench)
+    if other is not None:
+        bench = f"{Path(arguments.scenario or 'wurtz_dodecane').stem}-{arguments.bench or other}"
     return Path(bench, label or label_of(arguments), f"seed-{arguments.seed}")
 
 

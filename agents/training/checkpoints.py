@@ -10,6 +10,7 @@ import os
 import pickle
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,14 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from ..sb3 import ChemlabVecEnv
 from .runs import Run
 
-__all__ = ["load_checkpoint", "save_checkpoint", "tidy"]
+__all__ = [
+    "commit_checkpoint",
+    "load_checkpoint",
+    "random_state",
+    "restore_random_state",
+    "save_checkpoint",
+    "tidy",
+]
 
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -32,8 +40,54 @@ def _synced(path: Path) -> None:
         os.fsync(handle.fileno())
 
 
+def random_state() -> dict[str, Any]:
+    """The process's random streams, for :func:`restore_random_state`."""
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from the global stream
+        "torch": torch.get_rng_state(),
+    }
+
+
+def restore_random_state(state: dict[str, Any]) -> None:
+    """Let the process's random streams go on as they were."""
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002 - SB3 draws from the global stream
+    torch.set_rng_state(state["torch"])
+
+
+def commit_checkpoint(
+    run: Run, step: int, write: Callable[[Path], None], models: str, best: bool, best_step: int | None
+) -> None:
+    """Write the ``last`` checkpoint, and a copy of its models as ``best`` if it is that.
+
+    Args:
+        run: whose checkpoint.
+        step: where it is in training.
+        write: writes all of it into a folder.
+        models: pattern of the files that the best checkpoint keeps.
+        best: whether these are the best models so far.
+        best_step: where the best ones were.
+    """
+    draft = run.checkpoints / f"new-{step}"
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    write(draft)
+    for file in draft.iterdir():
+        _synced(file)
+    if best:
+        copy = run.checkpoints / f"new-best-{step}"
+        shutil.rmtree(copy, ignore_errors=True)
+        copy.mkdir()
+        for file in draft.glob(models):
+            shutil.copyfile(file, copy / file.name)
+        _renamed(copy, run.checkpoints / f"best-{step}")
+    _renamed(draft, run.checkpoints / f"last-{step}")
+    tidy(run, step, best_step)
+
+
 def save_checkpoint(run: Run, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any], best: bool) -> None:
-    """Write the ``last`` checkpoint, and a copy of its model as ``best`` if it is that.
+    """Write the ``last`` checkpoint of a learner, and its model as ``best`` if it is that.
 
     Args:
         run: whose checkpoint.
@@ -41,33 +95,23 @@ def save_checkpoint(run: Run, model: BaseAlgorithm, venv: ChemlabVecEnv, progres
         progress: what the training loop itself has to remember.
         best: whether this is the best model so far.
     """
-    step = model.num_timesteps
-    draft = run.checkpoints / f"new-{step}"
-    shutil.rmtree(draft, ignore_errors=True)
-    draft.mkdir(parents=True)
-    model.save(draft / "model.zip")
-    rows = _save_replay(run, model) if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer) else 0
-    state = {
-        "step": step,
-        "replay_rows": rows,
-        "environments": venv.get_state(),
-        "action_space": model.action_space.np_random.bit_generator.state,
-        "python": random.getstate(),
-        "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from the global stream
-        "torch": torch.get_rng_state(),
-        "progress": progress,
-    }
-    (draft / "state.pkl").write_bytes(pickle.dumps(state))
-    for file in draft.iterdir():
-        _synced(file)
-    if best:
-        copy = run.checkpoints / f"new-best-{step}"
-        shutil.rmtree(copy, ignore_errors=True)
-        copy.mkdir()
-        shutil.copyfile(draft / "model.zip", copy / "model.zip")
-        _renamed(copy, run.checkpoints / f"best-{step}")
-    _renamed(draft, run.checkpoints / f"last-{step}")
-    tidy(run, step, progress["best_step"])
+    rows = 0
+
+    def write(folder: Path) -> None:
+        nonlocal rows
+        model.save(folder / "model.zip")
+        rows = _save_replay(run, model) if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer) else 0
+        state = {
+            "step": model.num_timesteps,
+            "replay_rows": rows,
+            "environments": venv.get_state(),
+            "action_space": model.action_space.np_random.bit_generator.state,
+            **random_state(),
+            "progress": progress,
+        }
+        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+
+    commit_checkpoint(run, model.num_timesteps, write, "model.zip", best, progress["best_step"])
     if rows:
         size = model.replay_buffer.buffer_size  # type: ignore[attr-defined]
         for _, stop, file in _replay_files(run):
@@ -151,7 +195,5 @@ def load_checkpoint(
     # Making the model has seeded everything anew: the streams come last.
     venv.set_state(state["environments"])
     model.action_space.np_random.bit_generator.state = state["action_space"]
-    random.setstate(state["python"])
-    np.random.set_state(state["numpy"])  # noqa: NPY002 - SB3 draws from the global stream
-    torch.set_rng_state(state["torch"])
+    restore_random_state(state)
     return model, dict(state["progress"])

@@ -14,19 +14,17 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
 from safetensors.numpy import save
 
 from chemlab.bench.base import ObservationArray
 from chemlab.files import write_text
-from chemlab.laboratory.bench_env import BenchVectorEnv
 
-from ..evaluation.trials import Trials
-from ..policy import bench_heuristic
-from ..pretrained import Card, PretrainedPolicy, fingerprint, interface, load_pretrained
+from ..policy import RandomPolicy
+from ..pretrained import Card, PretrainedPolicy, interface, load_pretrained
 from .arguments import TrainArguments, arguments_of, flags_of, resolved
 from .learn import RESULT_SEED, load_learner
 from .runs import Run, to_text
+from .tasks import Task, find_task
 
 try:
     import torch
@@ -81,13 +79,18 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
         return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
 
 
-def _observations(scenario: str, bench: str, starts: str, members: int = 64) -> ObservationArray:
-    """Observations of random experiments."""
-    env = BenchVectorEnv(members, scenario, bench, None, starts, AutoresetMode.SAME_STEP)
-    env.action_space.seed(0)
-    seen = [env.reset(seed=0)[0]]
-    seen += [env.step(env.action_space.sample())[0] for _ in range(20)]
-    return np.concatenate(seen)
+def _observations(task: Task, members: int = 64) -> ObservationArray:
+    """Observations of random episodes."""
+    env = task.batch(members)
+    shape = task.role.observation_space.shape
+    policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
+    nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
+    observations, infos = env.reset(seed=0)
+    seen = [observations]
+    for _ in range(20):
+        observations, _, _, _, infos = env.step(policy.act(observations, infos.get("action_mask"), nothing, everyone))
+        seen.append(observations)
+    return np.concatenate(seen).reshape(-1, *shape)
 
 
 def largest_difference(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
@@ -132,43 +135,45 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
-    scenario, bench_key, starts = config["scenario"], config["bench"], config["starts"]
-    trials = Trials(scenario, bench_key, config["final_episodes"], RESULT_SEED, config["goals"], starts)
-    if config["fingerprint"] != fingerprint(trials.bench):
-        raise ValueError(f"{folder}: bench {bench_key!r} of {scenario} has changed since this run; train it again")
+    task = find_task(_arguments(config))
+    if config["fingerprint"] != task.fingerprint:
+        raise ValueError(f"{folder}: {task.bench} of {task.scenario.name} has changed since this run; train it again")
     model: Any = load_learner(best, config["algo"])
     weights, activation, output = network_of(model)
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     draft: dict[str, Any] = {
         "name": path.name,
         "env_id": config["env_id"],
-        "scenario": trials.bench.scenario.name,
-        "bench": bench_key,
+        "scenario": task.scenario.name,
+        "bench": task.role.key,
         "goals": config["goals"],
-        "starts": starts,
+        "starts": config["starts"],
         "fingerprint": config["fingerprint"],
-        "interface": json.loads(json.dumps(interface(trials.bench))),
-        "observation_size": int(trials.bench.observation_space.shape[0]),
-        "action_size": trials.bench.action_count or len(trials.bench.action_meanings),
+        "interface": json.loads(json.dumps(interface(task.role))),
+        "observation_size": int(task.role.observation_space.shape[0]),
+        "action_size": task.role.action_count or len(task.role.action_meanings),
         "algo": config["algo"],
         "label": config["label"],
         "seed": config["seed"],
         "step": int(best.name.rpartition("-")[2]),
-        "command": _command(config, trials),
+        "command": _command(config, task),
         "versions": config["versions"],
         "activation": activation,
         "output": output,
     }
     policy = PretrainedPolicy(Card(**draft, evaluation={}), weights)
-    difference = largest_difference(model, policy, _observations(scenario, bench_key, starts))
+    difference = largest_difference(model, policy, _observations(task))
     if not difference <= _TOLERANCE:
         raise ValueError(
             f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
         )
-    found, heuristic = trials.by_goal(policy), _scripted(trials)
+    episodes = config["final_episodes"]
+    found = task.by_goal(policy, episodes, RESULT_SEED)
+    scripted = task.scripted()
+    heuristic = None if scripted is None else task.by_goal(scripted, episodes, RESULT_SEED)
     evaluation = {
-        "episodes_per_goal": trials.episodes,
-        "seed": trials.seed,
+        "episodes_per_goal": episodes,
+        "seed": RESULT_SEED,
         "mean": sum(found.values()) / len(found),
         "by_goal": found,
         "heuristic_mean": sum(heuristic.values()) / len(heuristic) if heuristic else None,
@@ -185,21 +190,22 @@ def export_run(folder: Path, out: Path) -> Card:
     return card
 
 
-def _scripted(trials: Trials) -> dict[str, float] | None:
-    try:
-        policy = bench_heuristic(trials.bench)
-    except ValueError:
-        return None
-    return trials.by_goal(policy)
+def _arguments(config: dict[str, Any]) -> TrainArguments:
+    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given."""
+    defaults = {f.name: f.default for f in fields(TrainArguments)}
+    given = {name: config.get(name, default) for name, default in defaults.items()}
+    if "scenario" in gymnasium.spec(config["env_id"]).kwargs:
+        given["scenario"] = None
+    if given["env_id"] not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
+        given["bench"] = None
+    return TrainArguments(**{**given, "goals": tuple(given["goals"]) if given["goals"] else None})
 
 
-def _command(config: dict[str, Any], trials: Trials) -> str:
+def _command(config: dict[str, Any], task: Task) -> str:
     """What trains it again: the arguments that are not what the others imply."""
-    given = {f.name: config[f.name] for f in fields(TrainArguments)}
-    if config["env_id"] != "chemlab/Bench-v0":
-        given["scenario"] = given["bench"] = None  # the environment id says it
-    if config["goals"] == list(trials.bench.scenario.goals):
-        given["goals"] = None
+    given = vars(_arguments(config))
+    if list(task.goals) == list(find_task(_arguments({**config, "goals": None})).goals):
+        given = {**given, "goals": None}
     implied = vars(resolved(arguments_of({name: given[name] for name in ("env_id", "algo", "preset")})))
     own = {name: value for name, value in given.items() if value != implied[name]}
     return shlex.join(["chemlab", "train", config["env_id"], *flags_of(arguments_of({**own, "algo": given["algo"]}))])

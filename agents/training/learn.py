@@ -1,13 +1,13 @@
-"""Train a bench agent with Stable-Baselines3, so that a crash at any moment costs little and changes nothing.
+"""Train an agent with Stable-Baselines3, so that a crash at any moment costs little and changes nothing.
 
 >>> from pathlib import Path
 >>> from chemlab.agents.training.arguments import TrainArguments
 >>> from chemlab.agents.training.learn import train
 >>> train(TrainArguments("chemlab/WurtzReaction-v0", steps=300_000), Path("runs/wurtz"))   # doctest: +SKIP
 
-What a run writes is described in :mod:`chemlab.agents.training.runs`. A run that was killed goes on from its last checkpoint:
-learner, optimizer, replay memory, environments and every random stream are there as they were, so that what comes out
-is, bit for bit, what an uninterrupted run on the same machine would have come to.
+What a run writes is described in :mod:`chemlab.agents.training.runs`. A run that was killed goes on from its last
+checkpoint: learner, optimizer, replay memory, environments and every random stream are there as they were, so that
+what comes out is, bit for bit, what an uninterrupted run on the same machine would have come to.
 
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
@@ -19,11 +19,10 @@ import math
 import platform
 import shutil
 import time
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Protocol
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
 
@@ -32,11 +31,9 @@ from chemlab.bench.base import MaskArray, ObservationArray
 from chemlab.files import write_text
 from chemlab.shelf import IntArray
 
-from ..evaluation.trials import Trials
-from ..policy import bench_heuristic
-from ..pretrained import fingerprint
 from .arguments import ALGORITHMS, TrainArguments, label_of, resolved
 from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
+from .tasks import Task, find_task
 
 try:
     import sb3_contrib
@@ -55,7 +52,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
-__all__ = ["RESULT_SEED", "LearnerPolicy", "Watcher", "load_learner", "task_of", "train"]
+__all__ = ["RESULT_SEED", "LearnerPolicy", "Watcher", "load_learner", "same_run", "train", "versions"]
 
 _CLASSES: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "sac": SAC, "td3": TD3, "maskable-ppo": MaskablePPO}
 _EVALUATION_SEED = 1_000_000
@@ -94,30 +91,6 @@ class LearnerPolicy:
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
         actions, _ = self._model.predict(observation, deterministic=True, **masks)
         return np.asarray(actions)
-
-
-def task_of(arguments: TrainArguments) -> dict[str, Any]:
-    """``scenario``, ``bench``, ``goals`` and ``starts`` that the arguments' environment id stands for.
-
-    Raises:
-        ValueError: not an environment of one bench, or a scenario for one that has its own.
-    """
-    env_id = arguments.env_id
-    known = [
-        name
-        for name, spec in gymnasium.registry.items()
-        if spec.vector_entry_point and "chemlab." in str(spec.entry_point)
-    ]
-    if env_id not in known:
-        raise ValueError(f"env_id: benches are {', '.join(known)}; given {env_id!r}")
-    own = gymnasium.spec(env_id).kwargs
-    asked = {"scenario": arguments.scenario, "bench": arguments.bench}
-    for name, value in asked.items():
-        if value is not None and own.get(name, value) != value:
-            raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs chemlab/Bench-v0, given {value!r}")
-    default = {"scenario": "wurtz_dodecane", "bench": "rxn"}
-    task = {**default, **own, **{name: value for name, value in asked.items() if value is not None}}
-    return {**task, "goals": arguments.goals, "starts": arguments.starts}
 
 
 def load_learner(folder: Path, algo: str) -> BaseAlgorithm:
@@ -170,15 +143,15 @@ class _Rounds(BaseCallback):
         run: Run,
         arguments: TrainArguments,
         venv: ChemlabVecEnv,
-        trials: Trials,
+        task: Task,
         total: int,
         memory: dict[str, Any],
         watcher: Watcher | None,
     ) -> None:
         super().__init__()
-        self.run, self.arguments, self.venv, self.trials = run, arguments, venv, trials
+        self.run, self.arguments, self.venv, self.task = run, arguments, venv, task
         self.total, self.memory, self.watcher = total, memory, watcher
-        self.heuristic = _heuristic(trials)
+        self.heuristic = _scripted(task, arguments.eval_episodes, _EVALUATION_SEED)
         self._returns: list[float] = []
         self._done = -1
         self._before = float(memory["seconds"])
@@ -232,7 +205,7 @@ class _Rounds(BaseCallback):
         return rounds * times // last > (rounds - 1) * times // last
 
     def _evaluate(self, step: int) -> bool:
-        found = self.trials.by_goal(LearnerPolicy(self.model))
+        found = self.task.by_goal(LearnerPolicy(self.model), self.arguments.eval_episodes, _EVALUATION_SEED)
         mean = _mean(found)
         evaluation = Evaluation(
             step, mean, found, None if self.heuristic is None else _mean(self.heuristic), self.heuristic
@@ -251,16 +224,14 @@ def _mean(by_goal: dict[str, float]) -> float:
     return sum(by_goal.values()) / len(by_goal)
 
 
-def _heuristic(trials: Trials) -> dict[str, float] | None:
+def _scripted(task: Task, episodes: int, seed: int) -> dict[str, float] | None:
     """The scripted policy's means, or None where a bench of one's own has no scripted policy."""
-    try:
-        policy = bench_heuristic(trials.bench)
-    except ValueError:
-        return None
-    return trials.by_goal(policy)
+    policy = task.scripted()
+    return None if policy is None else task.by_goal(policy, episodes, seed)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """What a run may depend on."""
     return {
         "chemlab": chemlab.__version__,
         "stable-baselines3": stable_baselines3.__version__,
@@ -271,11 +242,13 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _same_run(run: Run, config: dict[str, Any]) -> None:
+def same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> None:
     """Refuse to go on with a run that was begun with other arguments."""
     saved = run.config()
     if saved is None:
         return
+    # A field that an older version did not know yet had its default.
+    saved = {**defaults, **saved}
     names = [name for name in {**saved, **config} if name != "versions" and saved.get(name) != config.get(name)]
     if names == ["fingerprint"]:
         raise ValueError(
@@ -310,21 +283,18 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         DataError: unknown scenario, bench, goal or starting states.
     """
     run, arguments = Run(out), resolved(arguments)
-    task = task_of(arguments)
-    trials = Trials(
-        task["scenario"], task["bench"], arguments.eval_episodes, _EVALUATION_SEED, task["goals"], task["starts"]
-    )
-    _check_algorithm(arguments.algo, discrete=bool(trials.bench.action_count))
+    task = find_task(arguments)
+    _check_algorithm(arguments.algo, discrete=bool(task.role.action_count))
     described = RunConfig(
         label_of(arguments),
         asdict(arguments),
-        str(task["scenario"]),
-        task["bench"],
-        list(trials.goals),
-        fingerprint(trials.bench),
-        _versions(),
+        arguments.scenario or task.scenario.name,
+        task.bench,
+        list(task.goals),
+        task.fingerprint,
+        versions(),
     )
-    _same_run(run, json.loads(to_text(described.as_dict())))
+    same_run(run, json.loads(to_text(described.as_dict())), {f.name: f.default for f in fields(TrainArguments)})
     finished = run.result()
     if finished is not None:
         return finished
@@ -332,17 +302,15 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         if run.config() is None:
             write_text(run.config_file, to_text(described.as_dict()))
         run.failed_file.unlink(missing_ok=True)
-        return _train(run, arguments, task, trials, watcher)
+        return _train(run, arguments, task, watcher)
 
 
-def _train(
-    run: Run, arguments: TrainArguments, task: dict[str, Any], trials: Trials, watcher: Watcher | None
-) -> RunResult:
+def _train(run: Run, arguments: TrainArguments, task: Task, watcher: Watcher | None) -> RunResult:
     # On this size of network a second thread gains nothing, and another number of threads adds in another order.
     torch.set_num_threads(1)
     size = arguments.envs * arguments.rollout
     total = math.ceil(arguments.steps / size) * size
-    venv = ChemlabVecEnv(arguments.envs, **task)
+    venv = ChemlabVecEnv(task.batch(arguments.envs))
     memory: dict[str, Any] = {"seconds": 0.0, "best_mean": None, "best_step": None}
     last = run.checkpoint("last")
     if last is None:
@@ -353,7 +321,7 @@ def _train(
         tidy(run, model.num_timesteps, memory["best_step"])
     begin = model.num_timesteps
     run.truncate(begin)
-    rounds = _Rounds(run, arguments, venv, trials, total, memory, watcher)
+    rounds = _Rounds(run, arguments, venv, task, total, memory, watcher)
     if watcher is not None:
         watcher.begun(begin, total)
     if begin < total:
@@ -376,16 +344,14 @@ def _train(
     return result
 
 
-def _result(run: Run, arguments: TrainArguments, task: dict[str, Any], memory: dict[str, Any], total: int) -> RunResult:
-    trials = Trials(
-        task["scenario"], task["bench"], arguments.final_episodes, RESULT_SEED, task["goals"], task["starts"]
-    )
+def _result(run: Run, arguments: TrainArguments, task: Task, memory: dict[str, Any], total: int) -> RunResult:
     found = {}
     for kind in ("best", "last"):
         folder = run.checkpoint(kind)
         assert folder is not None, "the last rollout is followed by an evaluation and a checkpoint"
-        found[kind] = trials.by_goal(LearnerPolicy(load_learner(folder, arguments.algo)))
-    heuristic = _heuristic(trials)
+        learned = LearnerPolicy(load_learner(folder, arguments.algo))
+        found[kind] = task.by_goal(learned, arguments.final_episodes, RESULT_SEED)
+    heuristic = _scripted(task, arguments.final_episodes, RESULT_SEED)
     return RunResult(
         env_id=arguments.env_id,
         label=label_of(arguments),

@@ -45,7 +45,8 @@ class RunConfig:
     label: str
     """What figures call the algorithm: ``ppo``, ``ppo-xl``, ..."""
     arguments: dict[str, Any]
-    """Every field of :class:`~chemlab.agents.training.arguments.TrainArguments`; in the file they stand beside the others."""
+    """Every field of :class:`~chemlab.agents.training.arguments.TrainArguments`; in the file they stand beside the
+    others."""
     scenario: str
     bench: str
     goals: list[str]

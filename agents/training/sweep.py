@@ -125,7 +125,10 @@ def status_of(planned: Planned) -> Status:
     for name, value in expected.items():
         mine = list(value) if isinstance(value, tuple) else value
         # The file has what scenario, bench and goals stand for where they are not given.
-        if config.get(name) != mine and not (name in ("scenario", "bench", "goals") and mine is None):
+        # A field that an older version did not know yet had its default.
+        if config.get(name, getattr(TrainArguments(), name)) != mine and not (
+            name in ("scenario", "bench", "goals") and mine is None
+        ):
             return Status("other", 0, steps, None, f"{name} is {config.get(name)!r}, not {mine!r}: {run.path}")
     result = run.result()
     if result is not None:

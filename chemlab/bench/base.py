@@ -326,6 +326,11 @@ class Bench(ABC):
         self.action_space = action_space
 
     @property
+    def kind(self) -> str:
+        """What the scenario calls this kind of bench: ``reaction``, ``extraction``, ..."""
+        return self.spec.kind
+
+    @property
     def action_count(self) -> int:
         """Number of discrete actions; 0 where actions are continuous."""
         return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0

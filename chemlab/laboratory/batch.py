@@ -148,13 +148,14 @@ class BatchedLaboratory:
         labs, members = self.laboratories, self.laboratories.members
         checked = []
         for number, agent in enumerate(self.possible_agents):
-            if agent in actions:
-                space = labs.action_space(number)
-                checked.append(checked_actions(agent, actions[agent], self.num_envs, space))
-            elif self._turns[number].any():
-                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
-            else:
+            turn = self._turns[number]
+            if not turn.any():
                 checked.append(self._idle_actions[number])
+            elif agent in actions:
+                space = labs.action_space(number)
+                checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
+            else:
+                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
         labs.act_round(members, checked)
         rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
         cost, scores = labs.cost.copy(), labs.scores.copy()

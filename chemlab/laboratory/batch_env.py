@@ -29,7 +29,13 @@ def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
     return inside
 
 
-def checked_actions(agent: str, actions: Any, count: int, space: gymnasium.Space[Any]) -> npt.NDArray[Any]:
+def checked_actions(
+    agent: str,
+    actions: Any,
+    count: int,
+    space: gymnasium.Space[Any],
+    rows: npt.NDArray[np.bool_] | None = None,
+) -> npt.NDArray[Any]:
     """A batch of actions as int64 [B] or float64 [B, n].
 
     Args:
@@ -37,19 +43,28 @@ def checked_actions(agent: str, actions: Any, count: int, space: gymnasium.Space
         actions: what was given.
         count: B.
         space: action space of a member.
+        rows: [B] whose actions count; the others' may be any numbers.
 
     Raises:
         ValueError: an action is outside the space, or the batch has another shape.
     """
-    values = np.asarray(actions)
+    try:
+        values = np.asarray(actions)
+    except ValueError:  # lists of different lengths
+        values = np.empty((), dtype=object)
+    # Kernels take plain arrays, whatever layout, width and byte order was given.
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
-        if values.dtype.kind in "iu" and values.shape == (count,) and _all_within(values, 0, last):
-            return values if values.dtype == np.int64 else values.astype(np.int64)
+        if values.dtype.kind in "iu" and values.shape == (count,):
+            numbers = np.ascontiguousarray(values, dtype=np.int64)
+            if _all_within(numbers if rows is None else numbers[rows], 0, last):
+                return numbers
         raise ValueError(f"{agent}: actions must be {count} integers from 0 to {last}, given {actions!r}")
     shape = (count, *(space.shape or ()))
-    if values.dtype.kind in "fiu" and values.shape == shape and _all_within(values, 0.0, 1.0):
-        return np.ascontiguousarray(values, dtype=np.float64)
+    if values.dtype.kind in "fiu" and values.shape == shape:
+        numbers = np.ascontiguousarray(values, dtype=np.float64)
+        if _all_within(numbers if rows is None else numbers[rows], 0.0, 1.0):
+            return numbers
     raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {actions!r}")
 
 
@@ -194,6 +209,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         self._pending[mask] = False
         self._costs[mask], self._illegal[mask] = 0.0, False
         self._scores[mask] = np.nan
+        self._begun = False  # until it is done: where a policy or model fails halfway, only a reset helps
         self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal))
         self._begun = True
         return self._returned(self._observations), self._infos()
@@ -213,7 +229,9 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         checked = checked_actions(self.agent, actions, self.num_envs, self.single_action_space)
         if not self._begun or (self.autoreset_mode is AutoresetMode.DISABLED and self._pending.any()):
             raise gymnasium.error.ResetNeeded(f"{self.agent}: episodes are over (or have not begun): call reset()")
+        self._begun = False  # until it is done, as in reset
         finals = self._play(checked)
+        self._begun = True
         infos = self._infos()
         ended = self._terminated | self._truncated
         scored = np.isfinite(self._scores)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,19 @@ from .view import manager_channels, manager_observe
 __all__ = ["MANAGER_AGENT", "Laboratories"]
 
 MANAGER_AGENT = "manager_0"
+
+
+@dataclass(frozen=True)
+class ManagerRole:
+    """What the manager sees and may do, with the names a :class:`~chemlab.bench.base.Bench` has for its agent's."""
+
+    key: str
+    kind: str
+    scenario: Scenario
+    channels: tuple[Channel, ...]
+    action_meanings: list[str]
+    action_count: int
+    observation_space: gymnasium.spaces.Box
 
 
 @kernel
@@ -267,6 +281,14 @@ class Laboratories:
         """Number of the agent that has the turn in a laboratory."""
         return int(self.desk.cursor[member]) + 1
 
+    def turns_had(self, agent: int) -> IntArray:
+        """[N] turns an agent has had: the manager in this episode, a bench's agent in this experiment."""
+        return self.desk.actions if agent == 0 else self.stations[agent - 1].steps
+
+    def illegal(self, agent: int) -> BoolArray:
+        """[N] whether an agent's last action was masked, and so lost."""
+        return self.desk.illegal if agent == 0 else self.stations[agent - 1].illegal
+
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
         """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
         episode is over."""
@@ -430,6 +452,20 @@ class Laboratories:
             self.desk.charges,
         )
 
+    def role(self, agent: int) -> Bench | ManagerRole:
+        """What an agent operates, with its channels and actions."""
+        if agent > 0:
+            return self.benches[agent - 1]
+        return ManagerRole(
+            "manager",
+            "manager",
+            self.scenario,
+            tuple(self.channels),
+            self.actions.action_meanings,
+            len(self.actions),
+            self.manager_observation_space,
+        )
+
     # -- what agents see --------------------------------------------------------------------------------------
 
     def observation_space(self, agent: int) -> gymnasium.spaces.Box:
@@ -509,11 +545,10 @@ class Laboratories:
 
     def info(self, agent: int, member: int = 0) -> dict[str, Any]:
         """What an agent's last turn led to: ``cost``, ``events`` and ``illegal_action``."""
-        lost = self.desk.illegal if agent == 0 else self.stations[agent - 1].illegal
         return {
             "cost": self._cost.item(agent, member),
             "events": self.events(agent, member),
-            "illegal_action": lost.item(member),
+            "illegal_action": self.illegal(agent).item(member),
         }
 
     def events(self, agent: int, member: int = 0) -> dict[str, float]:

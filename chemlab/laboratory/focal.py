@@ -42,10 +42,10 @@ from gymnasium.vector import AutoresetMode
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import SAFETY_EVENTS, RewardSpec, Scenario, load_scenario
 from ..shelf import IntArray
-from .batch_env import BatchEnv, State, checked_actions
+from .batch_env import BatchEnv, State
 from .core import MANAGER_AGENT, Laboratories
 from .manager import RUNNING, TERMINATED
-from .policy import Policy, as_policy
+from .policy import as_policy, play_on
 from .rendering import RENDER_MODES, Rendered
 from .text import describe_laboratory
 
@@ -107,7 +107,7 @@ class FocalVectorEnv(BatchEnv):
         missing = [name for name in labs.agents if name != agent and name not in given]
         if missing:
             raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
-        self._policies = [as_policy(given[name]) if name != agent else None for name in labs.agents]
+        self._policies = [as_policy(given[name], name) if name != agent else None for name in labs.agents]
         super().__init__(
             num_envs,
             agent,
@@ -176,12 +176,12 @@ class FocalVectorEnv(BatchEnv):
         self._clear(acting)
         before = labs.safety_totals[acting]
         labs.act(self.focal, acting, actions[acting])
-        lost = labs.desk.illegal if self.focal == 0 else labs.stations[self.focal - 1].illegal
-        self._illegal[acting] = lost[acting]
+        self._illegal[acting] = labs.illegal(self.focal)[acting]
         self._collect(acting)
         self._run(acting)
         self._events[acting] = labs.safety_totals[acting] - before
-        self._lab_costs[acting] = self._events[acting] @ self._event_weights
+        # Not a matrix product: the last digit of that depends on how many rows there are.
+        self._lab_costs[acting] = (self._events[acting] * self._event_weights).sum(axis=1)
         ticks, status = labs.desk.ticks, labs.desk.status
         self._elapsed[acting] = ticks[acting] - self._last_turn[acting]
         self._last_turn[acting] = ticks[acting]
@@ -219,24 +219,7 @@ class FocalVectorEnv(BatchEnv):
 
     def _run(self, members: IntArray) -> None:
         """Let the others play in every laboratory of ``members`` until the agent has the turn or all is over."""
-        labs = self.laboratories
-        cursor, status = labs.desk.cursor, labs.desk.status
-        while True:
-            members = members[(status[members] == RUNNING) & (cursor[members] != self.focal - 1)]
-            if not len(members):
-                return
-            for number, policy in enumerate(self._policies):
-                group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
-                if len(group) and policy is not None:
-                    labs.act(number, group, self._decide(number, policy, group))
-                    self._collect(group)
-
-    def _decide(self, number: int, policy: Policy, group: IntArray) -> npt.NDArray[Any]:
-        labs = self.laboratories
-        steps = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
-        actions = policy.act(labs.observe(number, group), labs.mask(number, group), steps[group], group)
-        space = labs.action_space(number)
-        return checked_actions(labs.agents[number], actions, len(group), space)
+        play_on(self.laboratories, self._policies, members, lambda number, group: self._collect(group))
 
     def _collect(self, members: IntArray) -> None:
         """Add up what the last turn, whoever's it was, meant for the agent."""
@@ -264,6 +247,22 @@ class FocalVectorEnv(BatchEnv):
             ("experiment_over", self._experiment_over),
         ):
             infos[name], infos[f"_{name}"] = array.copy(), everyone
+
+    def get_state(self) -> State:
+        """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
+        memories = np.empty(len(self._policies), dtype=object)
+        for number, policy in enumerate(self._policies):
+            remember = getattr(policy, "get_memory", None)
+            memories[number] = remember() if remember is not None else None
+        return [*super().get_state(), memories]
+
+    def set_state(self, state: State) -> npt.NDArray[np.float32]:
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        for policy, memory in zip(self._policies, state[-1], strict=True):
+            remind = getattr(policy, "set_memory", None)
+            if remind is not None:
+                remind(memory)
+        return super().set_state(state[:-1])
 
     def _more_arrays(self) -> State:
         own = [self._lab_costs, self._elapsed, self._last_turn, self._events, self._experiment_over]
@@ -364,7 +363,7 @@ class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         return masks
 
     def get_state(self) -> State:
-        """Copies of everything that changes (background policies with a memory keep theirs), for :meth:`set_state`."""
+        """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
         return self.batch.get_state()
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:

@@ -290,6 +290,7 @@ def manager_act(
         kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
         if kind == START:
             move(rows[base + y], rows[base + rules.first[x]])
+            _forget(n, y, desk)  # what comes back is not what was measured
             desk.origin[n, x] = y
             desk.reserved[n, y] = x
             wanted = rules.positions[x] - 1

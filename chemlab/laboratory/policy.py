@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,12 +11,19 @@ import numpy.typing as npt
 
 from ..bench.base import MaskArray, ObservationArray
 from ..shelf import IntArray
+from .batch_env import checked_actions
+from .core import Laboratories
+from .manager import RUNNING
 
-__all__ = ["Policy", "as_policy"]
+__all__ = ["Policy", "as_policy", "play_on", "play_pass"]
 
 
 class Policy(Protocol):
-    """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario."""
+    """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario.
+
+    It may also have ``seed(member, seed)``, which starts a member's random stream afresh, and ``get_memory()`` and
+    ``set_memory(memory)``, with a copy of what it remembers, so that an environment it plays in can be put back.
+    """
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -46,7 +53,11 @@ class _Called:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
-        return np.asarray(self._function(observation, mask))
+        actions = self._function(observation, mask)
+        try:
+            return np.asarray(actions)
+        except ValueError:  # lists of different lengths: whoever checks the actions names the agent
+            return np.asarray(actions, dtype=object)
 
 
 class _Model:
@@ -65,12 +76,13 @@ class _Model:
         return np.asarray(actions)
 
 
-def as_policy(given: Any) -> Policy:
+def as_policy(given: Any, agent: str = "") -> Policy:
     """Anything that can play, as a :class:`Policy`.
 
     Args:
         given: a policy, a model with Stable-Baselines3's ``predict`` (sb3-contrib's maskable ones get the mask), or a
             function of (observation [B, size], mask [B, actions] or None) that returns a batch of actions.
+        agent: whom it plays, for the error message.
 
     Raises:
         TypeError: it is none of these.
@@ -83,5 +95,56 @@ def as_policy(given: Any) -> Policy:
     if callable(given):
         return _Called(given)
     raise TypeError(
-        f"a policy must have act(), be a model with predict(), or be a function of (observation, mask); given {given!r}"
+        f"{agent}{': ' if agent else ''}a policy must have act(), be a model with predict(), or be a function of "
+        f"(observation, mask); given {given!r}"
     )
+
+
+def play_pass(
+    laboratories: Laboratories,
+    policies: Sequence[Policy | None],
+    members: IntArray,
+    after: Callable[[int, IntArray], None],
+) -> None:
+    """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
+    tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
+
+    Args:
+        laboratories: the laboratories.
+        policies: of every agent, None for one that others move.
+        members: [B] laboratories that play.
+        after: called after every turn with the agent's number and the laboratories it was in.
+
+    Raises:
+        ValueError: a policy's actions are outside its agent's space; the message names the agent.
+    """
+    labs = laboratories
+    cursor, status = labs.desk.cursor, labs.desk.status
+    for number, policy in enumerate(policies):
+        group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
+        if len(group) and policy is not None:
+            seen, mask = labs.observe(number, group), labs.mask(number, group)
+            actions = policy.act(seen, mask, labs.turns_had(number)[group], group)
+            labs.act(
+                number, group, checked_actions(labs.agents[number], actions, len(group), labs.action_space(number))
+            )
+            after(number, group)
+
+
+def play_on(
+    laboratories: Laboratories,
+    policies: Sequence[Policy | None],
+    members: IntArray,
+    after: Callable[[int, IntArray], None],
+) -> None:
+    """Let policies play, until in every laboratory the episode is over or an agent without a policy has the turn.
+
+    Arguments and errors are those of :func:`play_pass`.
+    """
+    desk = laboratories.desk
+    played = np.array([policy is not None for policy in policies])
+    while True:
+        members = members[(desk.status[members] == RUNNING) & played[desk.cursor[members] + 1]]
+        if not len(members):
+            return
+        play_pass(laboratories, policies, members, after)

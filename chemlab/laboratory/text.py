@@ -7,7 +7,7 @@ from typing import Any
 from .core import Laboratories
 from .manager import RUNNING
 
-__all__ = ["action_words", "describe_laboratory", "reading_words"]
+__all__ = ["action_words", "describe_laboratory", "measured_words", "reading_words"]
 
 _BAR = 20
 
@@ -45,15 +45,26 @@ def reading_words(laboratories: Laboratories, slot: int, instrument: str, member
     labs, table = laboratories, laboratories.instruments
     i = table.names.index(instrument)
     values = labs.desk.reading[member, slot, table.start[i] : table.start[i + 1]]
-    channel = table.channels[i]
-    price = f"price {table.price[i]:g}"
+    return f"{measured_words(labs, i, values)}; price {table.price[i]:g}"
+
+
+def measured_words(laboratories: Laboratories, instrument: int, values: Any) -> str:
+    """A reading in words.
+
+    Args:
+        laboratories: whose instruments they are.
+        instrument: number of the instrument.
+        values: the reading, in [0, 1].
+    """
+    labs, table = laboratories, laboratories.instruments
+    channel = table.channels[instrument]
     if channel.size == 1:
-        return f"{values[0] * channel.high:.3f} {channel.unit}; {price}"
+        return f"{values[0] * channel.high:.3f} {channel.unit}"
     if channel.unit == "mole fraction":
         names = [*(labs.shelf.layout.materials[a] for a in table.analytes), "residue"]
         parts = [f"{name} {value:.1%}" for name, value in zip(names, values, strict=True) if value >= 5e-4]
-        return f"{', '.join(parts) or 'empty'}; {price}"
-    return f"{channel.size} values of {channel.unit}; {price}"
+        return ", ".join(parts) or "empty"
+    return f"{channel.size} values of {channel.unit}"
 
 
 def describe_laboratory(laboratories: Laboratories, member: int) -> str:

@@ -180,7 +180,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pretrained_for(direct).card.name in ("a", "b")
-    with pytest.raises(ValueError, match=r"no pretrained policy fits bench 'ext'.*a: it is for a distillation bench"):
+    with pytest.raises(ValueError, match=r"no pretrained policy fits bench 'ext'.*a: it is for distillation"):
         pretrained_for(BenchArena("wurtz_dodecane", "ext").bench)
 
 
@@ -198,7 +198,7 @@ def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytes
 def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
     with pytest.raises(
-        ValueError, match=r"it is for a distillation bench, this is reaction; train one for it: chemlab"
+        ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"
     ):
         policy.check(bench_of(RXN))
     with pytest.raises(ValueError, match=r"bench 'dit' of salt_from_oil: observation '.*': it knows"):

@@ -365,8 +365,8 @@ def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"env_id": "chemlab/Nothing-v0"}, "benches are chemlab/WurtzReaction-v0"),
-        ({"env_id": "CartPole-v1"}, "benches are"),
+        ({"env_id": "chemlab/Nothing-v0"}, "known: chemlab/WurtzReaction-v0"),
+        ({"env_id": "CartPole-v1"}, "env_id: known"),
         ({"scenario": "fictitious"}, "has 'wurtz_dodecane'"),
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),

@@ -22,9 +22,12 @@ import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the environments
+from chemlab.agents.policy import RandomPolicy
+from chemlab.agents.views import focal_vector_env
 from chemlab.files import replace_between
 from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory import raw_env
+from chemlab.laboratory import parallel_env, raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.scenario import load_scenario
 
@@ -158,6 +161,70 @@ def laboratory(make: Callable[..., Any], seconds: float) -> float:
     return rate(step, seconds)
 
 
+def parallel(seconds: float) -> float:
+    """Agent steps per second (all agents are present in every step) of the parallel laboratory, random legal actions."""
+    env = parallel_env("wurtz_dodecane")
+    _, infos = env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def step(i: int) -> int:
+        nonlocal infos
+        if not env.agents:
+            _, infos = env.reset()
+        actions: dict[str, Any] = {}
+        for agent, info in infos.items():
+            if info["has_turn"]:
+                mask = info.get("action_mask")
+                if mask is None:
+                    actions[agent] = rng.random(6)
+                else:
+                    legal = mask.nonzero()[0]
+                    actions[agent] = int(legal[int(rng.random() * len(legal))])
+        _, _, _, _, infos = env.step(actions)
+        return len(infos)
+
+    return rate(step, seconds)
+
+
+def batched_laboratory(count: int, seconds: float) -> float:
+    """Turns per second of ``count`` laboratories at once, random legal actions of all roles."""
+    batch = BatchedLaboratory(count, "wurtz_dodecane", copy=False)
+    policies = {
+        agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
+        for seed, agent in enumerate(batch.possible_agents)
+    }
+    members, steps = np.arange(count), np.zeros(count, dtype=np.int64)
+    observations, infos = batch.reset(seed=0)
+
+    def step(i: int) -> int:
+        nonlocal observations, infos
+        turns, actions = 0, {}
+        for agent, policy in policies.items():
+            acting = int(infos[agent]["has_turn"].sum())
+            if acting:
+                turns += acting
+                actions[agent] = policy.act(observations[agent], infos[agent].get("action_mask"), steps, members)
+        observations, _, _, _, infos = batch.step(actions)
+        return turns
+
+    return rate(step, seconds)
+
+
+def manager_view(count: int, seconds: float) -> float:
+    """Manager decisions per second of ``count`` laboratories with scripted benches, random legal decisions."""
+    envs = focal_vector_env(count, autoreset_mode="SameStep", copy=False)
+    policy, members, steps = RandomPolicy(0, 0), np.arange(count), np.zeros(count, dtype=np.int64)
+    observations, infos = envs.reset(seed=0)
+
+    def step(i: int) -> int:
+        nonlocal observations, infos
+        actions = policy.act(observations, infos["action_mask"], steps, members)
+        observations, _, _, _, infos = envs.step(actions)
+        return count
+
+    return rate(step, seconds)
+
+
 def in_a_process(code: str, **environment: str) -> float:
     """What a fresh Python process that runs ``code`` prints."""
     run = [sys.executable, "-c", code]
@@ -189,7 +256,13 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
         }
         for scenario in ("fictitious", "wurtz_dodecane_direct", "wurtz_dodecane")
     }
-    result["laboratory"] = {"env": laboratory(laboratory_env, seconds), "raw_env": laboratory(raw_env, seconds)}
+    result["laboratory"] = {
+        "`env`, agent steps": laboratory(laboratory_env, seconds),
+        "`raw_env`, agent steps": laboratory(raw_env, seconds),
+        "`parallel_env`, agent steps": parallel(seconds),
+        "256 at once, all roles random, turns": batched_laboratory(256, seconds),
+        "manager's view, 64 at once, benches scripted, decisions": manager_view(64, seconds),
+    }
     for name in IDS[::2]:
         result["start_up_s"][name] = {"warm": in_a_process(START_UP.format(name=name))}
         if not quick:
@@ -210,8 +283,9 @@ def table(result: dict[str, Any]) -> str:
     for name in IDS:
         row = [result["single"][name], *(result["batched"][name][s] for s in sizes)]
         lines.append(f"| `chemlab/{name}-v0` | " + " | ".join(f"{x:,.0f} ({x / base:.2f}x)" for x in row) + " |")
+    lines += ["", "| laboratory | a second |", "|---|--:|"]
     for name, value in result["laboratory"].items():
-        lines.append(f"| laboratory `{name}` (agent steps) | {value:,.0f} ({value / base:.2f}x) |" + " |" * len(sizes))
+        lines.append(f"| {name} | {value:,.0f} ({value / base:.2f}x) |")
     lines += [
         "",
         "| microseconds a step, batch 256, 1 thread | " + " | ".join(next(iter(result["parts_us"].values()))) + " |",

@@ -300,7 +300,7 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
     roles = max(len(bench.positions) for bench in labs.benches)
     slot = 4 + (1 + len(scenario.benches)) + roles + reading
     stations = len(labs.stations) * (1 + goals + 1)
-    size = scenario.shelf.slots * slot + stations + len(scenario.stock) + goals + 3
+    size = scenario.shelf.slots * slot + stations + len(scenario.stock) + scenario.orders * goals + 3
     assert env.observation_space("manager_0") == gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
 
 
@@ -414,7 +414,9 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
                 assert env.rewards[agent] == -price
                 assert env.infos[agent]["cost"] == 0.0
             elif not ended:
-                assert env.rewards[agent] == 0.0
+                # Accidents may have a price of their own.
+                accidents = env.scenario.safety.reward_price * env.infos[agent]["cost"]
+                assert env.rewards[agent] == pytest.approx(-accidents, rel=1e-12, abs=0.0)
     assert all(played[role, illegal] > 20 for role in (True, False) for illegal in (True, False)), played
 
 
@@ -525,6 +527,7 @@ def play_and_count(env: raw_env, act: Any) -> tuple[dict[str, float], dict[str, 
         wrapped.step(act(inner, agent, observation))
         for name, value in wrapped.rewards.items():
             paid[name] += value
+        scored[agent] -= inner.scenario.safety.reward_price * inner.infos[agent]["cost"]
         for i in np.flatnonzero(np.isfinite(inner.laboratories.scores[0])):
             scored[agents[i]] += float(inner.laboratories.scores[0, i])
             assert inner.infos[agents[i]]["score"] == inner.laboratories.scores[0, i]
@@ -728,7 +731,7 @@ def test_a_reset_leaves_nothing_of_the_last_episode() -> None:
     env.reset(seed=11)
     # What a bench keeps of its last experiment is overwritten when the next begins; everything else is as at first.
     stale = {id(array) for station in env.laboratories.stations for array in station.arrays()}
-    for array, was in zip(env.laboratories._arrays(), fresh, strict=True):
+    for array, was in zip(env.laboratories.arrays(), fresh, strict=True):
         if id(array) not in stale:
             np.testing.assert_array_equal(array, was)
     for station in env.laboratories.stations:

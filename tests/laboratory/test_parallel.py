@@ -97,6 +97,8 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
     ticks_seen = dict.fromkeys(aec.possible_agents, 0)
     rounds = 0
     while True:
+        # The charges for stock and waste are worked out when somebody asks for them.
+        assert infos["manager_0"]["costs"] == aec.laboratories.costs()
         for one, other in zip(
             aec.laboratories.snapshot()[:-PER_TURN], parallel.laboratories.snapshot()[:-PER_TURN], strict=True
         ):
@@ -105,7 +107,6 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
         for agent in aec.possible_agents:
             np.testing.assert_array_equal(observations[agent], aec.observe(agent))
         np.testing.assert_array_equal(parallel.state(), aec.state())
-        assert infos["manager_0"]["costs"] == aec.laboratories.costs()
         over = aec.laboratories.desk.status[0] != 0
         turn = [agent for agent in parallel.possible_agents if infos[agent]["has_turn"]]
         assert bool(turn) is not over
@@ -119,7 +120,6 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
         assert elapsed == promised
         for agent in turn:
             ticks_seen[agent] += elapsed[agent]
-            assert ticks_seen[agent] == infos["manager_0"]["elapsed_ticks"] + ticks_seen["manager_0"] or agent in turn
         # The others may say what they like, or nothing.
         noise = {agent: garbage(rng) for agent in parallel.possible_agents if rng.random() < 0.7}
         observations, paid, terminated, truncated, infos = parallel.step({**noise, **actions})
@@ -166,14 +166,14 @@ def test_a_round_is_its_turns(name: str) -> None:
         mixed += bool(turns[0].any() and turns[1:].any())
         actions: list[npt.NDArray[Any]] = []
         for number, count in enumerate(whole.action_counts):
-            shape = whole.action_space(number).shape or ()
-            rows = np.full(6, -7) if count else np.full((6, *shape), np.nan)
+            size = whole.action_space(number).shape or ()
+            rows = np.full(6, -7) if count else np.full((6, *size), np.nan)
             for member in np.flatnonzero(turns[number]):
                 rows[member] = choose(whole, number, int(member), rng)
             actions.append(rows)
         whole.act_round(members, actions)
-        rewards, cost, scores = np.zeros((6, 1)), np.zeros((6, 1)), np.full((6, len(whole.agents)), np.nan)
-        rewards, cost = np.repeat(rewards, len(whole.agents), 1), np.repeat(cost, len(whole.agents), 1)
+        shape = (6, len(whole.agents))
+        rewards, cost, scores = np.zeros(shape), np.zeros(shape), np.full(shape, np.nan)
         for number in range(len(whole.agents)):
             playing = np.flatnonzero(turns[number])
             if len(playing):

@@ -1,0 +1,497 @@
+"""Train several roles of a laboratory together on Stable-Baselines3: a learner for each, one batch of laboratories.
+
+Heterogeneous spaces are no matter: agents of one kind share a learner, PPO where actions are continuous and MaskablePPO
+where they are discrete. Experience is collected turn by turn (:mod:`chemlab.agents.training.experience`), so that every
+role's reward, elapsed time and episodes are its own.
+
+Two regimes: ``together`` (all learners are updated after every rollout) and ``in-turns`` (round-robin: one role learns
+for a while, the others play as they are).
+
+Needs the extra: ``pip install "chemlab-marl[train]"``.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.bench.base import MaskArray, ObservationArray
+from chemlab.files import write_text
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.manager import RUNNING
+from chemlab.laboratory.policy import play_pass
+from chemlab.scenario import load_scenario
+from chemlab.shelf import IntArray
+
+from ..evaluation.play import play_laboratory
+from ..policy import Policy, agent_policy
+from ..pretrained import fingerprint
+from .experience import Experience
+from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
+
+try:
+    import torch
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.buffers import RolloutBuffer
+    from stable_baselines3.common.logger import Logger
+    from stable_baselines3.common.vec_env import VecEnv
+
+    from .checkpoints import commit_checkpoint, random_state, restore_random_state, tidy
+    from .learn import RESULT_SEED, LearnerPolicy, Watcher, same_run, versions
+except ImportError as error:
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+
+__all__ = ["JointArguments", "load_team", "train_together"]
+
+_EVALUATION_SEED = 1_000_000
+MANAGER_ROLE = "manager"
+
+
+@dataclass(frozen=True)
+class JointArguments:
+    """Everything that decides what a joint training run learns."""
+
+    scenario: str = field(default="wurtz_dodecane", metadata={"help": "Scenario: a shipped name or a path."})
+    roles: tuple[str, ...] | None = field(
+        default=None, metadata={"help": "Roles that learn: manager and bench keys; repeat the option. Default: all."}
+    )
+    background: str = field(default="heuristic", metadata={"help": "Who plays the roles that do not learn, by name."})
+    regime: str = field(default="together", metadata={"help": "together, or in-turns (round-robin)."})
+    period: int = field(default=10, metadata={"help": "Updates before the next role's turn (in-turns)."})
+    begin_from: str | None = field(
+        default=None, metadata={"help": "Folder of a joint run, or of runs by role, to start from. Default: scratch."}
+    )
+    rewards: str | None = field(default=None, metadata={"help": "Another reward mix than the scenario's."})
+    steps: int = field(default=1_000_000, metadata={"help": "Turns of learning agents, all laboratories together."})
+    envs: int = field(default=64, metadata={"help": "Laboratories side by side."})
+    rollout: int = field(default=64, metadata={"help": "Rounds (a manager action, or a tick) before each update."})
+    seed: int = field(default=0, metadata={"help": "Seed of networks, exploration and laboratories."})
+    gamma: float = field(default=0.99, metadata={"help": "Discount a turn of a bench's agent."})
+    manager_gamma: float = field(default=1.0, metadata={"help": "Discount a decision of the manager."})
+    by_ticks: bool = field(default=False, metadata={"help": "Discount by elapsed ticks instead of turns."})
+    gae_lambda: float = field(default=0.95, metadata={"help": "GAE lambda."})
+    learning_rate: float = field(default=3e-4, metadata={"help": "Learning rate."})
+    ent_coef: float = field(default=0.01, metadata={"help": "Weight of the entropy of discrete actions."})
+    batch_size: int = field(default=256, metadata={"help": "Minibatch."})
+    epochs: int = field(default=10, metadata={"help": "PPO's passes over a rollout."})
+    evaluations: int = field(default=10, metadata={"help": "Evaluations during training, evenly spread."})
+    eval_episodes: int = field(default=20, metadata={"help": "Episodes a goal in each of them."})
+    final_episodes: int = field(default=100, metadata={"help": "Episodes a goal in the evaluation at the end."})
+
+
+class _Spaces(VecEnv):
+    """What a learner needs to know of an environment: its spaces. Experience comes from elsewhere."""
+
+    def __init__(self, observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> None:
+        super().__init__(1, observation_space, action_space)
+
+    def reset(self) -> Any:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def step_async(self, actions: Any) -> None:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def step_wait(self) -> Any:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        if attr_name == "render_mode":
+            return [None]
+        raise AttributeError(attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise AttributeError(attr_name)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise AttributeError(method_name)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False]
+
+
+class _Learner:
+    """One role's learner, and the experience it learns from."""
+
+    def __init__(self, model: Any, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any], streams: int) -> None:
+        self.model = model
+        self.experience = Experience(space, actions, streams)
+        self._low = actions.low if isinstance(actions, gymnasium.spaces.Box) else None
+        self._high = actions.high if isinstance(actions, gymnasium.spaces.Box) else None
+
+    def sample(
+        self, observation: ObservationArray, mask: MaskArray | None
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
+        """(action as drawn, action as played, value, log-probability) of a batch."""
+        masks = {} if mask is None else {"action_masks": mask.astype(np.bool_)}
+        with torch.no_grad():
+            seen, _ = self.model.policy.obs_to_tensor(observation)
+            drawn, value, log_probability = self.model.policy(seen, **masks)
+        action = drawn.numpy()
+        played = action if self._low is None else np.clip(action, self._low, self._high)
+        return action, played, value.numpy()[:, 0], log_probability.numpy()
+
+    def update(self, gamma: float, gae_lambda: float, by_ticks: bool, remaining: float) -> int:
+        """Learn from what is complete, and forget it; returns the number of transitions."""
+        model, experience = self.model, self.experience
+        rows = experience.finished()
+        if len(rows) < 2:  # advantages are normalized, which takes two
+            return 0
+        advantages = experience.advantages(gamma, gae_lambda, by_ticks)[rows]
+        masked = isinstance(model, MaskablePPO)
+        kind = MaskableRolloutBuffer if masked else RolloutBuffer
+        buffer: Any = kind(len(rows), model.observation_space, model.action_space, "cpu", gae_lambda, gamma, n_envs=1)
+        buffer.observations[:, 0] = experience.observation[rows]
+        buffer.actions[:, 0] = experience.action[rows].reshape(len(rows), -1)
+        buffer.rewards[:, 0] = experience.reward[rows]
+        buffer.values[:, 0] = experience.value[rows]
+        buffer.log_probs[:, 0] = experience.log_probability[rows]
+        buffer.advantages[:, 0] = advantages
+        buffer.returns[:, 0] = advantages + experience.value[rows]
+        if masked:
+            buffer.action_masks[:, 0] = experience.mask[rows]
+        buffer.pos, buffer.full = len(rows), True
+        model.rollout_buffer = buffer
+        model.num_timesteps += len(rows)
+        model._current_progress_remaining = remaining
+        model.train()
+        experience.forget()
+        return len(rows)
+
+
+class _Acting:
+    """A learner as the policy of one agent: it explores, and its turns become experience."""
+
+    def __init__(self, learner: _Learner, stream: Callable[[IntArray], IntArray], ticks: IntArray) -> None:
+        self._learner, self._stream, self._ticks = learner, stream, ticks
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        drawn, played, value, log_probability = self._learner.sample(observation, mask)
+        self._learner.experience.begin(
+            self._stream(members), observation, mask, drawn, value, log_probability, self._ticks[members]
+        )
+        return played
+
+
+def role_of(agent: str) -> str:
+    """The role of an agent's id: ``manager``, or its bench's key."""
+    return agent.rpartition("_")[0]
+
+
+class _Team:
+    """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
+
+    def __init__(self, arguments: JointArguments) -> None:
+        a = self.arguments = arguments
+        scenario = load_scenario(a.scenario)
+        self.scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
+        self.labs = labs = Laboratories(self.scenario, a.envs)
+        self.roles = list(dict.fromkeys(role_of(agent) for agent in labs.agents))
+        self.learning = self.roles if a.roles is None else list(a.roles)
+        unknown = [role for role in self.learning if role not in self.roles]
+        if unknown or not self.learning:
+            raise ValueError(f"roles: {scenario.name} has {', '.join(self.roles)}; given {', '.join(self.learning)}")
+        self.learners: dict[str, _Learner] = {}
+        for role in self.learning:
+            number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
+            alike = sum(role_of(agent) == role for agent in labs.agents)
+            spaces = labs.observation_space(number), labs.action_space(number)
+            self.learners[role] = _Learner(self._model(role, *spaces), *spaces, alike * a.envs)
+        self.returns: list[float] = []
+        seeds = np.random.SeedSequence(a.seed).generate_state(a.envs, np.uint64)
+        for member, seed in zip(labs.members, seeds, strict=True):
+            labs.seed(int(member), int(seed))
+        labs.reset(labs.members)
+        self._policies: list[Policy | None] = [self._player(number) for number in range(len(labs.agents))]
+
+    def _model(self, role: str, space: gymnasium.Space[Any], actions: gymnasium.Space[Any]) -> Any:
+        a = self.arguments
+        discrete = isinstance(actions, gymnasium.spaces.Discrete)
+        settings: dict[str, Any] = {
+            "learning_rate": a.learning_rate,
+            "n_steps": a.batch_size,  # a buffer is made for every update; this only fits the minibatches
+            "batch_size": a.batch_size,
+            "n_epochs": a.epochs,
+            "ent_coef": a.ent_coef if discrete else 0.0,
+            "gamma": a.manager_gamma if role == MANAGER_ROLE else a.gamma,
+            "gae_lambda": a.gae_lambda,
+            "seed": a.seed,
+            "device": "cpu",
+        }
+        model: Any = (MaskablePPO if discrete else PPO)("MlpPolicy", _Spaces(space, actions), **settings)
+        model.set_logger(Logger(None, []))
+        return model
+
+    def _stream(self, number: int) -> Callable[[IntArray], IntArray]:
+        """Which stream of its role's experience an agent's laboratories are."""
+        agents = self.labs.agents
+        place = sum(role_of(agent) == role_of(agents[number]) for agent in agents[:number])
+        return lambda members: place * self.arguments.envs + members
+
+    def _player(self, number: int) -> Policy:
+        role = role_of(self.labs.agents[number])
+        if role in self.learners:
+            return _Acting(self.learners[role], self._stream(number), self.labs.desk.ticks)
+        return agent_policy(self.arguments.background, self.labs, number, self.arguments.seed)
+
+    def collect(self) -> None:
+        """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
+        labs = self.labs
+        for _ in range(self.arguments.rollout):
+            play_pass(labs, self._policies, labs.members, self._after)
+            over = labs.members[labs.desk.status != RUNNING]
+            if len(over):
+                self.returns += labs.result(over).tolist()
+                labs.reset(over)
+
+    def _after(self, number: int, members: IntArray) -> None:
+        """Everybody's share of a turn; experiments and episodes that it ended."""
+        labs = self.labs
+        status = labs.desk.status[members]
+        for other, agent in enumerate(labs.agents):
+            learner = self.learners.get(role_of(agent))
+            if learner is None:
+                continue
+            streams, experience = self._stream(other)(members), learner.experience
+            experience.earn(streams, labs.rewards[members, other])
+            ended = status != RUNNING
+            if other > 0:
+                ended |= np.isfinite(labs.scores[members, other])
+            if ended.any():
+                experience.end(streams[ended], labs.desk.ticks[members[ended]])
+
+    def update(self, learning: list[str], remaining: float) -> int:
+        """Let some roles learn from the rollout; the others' experience of it is forgotten."""
+        a, turns = self.arguments, 0
+        for role, learner in self.learners.items():
+            if role in learning:
+                gamma = a.manager_gamma if role == MANAGER_ROLE else a.gamma
+                turns += learner.update(gamma, a.gae_lambda, a.by_ticks, remaining)
+            else:
+                learner.experience.forget()
+        return turns
+
+    def scores(self, episodes: int, seed: int, background: str | None = None) -> dict[str, float]:
+        """Mean score of the laboratory for each goal, learners playing deterministically; or all by ``background``."""
+        labs = Laboratories(self.scenario, episodes)
+        policies: dict[str, Policy] = {}
+        for number, agent in enumerate(labs.agents):
+            learner = self.learners.get(role_of(agent))
+            policies[agent] = (
+                LearnerPolicy(learner.model)
+                if learner is not None and background is None
+                else agent_policy(background or self.arguments.background, labs, number, seed)
+            )
+        return {
+            goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self.scenario.lab_goals
+        }
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that changes but the learners' networks."""
+        memories = [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
+        return {
+            "laboratories": self.labs.snapshot(),
+            "experience": {role: learner.experience.get_state() for role, learner in self.learners.items()},
+            "memories": memories,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from a :meth:`get_state`."""
+        self.labs.restore(state["laboratories"])
+        for role, learner in self.learners.items():
+            learner.experience.set_state(state["experience"][role])
+        for policy, memory in zip(self._policies, state["memories"], strict=True):
+            remind = getattr(policy, "set_memory", None)
+            if remind is not None:
+                remind(memory)
+
+
+def _mean(by_goal: dict[str, float]) -> float:
+    return sum(by_goal.values()) / len(by_goal)
+
+
+def load_team(folder: Path) -> dict[str, Any]:
+    """The learners of a joint run's checkpoint, by role."""
+    found = {}
+    for file in sorted(folder.glob("*.zip")):
+        kind = MaskablePPO if "maskable" in file.stem else PPO
+        found[file.stem.partition(".")[0]] = kind.load(file, device="cpu")
+    return found
+
+
+def _file_of(folder: Path, role: str, model: Any) -> Path:
+    return folder / (f"{role}.maskable.zip" if isinstance(model, MaskablePPO) else f"{role}.zip")
+
+
+def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
+    """Train, or go on training, or return the result of a run that is finished.
+
+    Args:
+        arguments: who learns what.
+        out: the run's folder; what is in it is described in :mod:`chemlab.agents.training.runs`, and a checkpoint has
+            a model for each role.
+        watcher: is told how it goes.
+
+    Raises:
+        ValueError: the folder holds another run, another process trains it, or an argument is wrong.
+        DataError: unknown scenario.
+    """
+    if arguments.regime not in ("together", "in-turns"):
+        raise ValueError(f"regime: together or in-turns, given {arguments.regime!r}")
+    torch.set_num_threads(1)
+    run, team = Run(out), _Team(arguments)
+    described = RunConfig(
+        f"joint-{arguments.regime}",
+        {**asdict(arguments), "algo": "joint", "env_id": "chemlab/Laboratory-v0"},
+        arguments.scenario,
+        ",".join(team.learning),
+        list(team.scenario.lab_goals),
+        fingerprint(team.labs.role(0)),
+        versions(),
+    )
+    same_run(run, json.loads(to_text(described.as_dict())), asdict(JointArguments()))
+    finished = run.result()
+    if finished is not None:
+        return finished
+    with run.locked():
+        if run.config() is None:
+            write_text(run.config_file, to_text(described.as_dict()))
+        run.failed_file.unlink(missing_ok=True)
+        return _train(run, arguments, team, watcher)
+
+
+def _train(run: Run, arguments: JointArguments, team: _Team, watcher: Watcher | None) -> RunResult:
+    a = arguments
+    memory: dict[str, Any] = {"seconds": 0.0, "best_mean": None, "best_step": None, "step": 0, "updates": 0}
+    last = run.checkpoint("last")
+    if last is not None:
+        memory = _load(last, team)
+        tidy(run, memory["step"], memory["best_step"])
+    elif a.begin_from is not None:
+        _begin_from(Path(a.begin_from), team)
+    run.truncate(memory["step"])
+    scripted = team.scores(a.eval_episodes, _EVALUATION_SEED, a.background)
+    begun, before = time.perf_counter(), memory["seconds"]
+    if watcher is not None:
+        watcher.begun(memory["step"], a.steps)
+    due = a.steps / a.evaluations
+    while memory["step"] < a.steps:
+        team.collect()
+        at = memory["updates"] // a.period % len(team.learning)
+        learning = team.learning if a.regime == "together" else [team.learning[at]]
+        was = memory["step"]
+        memory["step"] += max(team.update(learning, 1.0 - was / a.steps), 1)
+        memory["updates"] += 1
+        memory["seconds"] = before + time.perf_counter() - begun
+        returns, team.returns = np.array(team.returns), []
+        mean, std = (float(returns.mean()), float(returns.std())) if len(returns) else (None, None)
+        run.append(CurvePoint(memory["step"], mean, std, len(returns), round(memory["seconds"], 3)))
+        if memory["step"] >= a.steps or memory["step"] // due > was // due:
+            found = team.scores(a.eval_episodes, _EVALUATION_SEED)
+            evaluation = Evaluation(memory["step"], _mean(found), found, _mean(scripted), scripted)
+            run.append(evaluation)
+            best = memory["best_mean"] is None or evaluation.mean > memory["best_mean"]
+            if best:
+                memory |= {"best_mean": evaluation.mean, "best_step": memory["step"]}
+            _save(run, team, memory, best)
+            if watcher is not None:
+                watcher.evaluated(evaluation, best)
+        if watcher is not None:
+            watcher.advanced(memory["step"], mean)
+    if watcher is not None:
+        watcher.finishing()
+    result = _result(run, arguments, team, memory)
+    write_text(run.result_file, to_text(asdict(result)))
+    return result
+
+
+def _save(run: Run, team: _Team, memory: dict[str, Any], best: bool) -> None:
+    def write(folder: Path) -> None:
+        for role, learner in team.learners.items():
+            learner.model.save(_file_of(folder, role, learner.model))
+        state = {"team": team.get_state(), **random_state(), "progress": memory}
+        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+
+    commit_checkpoint(run, memory["step"], write, "*.zip", best, memory["best_step"])
+
+
+def _load(folder: Path, team: _Team) -> dict[str, Any]:
+    """Put a team back as it was; returns what the loop had to remember."""
+    # Only a run's own files are unpickled, as SB3 does with the models beside them.
+    state = pickle.loads((folder / "state.pkl").read_bytes())
+    for role, model in load_team(folder).items():
+        _take_over(team.learners[role], model)
+    team.set_state(state["team"])
+    restore_random_state(state)
+    return dict(state["progress"])
+
+
+def _take_over(learner: _Learner, model: Any) -> None:
+    """Go on with a saved model's networks and optimizer."""
+    learner.model.policy.load_state_dict(model.policy.state_dict())
+    learner.model.policy.optimizer.load_state_dict(model.policy.optimizer.state_dict())
+    learner.model.num_timesteps = model.num_timesteps
+
+
+def _begin_from(folder: Path, team: _Team) -> None:
+    """Start from the best models of another joint run, or of single runs in folders of the roles' names."""
+    whole = Run(folder).checkpoint("best")
+    found = {} if whole is None else load_team(whole)
+    for role, learner in team.learners.items():
+        if role not in found:
+            single = Run(folder / role).checkpoint("best")
+            if single is None:
+                continue
+            kind = type(learner.model)
+            found[role] = kind.load(single / "model.zip", device="cpu")
+        model = found[role]
+        mine = learner.model
+        if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
+            raise ValueError(f"begin_from: {folder}: {role} was trained for other spaces ({model.observation_space})")
+        learner.model.policy.load_state_dict(model.policy.state_dict())
+    if not found:
+        raise ValueError(f"begin_from: {folder}: holds neither a joint run nor runs of {', '.join(team.learners)}")
+
+
+def _result(run: Run, arguments: JointArguments, team: _Team, memory: dict[str, Any]) -> RunResult:
+    episodes, found = arguments.final_episodes, {}
+    last = team.scores(episodes, RESULT_SEED)
+    best = run.checkpoint("best")
+    assert best is not None, "the last update is followed by an evaluation and a checkpoint"
+    for role, model in load_team(best).items():
+        team.learners[role].model.policy.load_state_dict(model.policy.state_dict())
+    found = team.scores(episodes, RESULT_SEED)
+    scripted = team.scores(episodes, RESULT_SEED, arguments.background)
+    return RunResult(
+        env_id="chemlab/Laboratory-v0",
+        label=f"joint-{arguments.regime}",
+        algo="joint",
+        seed=arguments.seed,
+        steps=memory["step"],
+        seconds=round(memory["seconds"], 3),
+        frames_per_second=round(memory["step"] / memory["seconds"], 1),
+        best_step=memory["best_step"],
+        episodes_per_goal=episodes,
+        mean=_mean(found),
+        by_goal=found,
+        heuristic_mean=_mean(scripted),
+        heuristic_by_goal=scripted,
+        last_mean=_mean(last),
+        last_by_goal=last,
+    )

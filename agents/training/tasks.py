@@ -1,0 +1,207 @@
+"""What there is to train: a bench on its own, or one role of a laboratory in which policies play the others."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from chemlab.bench.base import Bench
+from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.laboratory.focal import FocalVectorEnv
+from chemlab.laboratory.policy import play_on
+from chemlab.scenario import Scenario, load_scenario
+from chemlab.shelf import FloatArray, IntArray
+
+from ..evaluation.trials import Trials
+from ..policy import Policy, agent_policy, bench_heuristic
+from ..pretrained import Role, fingerprint
+from ..views import background_policies, focal_vector_env
+from .arguments import TrainArguments
+
+__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task"]
+
+
+class Task(ABC):
+    """What a training run is about."""
+
+    scenario: Scenario
+    bench: str
+    """The bench's key, or the agent's id in a laboratory."""
+    goals: tuple[str, ...]
+    role: Role
+
+    @property
+    def fingerprint(self) -> str:
+        """Equal fingerprints are equal tasks."""
+        return fingerprint(self.role)
+
+    @abstractmethod
+    def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
+        """A batch to train in, which resets its members in the same step."""
+
+    @abstractmethod
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """[G, episodes] what a policy comes to, for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
+
+    @abstractmethod
+    def scripted(self) -> Policy | None:
+        """The scripted policy, or None where there is none."""
+
+    def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
+        """A policy's mean for each goal."""
+        means = self.returns(policy, episodes, seed).mean(axis=1)
+        return {goal: float(mean) for goal, mean in zip(self.goals, means, strict=True)}
+
+
+@dataclass(frozen=True)
+class _BenchSource:
+    scenario: Any
+    bench: str
+    goals: tuple[str, ...] | None
+    starts: str
+
+
+class BenchTask(Task):
+    """One bench of a scenario.
+
+    Args:
+        scenario, bench, goals, starts: as for :class:`~chemlab.laboratory.bench_env.BenchEnv`.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+    """
+
+    def __init__(self, scenario: Any, bench: str, goals: tuple[str, ...] | None = None, starts: str = "paper") -> None:
+        self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
+        self._trials: dict[int, Trials] = {}
+        self.role: Bench = self._environment(1).bench
+        self.scenario, self.bench = self.role.scenario, bench
+        self.goals = self.scenario.goals if goals is None else tuple(goals)
+
+    def _environment(self, members: int) -> BenchVectorEnv:
+        s = self._source
+        return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP)
+
+    def batch(self, members: int) -> BenchVectorEnv:
+        """See :class:`Task`."""
+        return self._environment(members)
+
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """See :class:`Task`."""
+        if episodes not in self._trials:
+            s = self._source
+            self._trials[episodes] = Trials(s.scenario, s.bench, episodes, seed, s.goals, s.starts)
+        trials = self._trials[episodes]
+        trials.seed = seed
+        return trials.returns(policy)
+
+    def scripted(self) -> Policy | None:
+        """See :class:`Task`."""
+        try:
+            return bench_heuristic(self.role)
+        except ValueError:
+            return None
+
+
+class LaboratoryTask(Task):
+    """One role of a laboratory; what it comes to is the laboratory's score for the manager, its own return for others.
+
+    Args:
+        scenario: a shipped name, a path, or a loaded scenario.
+        agent: id of the agent that learns.
+        background: who plays the others, by name.
+        goals: laboratory goals to evaluate (default: all).
+
+    Raises:
+        DataError: unknown scenario.
+        ValueError: unknown agent, policy or goal.
+    """
+
+    def __init__(
+        self,
+        scenario: Any,
+        agent: str = MANAGER_AGENT,
+        background: str = "heuristic",
+        goals: tuple[str, ...] | None = None,
+    ) -> None:
+        self.scenario, self.bench, self._background = load_scenario(scenario), agent, background
+        known = self.scenario.lab_goals
+        self.goals = known if goals is None else tuple(goals)
+        if set(self.goals) - set(known) or not self.goals:
+            raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
+        env = self.batch(1)
+        self._number = env.focal
+        self.role = env.laboratories.role(env.focal)
+        self._labs: dict[int, Laboratories] = {}
+
+    def batch(self, members: int) -> FocalVectorEnv:
+        """See :class:`Task`."""
+        return focal_vector_env(
+            members, self.scenario, self.bench, self._background, autoreset_mode=AutoresetMode.SAME_STEP
+        )
+
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """See :class:`Task`."""
+        labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
+        others = background_policies(self._background)
+        players = dict(others(labs) if callable(others) else others)
+        policies: list[Policy | None] = [players[name] for name in labs.agents]
+        policies[self._number] = policy
+        found = np.zeros((len(self.goals), episodes))
+
+        for row, goal in zip(found, self.goals, strict=True):
+            for member in labs.members:
+                labs.seed(int(member), seed + int(member))
+            labs.reset(labs.members, goal)
+
+            def add(number: int, members: IntArray, row: FloatArray = row) -> None:
+                row[members] += labs.rewards[members, self._number]
+
+            play_on(labs, policies, labs.members, add)
+            if self._number == 0:
+                row[:] = labs.result(labs.members)
+        return found
+
+    def scripted(self) -> Policy:
+        """See :class:`Task`."""
+        return agent_policy("heuristic", Laboratories(self.scenario), self._number)
+
+
+def find_task(arguments: TrainArguments) -> Task:
+    """What the arguments' environment id stands for.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: not an environment of chemlab's, or a scenario, bench or agent for one that has its own.
+    """
+    env_id = arguments.env_id
+    known = {
+        name: spec.kwargs
+        for name, spec in gymnasium.registry.items()
+        if spec.vector_entry_point and "chemlab." in str(spec.entry_point)
+    }
+    if env_id not in known:
+        raise ValueError(f"env_id: known: {', '.join(known)}; given {env_id!r}")
+    own = known[env_id]
+    laboratory = ".views:" in str(gymnasium.spec(env_id).entry_point)
+    asked = {"scenario": arguments.scenario, ("agent" if laboratory else "bench"): arguments.bench}
+    for name, value in asked.items():
+        if value is not None and own.get(name, value) != value:
+            other = "chemlab/LabAgent-v0" if laboratory else "chemlab/Bench-v0"
+            raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs {other}, given {value!r}")
+    task = {**own, **{name: value for name, value in asked.items() if value is not None}}
+    scenario = task.get("scenario", "wurtz_dodecane")
+    if not laboratory:
+        if arguments.background is not None:
+            raise ValueError(f"background: {env_id} is a bench on its own, given {arguments.background!r}")
+        return BenchTask(scenario, task.get("bench", "rxn"), arguments.goals, arguments.starts)
+    if arguments.starts != "paper":
+        raise ValueError(f"starts: {env_id} begins with the scenario's own shelf, given {arguments.starts!r}")
+    agent = task.get("agent", MANAGER_AGENT)
+    return LaboratoryTask(scenario, agent, arguments.background or "heuristic", arguments.goals)

@@ -1,0 +1,661 @@
+"""The laboratory for one agent: against an AEC laboratory in which the same policies are moved by hand.
+
+The AEC environment is the reference: what the focal view pays, shows and counts must be what an agent there meets
+between its own turns.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import pickle
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.laboratory.actions import SUBMIT, WAIT
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+
+WURTZ = "wurtz_dodecane"
+CASES = [
+    (WURTZ, "manager_0"),
+    (WURTZ, "rxn_0"),
+    (WURTZ, "ext_0"),
+    (WURTZ, "dit_0"),
+    ("wurtz_safe", "manager_0"),
+    ("wurtz_safe", "ext_0"),
+    ("wurtz_two_lines", "manager_0"),
+    ("wurtz_two_lines", "rxn_1"),
+    ("wurtz_two_lines", "dit_0"),
+    ("fictitious", "manager_0"),
+]
+
+
+def choose(labs: Laboratories, number: int, member: int, rng: np.random.Generator) -> Any:
+    """An action for one agent: four of five legal, seldom a submission, seldom the end of an experiment."""
+    mask = labs.mask(number, np.array([member]))
+    if mask is None:
+        return rng.random(labs.action_space(number).shape)  # type: ignore[arg-type]
+    legal = np.flatnonzero(mask[0]) if rng.random() < 0.8 else np.arange(mask.shape[1])
+    if number == 0:
+        kinds = labs.actions.table[legal, 0]
+        if WAIT in kinds and rng.random() < 0.4:
+            legal = legal[kinds == WAIT]
+        elif rng.random() < 0.9 and (kinds != SUBMIT).any():
+            legal = legal[kinds != SUBMIT]
+    elif rng.random() < 0.9 and len(legal) > 1:
+        legal = legal[legal != labs.benches[number - 1].end_action]
+    return int(rng.choice(legal))
+
+
+def assert_same_state(one: list[Any], other: list[Any]) -> None:
+    """Bit for bit; policies' memories stand in an array of objects."""
+    for a, b in zip(one, other, strict=True):
+        if a.dtype == object:
+            np.testing.assert_equal(list(a), list(b))
+        else:
+            np.testing.assert_array_equal(a, b)
+
+
+class ByHand:
+    """A laboratory whose other agents are moved by hand, turn by turn, through PettingZoo's interface."""
+
+    def __init__(self, scenario: str, agent: str, background: str, **arguments: Any) -> None:
+        self.env = raw_env(scenario, **arguments)
+        self.labs = self.env.laboratories
+        self.agent = agent
+        self.number = self.env.possible_agents.index(agent)
+        self.policies = make_policies(background, self.labs)
+        self.last_turn = 0
+
+    def reset(self, seed: int | None = None) -> npt.NDArray[np.float32]:
+        """Begin an episode in which the agent has a turn; policies with randomness have a stream of their own each."""
+        if seed is not None:
+            for policy, own in zip(
+                self.policies.values(), np.random.SeedSequence(seed).spawn(len(self.policies)), strict=True
+            ):
+                if hasattr(policy, "seed"):
+                    policy.seed(0, own)
+        self.env.reset(seed=seed)
+        self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+        while self.labs.desk.status[0] != 0:
+            self.env.reset()
+            self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+        self.last_turn = int(self.labs.desk.ticks[0])
+        return self.env.observe(self.agent)
+
+    def turn(self, action: Any, found: dict[str, Any]) -> None:
+        """Somebody's turn, and what it means for the agent."""
+        mover = self.env.agent_selection
+        self.env.step(action)
+        found["rewards"] += self.env.rewards[self.agent]
+        found["lab_cost"] += self.env.infos[mover]["cost"]
+        for kind, value in self.env.infos[mover]["events"].items():
+            found["events"][kind] = found["events"].get(kind, 0.0) + value
+        if mover == self.agent:
+            found["cost"], found["illegal"] = self.env.infos[mover]["cost"], self.env.infos[mover]["illegal_action"]
+        score = self.labs.scores[0, self.number]
+        if np.isfinite(score):
+            found["score"] = float(score)
+
+    def others(self, found: dict[str, Any]) -> None:
+        """Move everybody else until the agent has the turn or all is over."""
+        labs = self.labs
+        while labs.desk.status[0] == 0 and self.env.agent_selection != self.agent:
+            mover = self.env.agent_selection
+            number = self.env.possible_agents.index(mover)
+            mask = self.env.infos[mover].get("action_mask")
+            step = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
+            seen = self.env.observe(mover)[None]
+            action = self.policies[mover].act(seen, None if mask is None else mask[None], step[:1], labs.members)[0]
+            self.turn(action, found)
+
+    def step(self, action: Any) -> dict[str, Any]:
+        """The agent's turn, and the others' until its next."""
+        found: dict[str, Any] = {"rewards": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal": False, "events": {}}
+        self.turn(action, found)
+        self.others(found)
+        ticks, status = int(self.labs.desk.ticks[0]), int(self.labs.desk.status[0])
+        found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
+        found["terminated"], found["truncated"] = status == 1, status == 2
+        found["experiment_over"] = "score" in found
+        if status != 0 and self.number == 0:
+            found["score"] = float(self.labs.result(self.labs.members)[0])
+        found["observation"] = self.env.observe(self.agent)
+        mask = self.labs.mask(self.number, self.labs.members)
+        found["mask"] = None if mask is None else mask[0]
+        return found
+
+
+def check_step(found: dict[str, Any], step: Any) -> None:
+    """A step of the focal view against what was met by hand."""
+    observation, reward, terminated, truncated, info = step
+    np.testing.assert_array_equal(observation, found["observation"])
+    assert reward == pytest.approx(found["rewards"], rel=1e-12, abs=1e-15)
+    assert (terminated, truncated) == (found["terminated"], found["truncated"])
+    assert info["elapsed_ticks"] == found["elapsed"]
+    assert info["experiment_over"] is found["experiment_over"]
+    assert info.get("score") == found.get("score")
+    assert info["illegal_action"] == found["illegal"]
+    assert info["cost"] == pytest.approx(found["cost"], rel=1e-12)
+    # Sums over a step are differences of sums over the episode, hence the last digits.
+    assert info["lab_cost"] == pytest.approx(found["lab_cost"], rel=1e-9, abs=1e-9)
+    for kind in info["events"].keys() | found["events"].keys():
+        assert info["events"].get(kind, 0.0) == pytest.approx(found["events"].get(kind, 0.0), rel=1e-9, abs=1e-9)
+    if found["mask"] is None:
+        assert "action_mask" not in info
+    else:
+        np.testing.assert_array_equal(info["action_mask"], found["mask"])
+
+
+@pytest.mark.parametrize("background", ["heuristic", "random"])
+@pytest.mark.parametrize(("name", "agent"), CASES)
+def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str) -> None:
+    env, hand = focal_env(name, agent, background), ByHand(name, agent, background)
+    rng = np.random.default_rng(5)
+    over, episodes = True, 0
+    for step in range(120):
+        if over:
+            seed = 11 if step == 0 else None
+            observation, info = env.reset(seed=seed)
+            np.testing.assert_array_equal(observation, hand.reset(seed))
+            assert info["elapsed_ticks"] == 0
+            assert info["cost"] == 0.0
+            assert not info["experiment_over"]
+        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        result = env.step(action)
+        check_step(hand.step(action), result)
+        if env.batch.action_count:
+            np.testing.assert_array_equal(env.action_masks(), result[4]["action_mask"] == 1)
+        over = result[2] or result[3]
+        episodes += over
+        for was, now in zip(env.laboratories.snapshot()[:3], hand.labs.snapshot()[:3], strict=True):
+            np.testing.assert_array_equal(was, now)
+    assert episodes > 0 or (background == "heuristic" and agent == "manager_0")
+
+
+@pytest.mark.parametrize("rewards", ["cooperative", "mixed"])
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "dit_0"])
+def test_the_view_pays_any_mix(agent: str, rewards: str) -> None:
+    env, hand = focal_env(WURTZ, agent, rewards=rewards), ByHand(WURTZ, agent, "heuristic", rewards=rewards)
+    rng = np.random.default_rng(1)
+    env.reset(seed=2)
+    hand.reset(2)
+    total = 0.0
+    for _ in range(300):
+        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        result = env.step(action)
+        check_step(hand.step(action), result)
+        total += result[1]
+        if result[2] or result[3]:
+            break
+    assert result[2] or result[3]
+    assert total != 0.0
+
+
+# -- what a return is -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [WURTZ, "wurtz_any", "wurtz_two_lines", "wurtz_scarce", "salt_from_oil"])
+def test_the_managers_return_is_the_score(name: str) -> None:
+    env = focal_env(name)
+    manager = make_policies("heuristic", env.laboratories)["manager_0"]
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        total, over, step = 0.0, False, 0
+        while not over:
+            action = manager.act(observation[None], info["action_mask"][None], np.array([step]), np.array([0]))[0]
+            observation, reward, terminated, truncated, info = env.step(action)
+            total, over, step = total + reward, terminated or truncated, step + 1
+        assert terminated
+        labs = env.laboratories
+        worth = [
+            order["submitted_mol"] * order["purity"] / env.batch.scenario.theoretical_maximum_mol[order["goal"]]
+            for order in info["orders"]
+        ]
+        expected = sum(worth) / len(worth) - sum(info["costs"].values())
+        assert info["score"] == pytest.approx(expected, rel=1e-12)
+        assert total == pytest.approx(expected, rel=1e-12)
+        assert expected > 0.0
+        assert info["costs"] == labs.costs()
+
+
+@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
+def test_elapsed_ticks_discount_in_time(agent: str) -> None:
+    """What follows a step is discounted by gamma to the elapsed ticks: the same as gamma to the tick of the turn."""
+    gamma = 0.97
+    env, hand = focal_env(WURTZ, agent), ByHand(WURTZ, agent, "heuristic")
+    rng = np.random.default_rng(3)
+    env.reset(seed=4)
+    hand.reset(4)
+    first = int(hand.labs.desk.ticks[0])
+    expected, rewards, elapsed = 0.0, [], []
+    while True:
+        tick = int(hand.labs.desk.ticks[0]) - first
+        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        expected += gamma**tick * hand.step(action)["rewards"]
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        elapsed.append(info["elapsed_ticks"])
+        if terminated or truncated:
+            break
+    following = 0.0
+    for reward, ticks in zip(reversed(rewards), reversed(elapsed), strict=True):
+        following = reward + gamma**ticks * following
+    assert following == pytest.approx(expected, rel=1e-12)
+    assert sum(elapsed) == hand.labs.desk.ticks[0] - first
+    assert agent != "ext_0" or min(elapsed[:-1]) >= 1  # a bench has one turn a tick
+    assert max(elapsed) > 1
+
+
+# -- batches --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("background", ["heuristic", "random"])
+@pytest.mark.parametrize(("name", "agent"), [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")])
+def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
+    """Member i of N = 1, 3 or 8 is the environment with seed s + i, whichever way it is reset."""
+    actions: dict[int, list[Any]] = {}
+    for count in (8, 3, 1):
+        batch = focal_vector_env(count, name, agent, background, autoreset_mode=mode)
+        singles = [focal_env(name, agent, background) for _ in range(count)]
+        rngs = [np.random.default_rng([7, i]) for i in range(count)]
+        seen, infos = batch.reset(seed=60)
+        for i, single in enumerate(singles):
+            own, info = single.reset(seed=60 + i)
+            np.testing.assert_array_equal(seen[i], own)
+            check_infos(infos, i, info)
+        over, ends = [False] * count, 0
+        for step in range(70):
+            chosen = [
+                choose(single.laboratories, single.batch.focal, 0, rng)
+                for single, rng in zip(singles, rngs, strict=True)
+            ]
+            actions.setdefault(step, chosen)
+            assert len(np.atleast_1d(actions[step][0])) == len(np.atleast_1d(chosen[0]))
+            seen, rewards, terminated, truncated, infos = batch.step(np.array(chosen))
+            for i, single in enumerate(singles):
+                if over[i]:  # NEXT_STEP: this step has been the reset
+                    own, info = single.reset()
+                    assert (rewards[i], terminated[i], truncated[i]) == (0.0, False, False)
+                    assert not infos.get("_score", np.zeros(count))[i]
+                    over[i] = False
+                else:
+                    own, reward, ended, cut, info = single.step(chosen[i])
+                    assert rewards[i] == reward
+                    assert (terminated[i], truncated[i]) == (ended, cut)
+                    assert bool(infos.get("_score", np.zeros(count))[i]) == ("score" in info)
+                    if "score" in info:
+                        assert infos["score"][i] == info["score"]
+                    if ended or cut:
+                        ends += 1
+                        if mode is AutoresetMode.SAME_STEP:
+                            np.testing.assert_array_equal(infos["final_obs"][i], own)
+                            assert infos["_final_obs"][i]
+                            for key in ("cost", "lab_cost", "illegal_action", "elapsed_ticks", "experiment_over"):
+                                assert infos[key][i] == info[key]
+                            own, fresh = single.reset()
+                            np.testing.assert_array_equal(seen[i], own)
+                            if "action_mask" in fresh:
+                                np.testing.assert_array_equal(infos["action_mask"][i], fresh["action_mask"])
+                            continue
+                        over[i] = True
+                np.testing.assert_array_equal(seen[i], own)
+                check_infos(infos, i, info)
+            if mode is AutoresetMode.DISABLED and any(over):
+                before = batch.get_state()
+                with pytest.raises(ResetNeeded):
+                    batch.step(np.array(chosen))
+                assert_same_state(before, batch.get_state())
+                seen, infos = batch.reset(options={"reset_mask": np.array(over)})
+                for i in np.flatnonzero(over):
+                    own, info = singles[i].reset()
+                    np.testing.assert_array_equal(seen[i], own)
+                    check_infos(infos, int(i), info)
+                over = [False] * count
+        assert ends > 0 or count < 8 or agent != "manager_0"
+
+
+def check_infos(infos: dict[str, Any], member: int, info: dict[str, Any]) -> None:
+    """Infos of one member and of a single environment."""
+    for key in ("cost", "lab_cost", "illegal_action", "elapsed_ticks", "experiment_over"):
+        assert infos[key][member] == info[key], key
+        assert infos[f"_{key}"][member]
+    assert ("action_mask" in infos) == ("action_mask" in info)
+    if "action_mask" in info:
+        np.testing.assert_array_equal(infos["action_mask"][member], info["action_mask"])
+
+
+def test_random_members_do_not_play_alike() -> None:
+    """Random backgrounds have a stream for every member: the same focal actions, other seeds, other laboratories."""
+    batch = focal_vector_env(6, WURTZ, background="random")
+    batch.reset(seed=0)
+    encode = batch.laboratories.actions.encode
+    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
+        batch.step(np.full(6, action))
+    assert len({row.tobytes() for row in batch.laboratories.shelf.vessels}) == 6
+    again = focal_vector_env(6, WURTZ, background="random")
+    again.reset(seed=[0, 0, 2, 2, 4, 5])
+    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
+        again.step(np.full(6, action))
+    rows = [row.tobytes() for row in again.laboratories.shelf.vessels]
+    assert rows[0] == rows[1] == batch.laboratories.shelf.vessels[0].tobytes()
+    assert rows[2] == rows[3] == batch.laboratories.shelf.vessels[2].tobytes()
+    assert rows[5] == batch.laboratories.shelf.vessels[5].tobytes()
+
+
+# -- copies and states ----------------------------------------------------------------------------------------------
+
+
+def anything(observation: Any, mask: Any) -> Any:
+    """A policy without memory or randomness: the legal action with the largest number but one, or half of everything."""
+    if mask is None:
+        return np.full((len(observation), 6), 0.5) + 0.25 * observation[:, :1]
+    legal = [np.flatnonzero(row) for row in mask]
+    return np.array([row[-2] if len(row) > 1 else row[-1] for row in legal])
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("background", ["heuristic", "random"])
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0"])
+def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
+    batch = focal_vector_env(3, WURTZ, agent, background)
+    batch.reset(seed=1)
+    rng = np.random.default_rng(0)
+
+    def play(env: FocalVectorEnv, steps: int, generator: np.random.Generator) -> list[Any]:
+        results = []
+        for _ in range(steps):
+            actions = np.array([choose(env.laboratories, env.focal, i, generator) for i in range(3)])
+            results.append(env.step(actions))
+        return results
+
+    play(batch, 6, rng)
+    twin, same = how(batch), copy.deepcopy(rng)
+    untouched = twin.get_state()
+    first = play(batch, 40, rng)
+    assert_same_state(untouched, twin.get_state())  # its arrays are its own
+    for one, other in zip(first, play(twin, 40, same), strict=True):
+        for a, b in zip(one[:4], other[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+    single = focal_env(WURTZ, agent, background)
+    single.reset(seed=1)
+    action = choose(single.laboratories, single.batch.focal, 0, rng)
+    other_single = how(single)
+    np.testing.assert_array_equal(single.step(action)[0], other_single.step(action)[0])
+
+
+@pytest.mark.parametrize("background", ["heuristic", "random", "hasty"])
+@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
+def test_states_can_be_put_back(agent: str, background: str) -> None:
+    """Everything goes on from a state as it did, policies with a memory included, in any equally made batch."""
+    batch, other = (focal_vector_env(3, WURTZ, agent, background) for _ in range(2))
+    batch.reset(seed=3)
+    other.reset(seed=9)
+    rng = np.random.default_rng(2)
+
+    def plan() -> npt.NDArray[Any]:
+        return np.array([choose(batch.laboratories, batch.focal, i, rng) for i in range(3)])
+
+    other.step(plan())
+    for _ in range(5):
+        batch.step(plan())
+    state, seen, actions, future = batch.get_state(), batch.set_state(batch.get_state()), [], []
+    for _ in range(40):
+        actions.append(plan())
+        future.append(batch.step(actions[-1]))
+    for back in (batch, other, batch):
+        np.testing.assert_array_equal(back.set_state(state), seen)
+        for action, expected in zip(actions, future, strict=True):
+            again = back.step(action)
+            for one, two in zip(again[:4], expected[:4], strict=True):
+                np.testing.assert_array_equal(one, two)
+            for key in ("cost", "elapsed_ticks", "experiment_over"):
+                np.testing.assert_array_equal(again[4][key], expected[4][key])
+
+
+def anything(observation: Any, mask: Any) -> Any:
+    """A policy without memory or randomness."""
+    return np.full((len(observation), 6), 0.5) if mask is None else mask.argmax(axis=1)
+
+
+# -- what may play in the background ----------------------------------------------------------------------------------
+
+
+class Model:
+    """What Stable-Baselines3's models look like from outside."""
+
+    def __init__(self, end: int) -> None:
+        self.end = end
+        self.given: list[Any] = []
+
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> Any:
+        self.given.append((observation.shape, deterministic))
+        return np.full(len(observation), self.end), None
+
+
+class Maskable(Model):
+    """What sb3-contrib's maskable models look like."""
+
+    def predict(  # type: ignore[override]
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
+    ) -> Any:
+        assert action_masks.shape == (len(observation), self.end + 1)
+        assert action_masks.any(axis=1).all()
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+def test_models_and_functions_play() -> None:
+    rested: list[Any] = []
+
+    def rest(observation: Any, mask: Any) -> list[list[float]]:
+        rested.append((observation.shape, mask))
+        return [[0.5, 0.5, 0.0, 0.0, 0.0, 0.0]] * len(observation)
+
+    plain, masked = Model(40), Maskable(30)
+    batch = FocalVectorEnv(2, WURTZ, "manager_0", {"rxn_0": rest, "ext_0": plain, "dit_0": masked})
+    batch.reset(seed=0)
+    encode = batch.laboratories.actions.encode
+    limit = batch.scenario.benches["rxn"].step_limit
+    for bench, ticks in (("ext_0", 1), ("dit_0", 1), ("rxn_0", limit)):
+        batch.step(np.full(2, encode("start", bench, 0, "dodecane")))
+        *_, infos = batch.step(np.full(2, encode("wait")))
+        assert infos["elapsed_ticks"].tolist() == [ticks, ticks]
+    assert plain.given == [((2, 307), True)]
+    assert masked.given == [((2, 310), True)]
+    assert rested == [((2, 213), None)] * limit or rested == [((2, 214), None)] * limit
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [None, "settle", 3, [], [-1], [41], [1.0], [True], [[1]], [1, 2], [[1], [1, 2]], [np.nan], [10**400], {}],
+    ids=repr,
+)
+def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
+    """The error names its agent; the laboratory asks for a reset, and is then as good as new."""
+    env = focal_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: nonsense})
+    encode = env.laboratories.actions.encode
+    env.reset(seed=0)
+    env.step(encode("start", "ext_0", 0, "dodecane"))
+    with pytest.raises(ValueError, match="^ext_0: actions must be 1 integers from 0 to 40"):
+        env.step(encode("wait"))
+    # Halfway through a step nobody can go on.
+    with pytest.raises(ResetNeeded):
+        env.step(encode("wait"))
+    observation, _ = env.reset(seed=5)
+    fresh = focal_env(WURTZ)
+    np.testing.assert_array_equal(observation, fresh.reset(seed=5)[0])
+    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
+        for one, other in zip(env.step(action)[:4], fresh.step(action)[:4], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_a_policy_that_fails_spoils_no_later_episode() -> None:
+    failing = [True]
+
+    def fragile(observation: Any, mask: Any) -> Any:
+        if failing[0]:
+            raise RuntimeError("out of order")
+        return np.full(len(observation), 40)
+
+    batch = focal_vector_env(2, WURTZ, "manager_0", {"ext_0": fragile})
+    encode = batch.laboratories.actions.encode
+    batch.reset(seed=0)
+    batch.step(np.full(2, encode("start", "ext_0", 0, "dodecane")))
+    with pytest.raises(RuntimeError, match="out of order"):
+        batch.step(np.full(2, encode("wait")))
+    with pytest.raises(ResetNeeded):
+        batch.step(np.full(2, encode("wait")))
+    failing[0] = False
+    batch.reset(seed=0)
+    batch.step(np.full(2, encode("start", "ext_0", 0, "dodecane")))
+    *_, infos = batch.step(np.full(2, encode("wait")))
+    assert infos["elapsed_ticks"].tolist() == [1, 1]
+
+
+def test_masked_actions_of_the_background_are_lost_turns() -> None:
+    """A background policy may play against its mask: that is its own lost turn, no error."""
+    env = focal_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: mask.argmin(axis=1)})
+    encode = env.laboratories.actions.encode
+    env.reset(seed=0)
+    env.step(encode("start", "ext_0", 0, "dodecane"))
+    *_, info = env.step(encode("wait"))
+    assert info["elapsed_ticks"] == env.batch.scenario.benches["ext"].step_limit
+    assert not info["illegal_action"]  # the manager's was not
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "parts"),
+    [
+        ({"agent": "rxn_1"}, ValueError, ["'rxn_1'", "manager_0, rxn_0, ext_0, dit_0"]),
+        ({"agent": None}, ValueError, ["None", "manager_0"]),
+        ({"policies": None}, ValueError, ["nobody plays rxn_0, ext_0, dit_0", "none"]),
+        ({"policies": {"rxn_0": anything}}, ValueError, ["nobody plays ext_0, dit_0", "given rxn_0"]),
+        (
+            {"policies": {"rxn_0": anything, "ext_0": "heuristic", "dit_0": anything}},
+            TypeError,
+            ["ext_0", "predict", "'heuristic'"],
+        ),
+        ({"policies": {"rxn_0": anything, "ext_0": None, "dit_0": anything}}, TypeError, ["ext_0", "None"]),
+        ({"rewards": "selfish"}, ValueError, ["'selfish'", "individual, cooperative, mixed"]),
+        ({"render_mode": "hologram"}, ValueError, ["'hologram'"]),
+        ({"scenario": "atlantis"}, ValueError, ["atlantis"]),
+    ],
+)
+def test_bad_arguments(arguments: dict[str, Any], error: type[Exception], parts: list[str]) -> None:
+    given: dict[str, Any] = {"policies": dict.fromkeys(("rxn_0", "ext_0", "dit_0"), anything), **arguments}
+    with pytest.raises(error) as caught:
+        FocalEnv(**given)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+def test_an_agent_that_never_has_a_turn_is_named() -> None:
+    def idle(observation: Any, mask: Any) -> Any:
+        return np.array([row.nonzero()[0][-1] for row in mask])  # submits, recalls or waits: never starts
+
+    policies = {"manager_0": idle, "ext_0": anything, "dit_0": anything}
+    env = FocalEnv(WURTZ, "rxn_0", policies)
+    with pytest.raises(RuntimeError, match="rxn_0: had no turn"):
+        env.reset(seed=0)
+    with pytest.raises(ResetNeeded):
+        env.step(np.full(6, 0.5))
+
+
+# -- Gymnasium's interface ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "agent"), CASES)
+def test_gymnasium_finds_nothing_wrong(name: str, agent: str) -> None:
+    check_env(focal_env(name, agent, "heuristic" if agent == "manager_0" else "random"), skip_render_check=True)
+
+
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0"])
+def test_a_bad_action_changes_nothing(agent: str) -> None:
+    env = focal_env(WURTZ, agent)
+    env.reset(seed=0)
+    bad: list[Any] = [None, "x", -1, 10**6, np.full(5, 0.5), np.full(6, np.nan), object()]
+    before = env.get_state()
+    for action in bad:
+        with pytest.raises(ValueError, match=agent):
+            env.step(action)
+    assert_same_state(before, env.get_state())
+    fresh = focal_env(WURTZ, agent)
+    fresh.reset(seed=0)
+    good = choose(env.laboratories, env.batch.focal, 0, np.random.default_rng(0))
+    np.testing.assert_array_equal(env.step(good)[0], fresh.step(good)[0])
+
+
+def test_batches_are_made_and_refused() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        focal_vector_env(0)
+    batch = focal_vector_env(2)
+    with pytest.raises(ResetNeeded):
+        batch.step(np.zeros(2, dtype=np.int64))
+    with pytest.raises(ValueError, match="first reset"):
+        batch.reset(options={"reset_mask": np.array([True, False])})
+    batch.reset(seed=0)
+    before = batch.get_state()
+    for options in ({"goal": "gold"}, {"gaol": 1}, {"reset_mask": [1, 0]}, {"reset_mask": np.ones(3, dtype=bool)}):
+        with pytest.raises(ValueError, match=r"reset options|reset_mask"):
+            batch.reset(options=options)
+    with pytest.raises(ValueError, match="manager_0: actions must be 2 integers"):
+        batch.step(np.array([0, -1]))
+    assert_same_state(before, batch.get_state())
+    assert batch.action_masks().shape == (2, len(batch.laboratories.actions))
+    with pytest.raises(ValueError, match="rxn_0: continuous"):
+        focal_vector_env(1, WURTZ, "rxn_0").action_masks()
+
+
+def test_arrays_are_copies_unless_asked_otherwise() -> None:
+    keeps, reuses = focal_vector_env(2), focal_vector_env(2, copy=False)
+    kept, infos = keeps.reset(seed=0)
+    reused, _ = reuses.reset(seed=0)
+    first, mask = kept.copy(), infos["action_mask"].copy()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        actions = np.array([choose(keeps.laboratories, 0, i, rng) for i in range(2)])
+        new, *_ = keeps.step(actions)
+        overwritten, *_ = reuses.step(actions)
+        np.testing.assert_array_equal(new, overwritten)
+    np.testing.assert_array_equal(kept, first)
+    np.testing.assert_array_equal(infos["action_mask"], mask)
+    np.testing.assert_array_equal(reused, overwritten)
+
+
+def test_goals_can_be_asked_for() -> None:
+    env = focal_env("wurtz_any")
+    for goal in env.batch.scenario.lab_goals:
+        env.reset(seed=0, options={"goal": goal})
+        assert env.batch.scenario.goals[env.laboratories.desk.goal[0, 0]] == goal
+    for options in ({"goal": "gold"}, {"gaol": "NaCl"}):
+        with pytest.raises(ValueError, match="reset options"):
+            env.reset(options=options)
+
+
+def test_render_and_meanings() -> None:
+    env = focal_env(WURTZ, render_mode="ansi")
+    env.reset(seed=0)
+    assert WURTZ.split("_")[1] in str(env.render())
+    assert len(env.action_meanings) == env.action_space.n  # type: ignore[attr-defined]
+    assert len(focal_env(WURTZ, "rxn_0").action_meanings) == 6
+    spaces = itertools.chain.from_iterable(
+        (env.observation_space, env.action_space) for env in (focal_env(WURTZ, agent) for agent in ("ext_0", "dit_0"))
+    )
+    assert all(isinstance(space, gymnasium.Space) for space in spaces)

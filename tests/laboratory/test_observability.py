@@ -1,0 +1,395 @@
+"""What agents may not see: contents, until somebody measures; and of a bench, anything but what its channels say.
+
+Laboratories that look alike from outside (volume, temperature, capacity, history) and differ in everything else are
+compared bit for bit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import chemlab.scenarios
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory.actions import SUBMIT
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import read_toml
+from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.shelf import CLOCK, CLOCK_SETTLED, CLOCK_WAS, PRESENT, ROLE_GAS, T_MIX, TEMPERATURE
+
+SCENARIOS = scenario_names()
+WURTZ = "wurtz_dodecane"
+
+
+def mapping(name: str = WURTZ) -> dict[str, Any]:
+    """A shipped scenario's content, to be changed."""
+    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+
+
+def litres(scenario: Scenario, contents: dict[str, float]) -> float:
+    """Volume of amounts in mol, from the cited molar masses and densities."""
+    materials = scenario.materials
+    return sum(
+        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
+    )
+
+
+def half_full(scenario: Scenario, mixture: dict[str, float]) -> dict[str, float]:
+    """The mixture, as much of it as fills half of 1.2 L: a fraction that no rounding can tell apart."""
+    scale = 0.6 / litres(scenario, mixture)
+    return {name: scale * mol for name, mol in mixture.items()}
+
+
+def disguise(labs: Laboratories, member: int, positions: Any, rng: np.random.Generator) -> None:
+    """Put something else of the same volume and temperature into vessels, mixed or settled, spread over layers anyhow."""
+    chem, materials = labs.shelf.chemistry, len(labs.shelf.layout.materials)
+    for position in positions:
+        row = labs.shelf.vessels[member, position]
+        if row[PRESENT] == 0.0:
+            continue
+        volume = float(labs.shelf.amounts[member, position] @ chem.molar_volume)
+        mixture = rng.random(materials) * (rng.random(materials) < 0.6) + 1e-3
+        mixture[chem.role == ROLE_GAS] = 0.0  # vessels hold none
+        labs.shelf.amounts[member, position] = mixture * (volume / float(mixture @ chem.molar_volume))
+        labs.shelf.dissolved[member, position] = rng.random(labs.shelf.dissolved[member, position].shape)
+        row[CLOCK] = row[CLOCK_WAS] = rng.uniform(T_MIX, CLOCK_SETTLED)
+
+
+def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> int | None:
+    """One random legal turn of whoever has it, without submissions; the agent, None at the end of the episode."""
+    if labs.desk.status[0] != 0:
+        return None
+    number = labs.turn()
+    mask = labs.mask(number, labs.members)
+    if mask is None:
+        action: npt.NDArray[Any] = rng.random((1, *labs.action_space(number).shape))  # type: ignore[misc]
+    else:
+        legal = np.flatnonzero(mask[0])
+        if number == 0:
+            names = [labs.actions.decode(int(a))[0] for a in legal]
+            banned = {"submit", "discard"} | (set() if measure else {"measure"})
+            legal = np.array([a for a, name in zip(legal, names, strict=True) if name not in banned])
+            if not len(legal):
+                return None
+            weights = np.array([8.0 if labs.actions.decode(int(a))[0] == "wait" else 1.0 for a in legal])
+            action = np.array([rng.choice(legal, p=weights / weights.sum())])
+        else:
+            keep = legal[legal != labs.benches[number - 1].end_action]
+            action = np.array([rng.choice(keep if len(keep) and rng.random() < 0.95 else legal)])
+    labs.act(number, labs.members, action)
+    return number
+
+
+# -- the manager ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> None:
+    """Whatever the manager does but measuring the disguised vessels, legal or not: equal observations, masks, costs."""
+    scenario = load_scenario(name)
+    labs = Laboratories(scenario, 2)
+    both, rng = labs.members, np.random.default_rng(seed)
+    for member in both:
+        labs.seed(int(member), seed)
+    labs.reset(both)
+    labs.desk.goal[1] = labs.desk.goal[0]
+    names = [key for key, material in scenario.materials.items() if material.role != "gas"]
+    hidden, open_slots = (0, 1), range(2, min(scenario.shelf.slots, 5))
+    for slot in range(scenario.shelf.slots):
+        labs.shelf.vessels[:, slot] = 0.0
+    known = half_full(scenario, {"diethyl_ether" if "diethyl_ether" in names else names[0]: 1.0})
+    for member in both:
+        for slot in hidden:
+            mixture = {key: float(rng.random()) for key in rng.choice(names, 4, replace=False)}
+            labs.shelf.fill(int(member), slot, 1.2, half_full(scenario, mixture))
+        for slot in open_slots:
+            labs.shelf.fill(int(member), slot, 1.2, known)
+
+    def alike() -> None:
+        seen, masks = labs.observe(0, both), labs.mask(0, both)
+        assert masks is not None
+        np.testing.assert_array_equal(seen[0], seen[1])
+        np.testing.assert_array_equal(masks[0], masks[1])
+        assert labs.costs(0) == pytest.approx(labs.costs(1), rel=1e-12, abs=1e-15)
+        np.testing.assert_array_equal(labs.rewards[0], labs.rewards[1])
+
+    alike()
+    instruments = len(scenario.instruments)
+    for _ in range(25):
+        masks = labs.mask(0, both)
+        assert masks is not None
+        allowed = []
+        for action in range(len(labs.actions)):
+            kind, *arguments = labs.actions.decode(action)
+            last = labs.shelf.vessels[0, : scenario.shelf.slots, PRESENT].sum() < 3
+            untouched = arguments and kind in ("discard", "measure") and arguments[0] in hidden
+            if (not untouched and kind not in ("submit", "start")) and not (last and kind == "discard"):
+                allowed.append(action)
+            elif not masks[0, action]:
+                allowed.append(action)  # a lost turn tells nothing either
+        labs.act(0, both, np.repeat(rng.choice(allowed), 2))
+        if labs.desk.status[0] != 0:
+            break
+        alike()
+    before = labs.snapshot()
+    if labs.desk.status[0] == 0:
+        told = 0
+        for instrument in scenario.instruments:
+            labs.restore(before)
+            action = labs.actions.encode("measure", 0, instrument)
+            legal = labs.mask(0, both)
+            assert legal is not None
+            if not legal[0, action]:
+                continue  # the budget is spent
+            labs.act(0, both, np.repeat(action, 2))
+            seen = labs.observe(0, both)
+            at = channel_slices(labs.channels)
+            told += not np.array_equal(seen[0], seen[1])
+            # What differs is that reading.
+            seen[:, at[f"slot_0_{instrument}"]] = 0.0
+            np.testing.assert_array_equal(seen[0], seen[1])
+        assert told >= min(instruments, 1) or not any(
+            legal is not None and legal[0, labs.actions.encode("measure", 0, instrument)]
+            for instrument in scenario.instruments
+        )
+
+
+def test_submitting_and_discarding_others_tells_nothing() -> None:
+    """With two orders one can be filled and the disguised vessels stay what they were: unknown."""
+    scenario = load_scenario("wurtz_two_lines")
+    labs = Laboratories(scenario, 2)
+    both = labs.members
+    for member in both:
+        labs.seed(int(member), 3)
+    labs.reset(both)
+    for member, mixture in enumerate(({"water": 1.0}, {"dodecane": 1.0, "diethyl_ether": 2.0})):
+        labs.shelf.fill(member, 2, 1.2, half_full(scenario, mixture))
+    for action in (("submit", 0, 1), ("measure", 1, "balance"), ("discard", 1)):
+        labs.act(0, both, np.repeat(labs.actions.encode(*action), 2))
+        seen, masks = labs.observe(0, both), labs.mask(0, both)
+        assert masks is not None
+        np.testing.assert_array_equal(seen[0], seen[1])
+        np.testing.assert_array_equal(masks[0], masks[1])
+        assert labs.desk.status.tolist() == [0, 0]
+    labs.act(0, both, np.repeat(labs.actions.encode("measure", 2, "balance"), 2))
+    seen = labs.observe(0, both)
+    assert not np.array_equal(seen[0], seen[1])
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
+    """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
+    labs = Laboratories(name)
+    labs.seed(0, 1)
+    labs.reset(labs.members)
+    rng = np.random.default_rng(1)
+    worked = 0
+    for turn in range(400):
+        if play(labs, rng) is None:
+            labs.reset(labs.members)
+        if turn % 5:
+            continue
+        seen, mask, before = labs.observe(0, labs.members), labs.mask(0, labs.members), labs.snapshot()
+        worked += labs.busy.any()
+        disguise(labs, 0, range(labs.vessels_per_laboratory), rng)
+        labs.shelf.waste[:] = rng.random(labs.shelf.waste.shape)
+        labs.desk.delivered[:] = rng.random(labs.desk.delivered.shape)
+        labs.desk.submitted[:] = rng.random(labs.desk.submitted.shape)
+        labs.desk.stream[:] = 12345
+        labs.safety_totals[:] = rng.random(labs.safety_totals.shape)
+        for station in labs.stations:
+            station.baseline[:], station.events[:] = rng.random(), rng.random(station.events.shape)
+            station.image[:] = rng.random(station.image.shape)
+            station.stream[:] = 54321
+            station.changed[:] = True
+        for array in (labs.rewards, labs.cost, labs.scores):
+            array[...] = rng.random(array.shape)
+        again, same = labs.observe(0, labs.members), labs.mask(0, labs.members)
+        assert mask is not None
+        assert same is not None
+        np.testing.assert_array_equal(again, seen)
+        np.testing.assert_array_equal(same, mask)
+        labs.restore(before)
+    assert worked > 10
+
+
+# -- benches --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_benches_see_nothing_but_their_own(name: str) -> None:
+    """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
+    labs = Laboratories(name)
+    labs.seed(0, 2)
+    labs.reset(labs.members)
+    rng = np.random.default_rng(2)
+    looked = np.zeros(len(labs.stations), dtype=int)
+    for turn in range(500):
+        if play(labs, rng) is None:
+            labs.reset(labs.members)
+        if turn % 5:
+            continue
+        for b, station in enumerate(labs.stations):
+            seen, mask = labs.observe(b + 1, labs.members), labs.mask(b + 1, labs.members)
+            before = labs.snapshot()
+            looked[b] += station.busy[0]
+            own = set(station.places[0].tolist())
+            disguise(labs, 0, [p for p in range(labs.vessels_per_laboratory) if p not in own], rng)
+            for p in range(labs.vessels_per_laboratory):
+                if p not in own:
+                    labs.shelf.vessels[0, p, TEMPERATURE] += 5.0
+            labs.shelf.waste[:] = rng.random(labs.shelf.waste.shape)
+            for array in (labs.desk.goal, labs.desk.ticks, labs.desk.actions):
+                array[:] = 0
+            labs.desk.reading[:], labs.desk.age[:] = rng.random(labs.desk.reading.shape), 3
+            labs.desk.charges[:] = rng.random(labs.desk.charges.shape)
+            labs.desk.submitted[:] = rng.random(labs.desk.submitted.shape)
+            for other in labs.stations:
+                if other is not station:
+                    other.goal[:], other.steps[:] = 0, 7
+                    other.image[:] = rng.random(other.image.shape)
+            station.baseline[:] = rng.random()
+            np.testing.assert_array_equal(labs.observe(b + 1, labs.members), seen)
+            again = labs.mask(b + 1, labs.members)
+            assert (again is None) == (mask is None)
+            if mask is not None and again is not None:
+                np.testing.assert_array_equal(again, mask)
+            labs.restore(before)
+    assert (looked > 0).all()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_channels_are_all_there_is(name: str) -> None:
+    """An observation is its declared channels and nothing else; the goal is the experiment's, one-hot, at the end."""
+    labs = Laboratories(name)
+    labs.seed(0, 3)
+    labs.reset(labs.members)
+    rng = np.random.default_rng(3)
+    for agent in range(len(labs.agents)):
+        channels = labs.channels if agent == 0 else labs.benches[agent - 1].channels
+        assert sum(channel.size for channel in channels) == labs.observation_sizes[agent]
+        assert len({channel.name for channel in channels}) == len(channels)
+        assert all(channel.size > 0 and channel.low < channel.high and channel.meaning for channel in channels)
+    for _ in range(150):
+        if play(labs, rng) is None:
+            labs.reset(labs.members)
+        for b, station in enumerate(labs.stations):
+            seen = labs.observe(b + 1, labs.members)[0]
+            goal = seen[channel_slices(labs.benches[b].channels)["goal"]]
+            expected = np.arange(len(goal)) == station.goal[0] if station.busy[0] else np.zeros(len(goal))
+            np.testing.assert_array_equal(goal, expected)
+            assert station.busy[0] or not seen.any()
+
+
+# -- readings -------------------------------------------------------------------------------------------------------
+
+
+def laboratory(values: Any = WURTZ) -> raw_env:
+    """A laboratory at the start of an episode."""
+    env = raw_env(load_scenario(values))
+    env.reset(seed=0)
+    return env
+
+
+def manager(env: raw_env, *action: str | int) -> None:
+    """Let the manager, which must have the turn, do something legal."""
+    assert env.agent_selection == "manager_0"
+    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
+    assert not env.infos["manager_0"]["illegal_action"]
+
+
+def reading(env: raw_env, slot: int, instrument: str) -> tuple[npt.NDArray[np.float32], float]:
+    """(what the manager sees of a reading, its age)."""
+    seen, at = env.observe("manager_0"), channel_slices(env.laboratories.channels)
+    return seen[at[f"slot_{slot}_{instrument}"]], float(seen[at[f"slot_{slot}_{instrument}_age"]][0])
+
+
+@pytest.mark.parametrize("instrument", ["uv_vis", "layer_camera", "balance", "gas_chromatograph"])
+def test_a_reading_ages_with_ticks_alone(instrument: str) -> None:
+    env = laboratory()
+    limit = env.scenario.limits.ticks
+    env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
+    assert reading(env, 0, instrument)[1] == 1.0
+    manager(env, "measure", 0, instrument)
+    first, age = reading(env, 0, instrument)
+    assert age == 0.0
+    assert first.any()
+    manager(env, "start", "rxn_0", 1, "dodecane")
+    manager(env, "wait")
+    for tick in range(1, env.scenario.benches["rxn"].step_limit + 1):
+        env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
+        values, age = reading(env, 0, instrument)
+        np.testing.assert_array_equal(values, first)
+        assert age == pytest.approx(tick / limit, rel=1e-6)
+    # A new reading is young again.
+    manager(env, "measure", 0, instrument)
+    assert reading(env, 0, instrument)[1] == 0.0
+
+
+@pytest.mark.parametrize("way", ["recall", "end"])
+def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
+    """What comes back is another vessel, as far as the manager knows."""
+    env = laboratory()
+    env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
+    for slot in (0, 1):
+        for instrument in env.scenario.instruments:
+            manager(env, "measure", slot, instrument)
+    kept = {instrument: reading(env, 1, instrument)[0] for instrument in env.scenario.instruments}
+    manager(env, "start", "ext_0", 0, "dodecane")
+    for instrument in env.scenario.instruments:
+        values, age = reading(env, 0, instrument)
+        assert age == 1.0, f"{instrument} shows an empty slot"
+        assert not values.any()
+    if way == "recall":
+        manager(env, "recall", "ext_0")
+    else:
+        manager(env, "wait")
+        env.step(env.laboratories.benches[1].end_action)
+    seen, at = env.observe("manager_0"), channel_slices(env.laboratories.channels)
+    assert seen[at["slot_0_occupied"]] == 1.0
+    for instrument in env.scenario.instruments:
+        values, age = reading(env, 0, instrument)
+        assert age == 1.0
+        assert not values.any()
+        np.testing.assert_array_equal(reading(env, 1, instrument)[0], kept[instrument])
+
+
+def test_an_empty_slot_shows_nothing() -> None:
+    """In random play: no vessel, no reading, no history."""
+    rng = np.random.default_rng(0)
+    for name in SCENARIOS:
+        labs = Laboratories(name)
+        labs.seed(0, 0)
+        labs.reset(labs.members)
+        at = channel_slices(labs.channels)
+        for _ in range(200):
+            if play(labs, rng) is None:
+                labs.reset(labs.members)
+            seen = labs.observe(0, labs.members)[0]
+            for slot in range(labs.scenario.shelf.slots):
+                if labs.shelf.vessels[0, slot, PRESENT] > 0.0:
+                    continue
+                parts = [part for part in at if part.startswith(f"slot_{slot}_")]
+                for part in parts:
+                    assert (seen[at[part]] == float(part.endswith("_age"))).all(), (name, part)
+
+
+def test_hidden_states_differ_and_scores_with_them() -> None:
+    """Looking alike is not being alike: the same submission of two disguised vessels is worth different scores."""
+    scenario = load_scenario(WURTZ)
+    labs = Laboratories(scenario, 2)
+    for member, mixture in enumerate(({"dodecane": 1.0}, {"dodecane": 1.0, "diethyl_ether": 1.0})):
+        labs.seed(member, 0)
+        labs.reset(np.array([member]))
+        labs.shelf.fill(member, 0, 1.2, half_full(scenario, mixture))
+    seen = labs.observe(0, labs.members)
+    np.testing.assert_array_equal(seen[0], seen[1])
+    submit = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT)[0]
+    labs.act(0, labs.members, np.repeat(submit, 2))
+    assert labs.rewards[0, 0] > labs.rewards[1, 0] > 0.0

@@ -1,0 +1,475 @@
+"""Several orders, and who is paid what: submissions, endings, the observation's goals, scenario errors, reward mixes.
+
+Contents are put into vessels by hand, so that what a submission is worth has a closed form.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chemlab.scenarios
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory import parallel_env
+from chemlab.laboratory.actions import SUBMIT, ManagerActions
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.materials import DataError, read_toml
+from chemlab.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
+from chemlab.shelf import PRESENT, element_matrix
+
+LINES = "wurtz_two_lines"
+
+
+def mapping(name: str = LINES) -> dict[str, Any]:
+    """A shipped scenario's content, to be changed."""
+    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+
+
+def laboratory(values: dict[str, Any] | str = LINES, seed: int = 0, **arguments: Any) -> raw_env:
+    """A laboratory at the start of an episode."""
+    env = raw_env(load_scenario(values), **arguments)
+    env.reset(seed=seed)
+    return env
+
+
+def manager(env: raw_env, *action: str | int) -> None:
+    """Let the manager, which must have the turn, do something legal."""
+    assert env.agent_selection == "manager_0"
+    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
+    assert not env.infos["manager_0"]["illegal_action"]
+
+
+def allowed(env: raw_env, *action: str | int) -> bool:
+    """Whether the manager's mask allows an action."""
+    return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
+
+
+def goals(env: raw_env) -> list[str]:
+    """What each order asks for."""
+    return [env.scenario.goals[goal] for goal in env.laboratories.desk.goal[0]]
+
+
+def shown(env: raw_env, order: int) -> list[float]:
+    """The goal channel of an order."""
+    return env.observe("manager_0")[channel_slices(env.laboratories.channels)[f"goal_{order}"]].tolist()
+
+
+def atoms(env: raw_env) -> Any:
+    """Atoms of each element, and charge: in vessels, bottles, waste, and delivered."""
+    labs = env.laboratories
+    return element_matrix(env.scenario) @ (labs.shelf.total()[0] + labs.desk.delivered[0])
+
+
+# -- submitting -----------------------------------------------------------------------------------------------------
+
+
+def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
+    env = laboratory()
+    labs, scenario = env.laboratories, env.scenario
+    first, second = goals(env)
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, first: 0.5})
+    labs.shelf.fill(0, 1, 1.2, {"diethyl_ether": 1.0, second: 0.25})
+    begun = atoms(env)
+    maximum = scenario.theoretical_maximum_mol
+    manager(env, "measure", 0, "balance")
+    assert env.rewards["manager_0"] == 0.0
+    manager(env, "submit", 1, 1)
+    # A quarter of a mole, a fifth pure, of one of two orders; costs are not due yet.
+    worth = 0.25 * (0.25 / 1.25) / maximum[second] / 2
+    assert env.rewards["manager_0"] == pytest.approx(worth, rel=1e-12)
+    assert not any(env.terminations.values())
+    assert labs.shelf.vessel(0, 1).amounts() == {}
+    delivered = dict(zip(scenario.materials, labs.desk.delivered[0].tolist(), strict=True))
+    assert {name: mol for name, mol in delivered.items() if mol} == pytest.approx({"diethyl_ether": 1.0, second: 0.25})
+    np.testing.assert_allclose(atoms(env), begun, rtol=1e-12, atol=1e-12)
+    manager(env, "submit", 0, 0)
+    last = 0.5 * (0.5 / 3.5) / maximum[first] / 2
+    costs = scenario.instruments["balance"].price
+    assert env.rewards["manager_0"] == pytest.approx(last - costs, rel=1e-12)
+    assert labs.result(labs.members)[0] == pytest.approx(worth + last - costs, rel=1e-12)
+    assert all(env.terminations.values())
+    np.testing.assert_allclose(atoms(env), begun, rtol=1e-12, atol=1e-12)
+    info = env.infos["manager_0"]
+    assert info["orders"] == [
+        {"goal": first, "submitted_mol": pytest.approx(0.5), "purity": pytest.approx(0.5 / 3.5)},
+        {"goal": second, "submitted_mol": pytest.approx(0.25), "purity": pytest.approx(0.2)},
+    ]
+    assert info["submitted_mol"] == pytest.approx(0.75)
+    assert info["purity"] == pytest.approx((0.5 * 0.5 / 3.5 + 0.25 * 0.2) / 0.75)
+
+
+def test_a_filled_order_is_closed() -> None:
+    env = laboratory()
+    manager(env, "measure", 0, "balance")
+    assert all(allowed(env, "submit", 0, order) for order in (0, 1))
+    assert sum(shown(env, 0)) == sum(shown(env, 1)) == 1.0
+    for order, goal in enumerate(goals(env)):
+        assert shown(env, order)[env.scenario.goals.index(goal)] == 1.0
+    manager(env, "submit", 0, 0)
+    assert shown(env, 0) == [0.0] * len(env.scenario.goals)
+    assert sum(shown(env, 1)) == 1.0
+    assert not any(allowed(env, "submit", slot, 0) for slot in range(env.scenario.shelf.slots))
+    assert allowed(env, "submit", 1, 1)
+    # The slot is free and forgotten.
+    seen, at = env.observe("manager_0"), channel_slices(env.laboratories.channels)
+    assert seen[at["slot_0_occupied"]] == 0.0
+    assert seen[at["slot_0_balance"]] == 0.0
+    assert seen[at["slot_0_balance_age"]] == 1.0
+    # Submitting for it again is a lost turn.
+    before = env.laboratories.desk.submitted.copy()
+    env.step(env.laboratories.actions.encode("submit", 1, 0))
+    assert env.infos["manager_0"]["illegal_action"]
+    np.testing.assert_array_equal(env.laboratories.desk.submitted, before)
+    assert not any(env.terminations.values())
+
+
+def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
+    """The last vessel on the shelf ends the episode, though an order is open; with a bench at work it does not."""
+    env = laboratory()
+    manager(env, "discard", 1)
+    manager(env, "submit", 0, 1)
+    assert all(env.terminations.values())
+    assert [order["submitted_mol"] for order in env.infos["manager_0"]["orders"]] == [0.0, 0.0]
+    busy = laboratory()
+    manager(busy, "start", "rxn_1", 0, goals(busy)[0])
+    manager(busy, "submit", 1, 0)
+    assert not any(busy.terminations.values())
+    # Nothing on the shelf to submit, discard or measure; but to wait for, and to recall.
+    legal = {busy.laboratories.actions.decode(int(a)) for a in np.flatnonzero(busy.infos["manager_0"]["action_mask"])}
+    assert legal == {("wait",), ("recall", "rxn_1")}
+    manager(busy, "recall", "rxn_1")
+    manager(busy, "submit", 0, 1)
+    assert all(busy.terminations.values())
+
+
+def test_a_truncated_episode_pays_what_was_submitted() -> None:
+    values = mapping()
+    values["limits"]["manager_actions"] = 2
+    env = laboratory(values)
+    goal = goals(env)[0]
+    env.laboratories.shelf.fill(0, 0, 1.2, {goal: 0.2, "diethyl_ether": 0.2})
+    manager(env, "submit", 0, 0)
+    worth = 0.2 * 0.5 / env.scenario.theoretical_maximum_mol[goal] / 2
+    assert env.rewards["manager_0"] == pytest.approx(worth, rel=1e-12)
+    manager(env, "measure", 1, "balance")
+    assert all(env.truncations.values())
+    price = env.scenario.instruments["balance"].price
+    assert env.rewards["manager_0"] == pytest.approx(-price, rel=1e-12)
+    assert env.laboratories.result(env.laboratories.members)[0] == pytest.approx(worth - price, rel=1e-12)
+
+
+@pytest.mark.parametrize("orders", [1, 2, 3])
+def test_random_play_with_orders(orders: int) -> None:
+    """Rewards add up to the score, atoms to what there was, and the episode ends when the design says."""
+    values = mapping()
+    values["orders"] = orders
+    rng = np.random.default_rng(orders)
+    filled = []
+    for seed in range(25):
+        env = laboratory(values, seed)
+        labs, begun, paid = env.laboratories, atoms(env), 0.0
+        while labs.desk.status[0] == 0:
+            number = env.possible_agents.index(env.agent_selection)
+            open_before = int((~labs.desk.filled[0]).sum())
+            mask = env.infos[env.agent_selection].get("action_mask")
+            if mask is None:
+                action: Any = rng.random(env.action_space(env.agent_selection).shape)  # type: ignore[arg-type]
+            else:
+                legal = np.flatnonzero(mask) if rng.random() < 0.9 else np.arange(len(mask))
+                action = int(rng.choice(legal))
+            env.step(action)
+            paid += env.rewards["manager_0"]
+            submitted = number == 0 and labs.actions.table[action, 0] == SUBMIT
+            submitted = submitted and not env.infos["manager_0"]["illegal_action"]
+            assert open_before - (~labs.desk.filled[0]).sum() == submitted
+            if submitted:
+                # The vessel of the last submission stays where it is, to be looked at.
+                standing = (labs.shelf.vessels[0, : env.scenario.shelf.slots, PRESENT] > 0.0).sum()
+                nothing = not labs.busy.any() and standing == (labs.desk.status[0] == 1)
+                assert bool(labs.desk.status[0] == 1) is bool(labs.desk.filled[0].all() or nothing)
+            np.testing.assert_allclose(atoms(env), begun, rtol=1e-9, atol=1e-9)
+        assert paid == pytest.approx(labs.result(labs.members)[0], rel=1e-9, abs=1e-12)
+        assert (labs.desk.submitted[0][~labs.desk.filled[0]] == 0.0).all()
+        filled.append(int(labs.desk.filled[0].sum()))
+    assert max(filled) == orders
+
+
+# -- goals ----------------------------------------------------------------------------------------------------------
+
+
+def test_goals_of_orders_are_drawn_apart() -> None:
+    """Uniformly and independently, and asked-for goals are all orders'."""
+    env = laboratory()
+    labs, choices = env.laboratories, env.scenario.lab_goals
+    counts = np.zeros((len(choices), len(choices)))
+    for _ in range(3600):
+        labs.reset(labs.members)
+        counts[tuple(choices.index(goal) for goal in goals(env))] += 1
+    expected = counts.sum() / counts.size
+    assert ((counts - expected) ** 2 / expected).sum() < 80.0  # 35 degrees of freedom: beyond 80 once in 40,000
+    env.reset(seed=0, options={"goal": choices[3]})
+    assert goals(env) == [choices[3]] * 2
+
+
+def test_one_order_looks_as_it_always_did() -> None:
+    names = [channel.name for channel in laboratory("wurtz_any").laboratories.channels]
+    assert "goal" in names
+    assert not any(name.startswith("goal_") for name in names)
+    assert ("submit", 0) in [
+        ManagerActions.of(load_scenario("wurtz_any")).decode(a) for a in range(len(laboratory("wurtz_any").laboratories.actions))
+    ]
+
+
+@pytest.mark.parametrize("orders", [1, 2, 5])
+def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None:
+    values = mapping()
+    values["orders"] = orders
+    scenario = load_scenario(values)
+    actions = ManagerActions.of(scenario)
+    decoded = [actions.decode(number) for number in range(len(actions))]
+    assert [actions.encode(*action) for action in decoded] == list(range(len(actions)))  # type: ignore[arg-type]
+    assert len(set(decoded)) == len(set(actions.action_meanings)) == len(actions)
+    slots = range(scenario.shelf.slots)
+    expected = {("submit", s, o) for s in slots for o in range(orders)} if orders > 1 else {("submit", s) for s in slots}
+    assert {action for action in decoded if action[0] == "submit"} == expected
+    for number, action in enumerate(decoded):
+        if action[0] == "submit":
+            words = actions.action_meanings[number]
+            assert f"slot {action[1]}" in words
+            assert ("order" in words) is (orders > 1)
+
+
+@pytest.mark.parametrize(
+    ("action", "part"),
+    [
+        (("submit", 0), "takes 2 arguments"),
+        (("submit", 0, 2), "2 is not one of [0, 1]"),
+        (("submit", 12, 0), "12"),
+        (("submit", 0, "dodecane"), "'dodecane'"),
+        (("submit", 0, 0, 0), "takes 2 arguments"),
+        (("submit", 0, -1), "-1"),
+    ],
+)
+def test_a_submission_that_does_not_exist_is_refused(action: tuple[Any, ...], part: str) -> None:
+    with pytest.raises(ValueError, match="manager action 'submit'") as caught:
+        ManagerActions.of(load_scenario(LINES)).encode(*action)
+    assert part in str(caught.value)
+
+
+# -- scenarios that make no sense -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "parts"),
+    [
+        ("orders", 0, ["orders", "greater than or equal to 1", "0"]),
+        ("orders", -2, ["orders", "-2"]),
+        ("orders", 17, ["orders", "less than or equal to 16"]),
+        ("orders", 1.5, ["orders", "1.5"]),
+        ("orders", "two", ["orders", "'two'"]),
+        ("orders", [1, 2], ["orders"]),
+        ("order", 2, ["order"]),
+        ("rewards", "selfish", ["rewards", "'selfish'", "individual, cooperative, mixed"]),
+        ("rewards", {"bench": 1.0}, ["rewards", "bench"]),
+        ("rewards", {"bench_local": "all"}, ["rewards", "bench_local", "all"]),
+        ("rewards", {"bench_team": float("nan")}, ["rewards", "bench_team"]),
+        ("rewards", 1.0, ["rewards"]),
+        ("rewards", ["cooperative"], ["rewards"]),
+    ],
+)
+def test_wrong_scenarios_say_what_is_wrong(key: str, value: Any, parts: list[str]) -> None:
+    values = mapping()
+    values[key] = value
+    with pytest.raises(DataError) as caught:
+        load_scenario(values)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+# -- two lines at once ------------------------------------------------------------------------------------------------
+
+
+def test_the_scripted_manager_keeps_both_lines_busy() -> None:
+    env = raw_env(LINES)
+    labs = env.laboratories
+    policies = make_policies("heuristic", labs)
+    kinds = [bench.key for bench in labs.benches]
+    together = dict.fromkeys(kinds, 0)
+
+    for seed in range(20):
+        both = dict.fromkeys(kinds, 0)
+
+        def watch(turn: Any, both: dict[str, int] = both) -> None:
+            for key in set(kinds):
+                stations = [b for b, kind in enumerate(kinds) if kind == key]
+                both[key] += bool(labs.busy[stations, 0].all())
+
+        result = play_episode(env, policies, seed, watch=watch)
+        assert result.terminated
+        outcome = labs.outcome()
+        assert labs.desk.filled[0].all(), f"seed {seed}"
+        for order in outcome["orders"]:
+            assert order["submitted_mol"] > 0.0, f"seed {seed}"
+        assert sum(count > 0 for count in both.values()) >= 1, f"seed {seed}"
+        together = {key: together[key] + (both[key] > 0) for key in together}
+    # Both reactions, both extractions, both distillations at the same time, in every episode.
+    assert together == dict.fromkeys(kinds, 20)
+
+
+# -- who is paid what -------------------------------------------------------------------------------------------------
+
+NUMBERS = RewardSpec(bench_local=0.25, bench_team=-0.5, manager_local=2.0, manager_team=0.125)
+MIXES: list[Any] = ["individual", "cooperative", "mixed", NUMBERS]
+
+
+def mix_of(rewards: Any) -> RewardSpec:
+    """The numbers of a mix."""
+    return REWARD_MIXES[rewards] if isinstance(rewards, str) else rewards
+
+
+def paid_as_mixed(
+    mix: RewardSpec, price: float, paid: dict[str, float], scores: dict[str, float], lost: dict[str, float], result: float
+) -> None:
+    """Each agent's return = local * own + team * result; what lost turns and priced accidents take off is not mixed."""
+    for agent, total in paid.items():
+        if agent == "manager_0":
+            expected = (mix.manager_local + mix.manager_team) * result
+        else:
+            expected = mix.bench_local * scores[agent] - lost[agent] + mix.bench_team * result
+        assert total == pytest.approx(expected, rel=1e-9, abs=1e-12), agent
+    assert price >= 0.0
+
+
+def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.random.Generator) -> Any:
+    """Any action, legal three times of four; no early submission."""
+    if "action_mask" not in info:
+        return rng.random(env.action_space(agent).shape)  # type: ignore[arg-type]
+    mask = info["action_mask"]
+    legal = np.flatnonzero(mask) if rng.random() < 0.75 else np.arange(len(mask))
+    if agent == "manager_0":
+        others = legal[env.laboratories.actions.table[legal, 0] != SUBMIT]
+        legal = others if len(others) and rng.random() < 0.97 else legal
+    return int(rng.choice(legal))
+
+
+@pytest.mark.parametrize("rewards", MIXES, ids=str)
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_safe", LINES])
+def test_returns_are_the_mix(name: str, rewards: Any) -> None:
+    """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
+    mix = mix_of(rewards)
+    env, aec, batch = parallel_env(name, rewards=rewards), raw_env(name, rewards=rewards), BatchedLaboratory(1, name, rewards)
+    rng = np.random.default_rng(4)
+    scenario = env.scenario
+    for seed in range(3):
+        _, infos = env.reset(seed=seed)
+        aec.reset(seed=seed)
+        batch.reset(seed=seed)
+        agents = env.possible_agents
+        paid, in_turns, in_batch, scores, lost = (dict.fromkeys(agents, 0.0) for _ in range(5))
+        while env.agents:
+            actions = {agent: random_action(env, agent, infos[agent], rng) for agent in agents}
+            turn = [agent for agent in agents if infos[agent]["has_turn"]]
+            _, rewarded, *_, infos = env.step(actions)
+            _, others, *_, batch_infos = batch.step({agent: np.array([actions[agent]]) for agent in turn})
+            for agent in turn:
+                assert aec.agent_selection == agent
+                aec.step(actions[agent])
+                for other, reward in aec.rewards.items():
+                    in_turns[other] += reward
+            for agent in agents:
+                paid[agent] += rewarded[agent]
+                in_batch[agent] += others[agent][0]
+                scores[agent] += infos[agent].get("score", 0.0)
+                lost[agent] += scenario.safety.reward_price * infos[agent]["cost"]
+                lost[agent] += scenario.costs.illegal_action * infos[agent]["illegal_action"]
+        result = float(env.laboratories.result(env.laboratories.members)[0])
+        assert batch_infos["manager_0"]["result"][0] == result
+        paid_as_mixed(mix, scenario.safety.reward_price, paid, scores, lost, result)
+        assert in_turns == pytest.approx(paid, rel=1e-12, abs=1e-15)
+        assert in_batch == pytest.approx(paid, rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("rewards", MIXES, ids=str)
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "dit_0"])
+def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
+    """The focal agent's return, single and batched, from the scores its infos report and the laboratory's result."""
+    mix, name = mix_of(rewards), "wurtz_dodecane"
+    env, batch = focal_env(name, agent, rewards=rewards), focal_vector_env(1, name, agent, rewards=rewards)
+    policy = make_policies("heuristic", env.laboratories)[agent]
+    labs = env.laboratories
+    observation, _ = env.reset(seed=1)
+    batch.reset(seed=1)
+    total, scores, over = 0.0, 0.0, False
+    while not over:
+        number = env.batch.focal
+        step = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
+        action = policy.act(observation[None], labs.mask(number, labs.members), step[:1].copy(), labs.members)[0]
+        observation, reward, terminated, truncated, info = env.step(action)
+        _, rewarded, *_ = batch.step(np.array([action]))
+        assert rewarded[0] == reward
+        total += reward
+        scores += info["score"] if info["experiment_over"] else 0.0
+        over = terminated or truncated
+    result = float(labs.result(labs.members)[0])
+    assert result > 0.5
+    if agent == "manager_0":
+        assert total == pytest.approx((mix.manager_local + mix.manager_team) * result, rel=1e-9)
+    else:
+        assert total == pytest.approx(mix.bench_local * scores + mix.bench_team * result, rel=1e-9)
+        assert scores != 0.0
+
+
+def test_mixes_by_name_number_and_file(tmp_path: Path) -> None:
+    """The same numbers, however they are given."""
+    assert set(REWARD_MIXES) == {"individual", "cooperative", "mixed"}
+    for name, mix in REWARD_MIXES.items():
+        values = mapping()
+        values["rewards"] = name
+        assert load_scenario(values).rewards == mix
+        text = Path(chemlab.scenarios.__path__[0], f"{LINES}.toml").read_text(encoding="utf-8")
+        file = tmp_path / f"{name}.toml"
+        file.write_text(f'rewards = "{name}"\n{text}', encoding="utf-8")
+        assert load_scenario(file).rewards == mix
+        assert raw_env(LINES, rewards=name).scenario.rewards == mix
+        assert raw_env(LINES, rewards=mix).scenario.rewards == mix
+        assert raw_env(LINES, rewards=mix.model_dump()).scenario.rewards == mix  # type: ignore[arg-type]
+        # Everything else is the scenario's.
+        changed = load_scenario(LINES).with_rewards(name)
+        assert changed.materials == load_scenario(LINES).materials
+        assert changed.model_dump(exclude={"rewards"}) == load_scenario(LINES).model_dump(exclude={"rewards"})
+    # One result for everybody means the same return for everybody.
+    assert mix_of("cooperative") == RewardSpec(bench_local=0.0, bench_team=1.0, manager_local=0.0, manager_team=1.0)
+    assert all(load_scenario(name).rewards == REWARD_MIXES["individual"] for name in scenario_names())
+
+
+@pytest.mark.parametrize("rewards", ["selfish", "Cooperative", "", 3, ["mixed"], {"bench": 1.0}, {"bench_local": "x"}])
+def test_unknown_mixes_are_refused(rewards: Any) -> None:
+    makers: list[Any] = [
+        lambda: raw_env(LINES, rewards=rewards),
+        lambda: parallel_env(LINES, rewards=rewards),
+        lambda: BatchedLaboratory(2, LINES, rewards=rewards),
+        lambda: focal_env(LINES, rewards=rewards),
+        lambda: focal_vector_env(2, LINES, rewards=rewards),
+    ]
+    for make in makers:
+        with pytest.raises(ValueError, match=r"reward") as caught:
+            make()
+        if isinstance(rewards, str):
+            assert repr(rewards) in str(caught.value)
+            assert "individual, cooperative, mixed" in str(caught.value)
+
+
+def test_a_scenario_is_not_changed_by_a_mix() -> None:
+    scenario = load_scenario(LINES)
+    before = copy.deepcopy(scenario.rewards)
+    raw_env(scenario, rewards="cooperative")
+    assert scenario.rewards == before
+    assert load_scenario(LINES).rewards == before
