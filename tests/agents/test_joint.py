@@ -1,0 +1,179 @@
+"""Joint training: experience belongs to the agent whose turn it was, and a run that stops goes on as if it had not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from chemlab.agents.training.experience import Experience
+
+pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
+
+from chemlab.agents.training import joint
+from chemlab.agents.training.joint import JointArguments, load_team, train_together
+from chemlab.agents.training.runs import Run
+
+BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
+SMALL: dict[str, Any] = {
+    "envs": 4,
+    "rollout": 12,
+    "steps": 400,
+    "batch_size": 32,
+    "epochs": 1,
+    "evaluations": 2,
+    "eval_episodes": 1,
+    "final_episodes": 1,
+}
+
+
+def turn(experience: Experience, stream: int, value: float, tick: int, action: int = 0) -> None:
+    experience.begin(
+        np.array([stream]),
+        np.full((1, 2), value, dtype=np.float32),
+        np.ones((1, 3), dtype=np.int8),
+        np.array([action]),
+        np.array([value]),
+        np.array([-1.0]),
+        np.array([tick]),
+    )
+
+
+def test_advantages_run_along_streams() -> None:
+    """Two turns of an episode, another stream between them, and the next episode's first turn; by hand."""
+    experience = Experience(BOX, gymnasium.spaces.Discrete(3), 2)
+    turn(experience, 0, 1.0, 0)
+    turn(experience, 1, 5.0, 0)
+    experience.earn(np.array([0, 1]), np.array([0.5, 9.0]))
+    turn(experience, 0, 2.0, 3)
+    experience.earn(np.array([0]), np.array([1.0]))
+    experience.end(np.array([0]), np.array([5]))
+    experience.earn(np.array([0]), np.array([100.0]))  # between episodes: nobody's
+    turn(experience, 0, 7.0, 5)
+    assert experience.finished().tolist() == [0, 2]
+    assert experience.elapsed[[0, 2]].tolist() == [3, 2]
+    gamma, lam = 0.9, 0.5
+    last = 1.0 - 2.0  # terminal: reward - value
+    first = 0.5 + gamma * 2.0 - 1.0 + gamma * lam * last
+    np.testing.assert_allclose(experience.advantages(gamma, lam, False)[[0, 2]], [first, last], rtol=1e-12)
+    longer = gamma**3
+    first = 0.5 + longer * 2.0 - 1.0 + longer * lam * last
+    np.testing.assert_allclose(experience.advantages(gamma, lam, True)[[0, 2]], [first, last], rtol=1e-12)
+
+
+def test_what_is_open_is_kept_for_the_next_rollout() -> None:
+    experience = Experience(BOX, gymnasium.spaces.Discrete(3), 3)
+    for stream in range(3):
+        turn(experience, stream, float(stream), 0)
+    turn(experience, 1, 4.0, 2)
+    saved_after = experience.finished().tolist()
+    experience.forget()
+    assert saved_after == [1]
+    assert len(experience) == 3
+    other = Experience(BOX, gymnasium.spaces.Discrete(3), 3)
+    other.set_state(experience.get_state())
+    for copy in (experience, other):
+        copy.earn(np.array([0, 1, 2]), np.array([1.0, 2.0, 3.0]))
+        copy.end(np.array([0, 1, 2]), np.array([7, 7, 7]))
+        rows = copy.finished()
+        assert copy.value[rows].tolist() == [0.0, 2.0, 4.0]
+        assert copy.reward[rows].tolist() == [1.0, 3.0, 2.0]
+        assert copy.elapsed[rows].tolist() == [7, 7, 5]
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_two_lines"])
+def test_no_reward_is_lost_or_another_agents(scenario: str) -> None:
+    """What all laboratories paid a role is what its experience holds."""
+    team = joint._Team(JointArguments(scenario, envs=3, rollout=60))
+    labs, paid = team.labs, dict.fromkeys(team.roles, 0.0)
+    after = team._after
+
+    def watched(number: int, members: Any) -> None:
+        for other, agent in enumerate(labs.agents):
+            paid[joint.role_of(agent)] += float(labs.rewards[members, other].sum())
+        after(number, members)
+
+    team._after = watched  # type: ignore[method-assign]
+    team.collect()
+    assert any(value != 0.0 for value in paid.values())
+    for role, learner in team.learners.items():
+        experience = learner.experience
+        held = float(experience.reward[: len(experience)].sum())
+        assert held == pytest.approx(paid[role], rel=1e-9, abs=1e-12), role
+        masks = experience.mask[: len(experience)]
+        if masks.shape[1]:
+            chosen = experience.action[: len(experience)].astype(int)
+            assert masks[np.arange(len(chosen)), chosen].all(), "only legal actions are explored"
+
+
+def weights(run: Path) -> dict[str, Any]:
+    checkpoint = Run(run).checkpoint("last")
+    assert checkpoint is not None
+    return {
+        f"{role} {name}": array.numpy()
+        for role, model in load_team(checkpoint).items()
+        for name, array in model.policy.state_dict().items()
+    }
+
+
+class _Stop(Exception):
+    pass
+
+
+class _Stopping:
+    """Ends the process's training right after the first checkpoint."""
+
+    def begun(self, step: int, steps: int) -> None:
+        pass
+
+    def advanced(self, step: int, mean: float | None) -> None:
+        pass
+
+    def evaluated(self, evaluation: Any, best: bool) -> None:
+        raise _Stop
+
+    def finishing(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("regime", ["together", "in-turns"])
+def test_a_stopped_run_goes_on_alike(regime: str, tmp_path: Path) -> None:
+    arguments = JointArguments(**SMALL, regime=regime, period=1)
+    whole = train_together(arguments, tmp_path / "whole")
+    with pytest.raises(_Stop):
+        train_together(arguments, tmp_path / "stopped", _Stopping())
+    resumed = train_together(arguments, tmp_path / "stopped")
+    assert (resumed.steps, resumed.mean, resumed.last_mean) == (whole.steps, whole.mean, whole.last_mean)
+    runs = [Run(tmp_path / name) for name in ("whole", "stopped")]
+    assert [p.return_mean for p in runs[0].curve()] == [p.return_mean for p in runs[1].curve()]
+    first, second = (weights(run.path) for run in runs)
+    assert set(first) == set(second)
+    assert first, "a model for every role"
+    for name, array in first.items():
+        np.testing.assert_array_equal(array, second[name], err_msg=name)
+    assert train_together(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
+
+
+def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> None:
+    first = JointArguments(**{**SMALL, "steps": 60}, roles=("rxn",))
+    train_together(first, tmp_path / "first")
+    second = JointArguments(**{**SMALL, "steps": 40}, roles=("rxn", "dit"), begin_from=str(tmp_path / "first"))
+    result = train_together(second, tmp_path / "second")
+    assert result.steps >= 40
+    assert {name.partition(" ")[0] for name in weights(tmp_path / "second")} == {"rxn", "dit"}
+    nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
+    with pytest.raises(ValueError, match="neither a joint run nor runs"):
+        train_together(nowhere, tmp_path / "third")
+
+
+def test_bad_arguments_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
+        train_together(JointArguments(roles=("cook",)), tmp_path / "a")
+    with pytest.raises(ValueError, match="regime: together or in-turns"):
+        train_together(JointArguments(regime="chaos"), tmp_path / "b")
+    train_together(JointArguments(**{**SMALL, "steps": 10}), tmp_path / "c")
+    with pytest.raises(ValueError, match="holds a run with other arguments: seed 0"):
+        train_together(JointArguments(**{**SMALL, "steps": 10}, seed=1), tmp_path / "c")
