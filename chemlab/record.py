@@ -224,7 +224,6 @@ class _Witness:
 
     def _state(self) -> str:
         labs, m = self._labs, self._m
-        labs.costs(m)  # the charges for stock and waste are worked out when somebody asks for them
         arrays = [labs.shelf.vessels[m], labs.shelf.stock[m], labs.shelf.waste[m], labs.busy[:, m]]
         # Readings are the largest part and in the record anyway, from when they were taken.
         arrays += [array[m] for array in labs.desk if array is not labs.desk.reading]
@@ -679,6 +678,8 @@ class _Check:
         self.record, self.replay = record, replay
         self.environment = _environment()
         self.elsewhere = record.header.get("environment") != self.environment
+        # Another version keeps its state otherwise; what can be asked is whether it comes to the same results.
+        self.same_version = record.header.get("chemlab") == __version__
         self.rounded = 0
         self.good = 0
         self.found: tuple[str, str, Any, Any] | None = None
@@ -686,6 +687,8 @@ class _Check:
     def compare(self, where: str, recorded: Mapping[str, Any], recomputed: Mapping[str, Any]) -> bool:
         """Whether a line is as it should be; keeps the first difference."""
         for key, one, other in _differences(dict(recorded), dict(recomputed)):
+            if key == "hidden.state" and not self.same_version:
+                continue
             if self.elsewhere and _rounding(key, one, other):
                 self.rounded += 1
                 continue

@@ -286,6 +286,10 @@ def appended(lines: Lines) -> None:
     lines.append(lines[10])
 
 
+def ended_twice(lines: Lines) -> None:
+    lines.append(lines[-1])
+
+
 def cut_short(lines: Lines) -> None:
     del lines[-5:-1]
 
@@ -357,6 +361,7 @@ TAMPERING: dict[Callable[[Lines], None], tuple[str, str]] = {
     swapped: ("turn 9", "turn"),
     doubled: ("turn 10", "turn"),
     appended: ("", ""),
+    ended_twice: ("", ""),
     cut_short: ("end", "end.status"),
     seed: ("header", "streams"),
     goal: ("header", "goals.0"),
@@ -449,6 +454,10 @@ def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     assert (result.status, result.exit_code) == ("other", 4)
     assert "9.9" in result.message
     assert verify_record(store(tmp_path / "a.jsonl", lines, expert=False)).status == "tampered"
+    state(lines)  # which another version may keep otherwise
+    assert f"all {len(lines) - 2} turns agree" in verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).message
+    reward(lines)
+    assert "rewards.rxn_0: recorded" in verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).message
     lines[0]["format"]["version"] = 2
     result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
     assert result.status == "other"

@@ -26,11 +26,12 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
 from chemlab.shelf import FloatArray
 
 from .results import EXPERIMENTS, Cell, Results, display_name
 
-__all__ = ["FIGURES", "FigureSpec", "learning_curve", "write_figures"]
+__all__ = ["FIGURES", "FigureSpec", "algorithm_style", "average_curves", "learning_curve", "write_figures"]
 
 # Okabe and Ito's palette, which the colour-blind can tell apart; line styles tell the same in grey.
 _STYLES: dict[str, tuple[str, Any]] = {
@@ -42,13 +43,6 @@ _STYLES: dict[str, tuple[str, Any]] = {
     "td3": ("#CC79A7", (0, (3, 1, 1, 1, 1, 1))),
 }
 _GOALS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
-_SETTINGS: Any = {
-    "font.size": 10.0,
-    "axes.titlesize": 11.0,
-    "legend.fontsize": 9.0,
-    "figure.titlesize": 12.0,
-    "svg.hashsalt": "chemlab",  # the same results make the same file
-}
 _BEHIND_TEXT = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
 _GRID = 200
 """Points of a learning curve."""
@@ -72,20 +66,7 @@ class Drawn:
     missing: list[str]
 
 
-def _new_figure(width: float, height: float) -> Any:
-    """An empty figure, sizes in inches.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install "chemlab-marl[plot]"') from error
-    return Figure(figsize=(width, height), dpi=150)
-
-
-def _style(label: str, labels: Sequence[str]) -> dict[str, Any]:
+def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
     """Colour and line of an algorithm, the same in every figure; what the paper does not have takes free colours."""
     if label in _STYLES:
         colour, line = _STYLES[label]
@@ -138,7 +119,7 @@ def _radar(results: Results, key: str) -> Drawn:
     }
     clipped = {title: {n: np.maximum(0.0, values) for n, values in drawn.items()} for title, drawn in panels.items()}
     top = 1.05 * max(1.0, *(float(np.nanmax(v, initial=0.0)) for drawn in clipped.values() for v in drawn.values()))
-    figure = _new_figure(12.0, 5.9)
+    figure = new_figure(12.0, 5.9)
     handles: list[Any] = []
     for place, (title, drawn) in enumerate(clipped.items()):
         axes = figure.add_axes((0.11 + 0.5 * place, 0.21, 0.28, 0.57), projection="polar")
@@ -146,9 +127,9 @@ def _radar(results: Results, key: str) -> Drawn:
         around = np.linspace(0.0, 2.0 * np.pi, 200)
         handles = axes.plot(around, np.ones_like(around), color="black", lw=1.3, ls=(0, (5, 3)), label="heuristic")
         for label, ratios in drawn.items():
-            style = _style(label, list(cells))
+            look = algorithm_style(label, list(cells))
             handles += axes.plot(
-                closed, np.append(ratios, ratios[0]), lw=1.8, marker="o", ms=4, label=_counted(cells[label]), **style
+                closed, np.append(ratios, ratios[0]), lw=1.8, marker="o", ms=4, label=_counted(cells[label]), **look
             )
         axes.set_xticks(angles)
         axes.set_xticklabels([])
@@ -188,7 +169,12 @@ def learning_curve(cell: Cell) -> tuple[FloatArray, FloatArray, FloatArray, Floa
         Steps [P]; mean return over runs [P]; standard deviation of the runs' means [P] (of a sample; NaN for one run);
         standard deviation of single returns [P], within runs and between them. None where no run has a curve.
     """
-    curves = [curve for run in cell.runs if len(curve := run.curve())]
+    return average_curves([run.curve() for run in cell.runs])
+
+
+def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """Learning curves [P, 3] of step, mean and standard deviation on a common grid; see :func:`learning_curve`."""
+    curves = [curve for curve in curves if len(curve)]
     if not curves:
         return None
     first, last = max(curve[0, 0] for curve in curves), min(curve[-1, 0] for curve in curves)
@@ -205,7 +191,7 @@ def _curves(results: Results, key: str) -> Drawn:
     if not cells:
         return Drawn(None, missing)
     reaction = key.endswith("rxn")
-    figure = _new_figure(7.5, 5.6)
+    figure = new_figure(7.5, 5.6)
     axes = figure.add_axes((0.1, 0.255, 0.87, 0.665))
     single_runs = []
     for label, cell in cells.items():
@@ -214,11 +200,11 @@ def _curves(results: Results, key: str) -> Drawn:
             missing.append(f"learning curves of {display_name(label)}")
             continue
         steps, mean, between, single = curve
-        style = _style(label, list(cells))
-        axes.plot(steps / 1000.0, mean, lw=1.8, label=_counted(cell), **style)
+        look = algorithm_style(label, list(cells))
+        axes.plot(steps / 1000.0, mean, lw=1.8, label=_counted(cell), **look)
         band = single / 5.0 if reaction else between
         if np.isfinite(band).all():
-            axes.fill_between(steps / 1000.0, mean - band, mean + band, color=style["color"], alpha=0.18, linewidth=0.0)
+            axes.fill_between(steps / 1000.0, mean - band, mean + band, color=look["color"], alpha=0.18, linewidth=0.0)
         else:
             single_runs.append(display_name(label))
     references = [cell.heuristic_mean() for cell in cells.values()]
@@ -267,7 +253,7 @@ def _actions(results: Results, key: str) -> Drawn:
     if not shown:
         return Drawn(None, missing)
     names, goals = found["action_names"], found["goals"]
-    figure = _new_figure(1.2 + 1.75 * len(names), 1.7 + 1.3 * len(shown))
+    figure = new_figure(1.2 + 1.75 * len(names), 1.7 + 1.3 * len(shown))
     height = figure.get_figheight()
     grid = figure.subplots(
         len(shown),
@@ -383,7 +369,7 @@ def _sequences(results: Results, key: str, goal: str) -> Drawn:
     widest = max(min(len(boxes), _ACROSS) for _, _, boxes in rows)
     width = _LABEL_WIDTH + _BOX_WIDTH * max(widest, 6) + 0.2
     height = 0.6 + deep + heading * len(cases) + 0.55
-    figure = _new_figure(width, height)
+    figure = new_figure(width, height)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))  # in inches, from the top left
     axes.set_xlim(0.0, width)
     axes.set_ylim(height, 0.0)
@@ -474,7 +460,7 @@ def write_figures(
     """Draw every figure there are results for.
 
     Args:
-        results: what :func:`~chemlab.agents.results.read_results` has read.
+        results: what :func:`~chemlab.agents.evaluation.results.read_results` has read.
         folder: where the pictures go.
         formats: endings that matplotlib knows, such as ``png`` and ``svg``.
         watch: called with each figure's stem before it is drawn.
@@ -486,27 +472,19 @@ def write_figures(
         ImportError: matplotlib is not installed.
         ValueError: unknown format.
     """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install "chemlab-marl[plot]"') from error
+    matplotlib = import_matplotlib()
     folder.mkdir(parents=True, exist_ok=True)
     lacking = {}
     for spec in FIGURES:
         if watch is not None:
             watch(spec.stem)
-        with matplotlib.rc_context(_SETTINGS):
+        with matplotlib.rc_context(SETTINGS):
             drawn = spec.draw(results)
             lacking[spec.stem] = drawn.missing
             for ending in formats:
                 path = folder / f"{spec.stem}.{ending}"
                 if drawn.figure is None:
                     path.unlink(missing_ok=True)  # of earlier results
-                    continue
-                draft = path.with_name(f".{spec.stem}.draft.{ending}")
-                try:
-                    drawn.figure.savefig(draft)
-                    draft.replace(path)
-                finally:
-                    draft.unlink(missing_ok=True)
+                else:
+                    save_figure(drawn.figure, path)
     return lacking

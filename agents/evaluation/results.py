@@ -14,7 +14,7 @@ from chemlab.shelf import FloatArray
 
 from ..training.runs import Run, RunResult, find_runs
 
-__all__ = ["EXPERIMENTS", "Cell", "Experiment", "FinishedRun", "Results", "display_name", "read_results"]
+__all__ = ["EXPERIMENTS", "Cell", "Experiment", "FinishedRun", "Results", "curve_of", "display_name", "read_results"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,16 @@ def display_name(label: str) -> str:
     return "-".join(part.upper() if part in _ABBREVIATIONS else part for part in label.split("-"))
 
 
+def curve_of(run: Run) -> FloatArray:
+    """[P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout."""
+    points = [
+        (p.step, p.return_mean, p.return_std)
+        for p in run.curve()
+        if p.return_mean is not None and p.return_std is not None
+    ]
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+
 @dataclass(frozen=True)
 class FinishedRun:
     """A training run with its result."""
@@ -59,12 +69,7 @@ class FinishedRun:
 
     def curve(self) -> FloatArray:
         """[P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout."""
-        points = [
-            (p.step, p.return_mean, p.return_std)
-            for p in self.run.curve()
-            if p.return_mean is not None and p.return_std is not None
-        ]
-        return np.array(points, dtype=np.float64).reshape(-1, 3)
+        return curve_of(self.run)
 
 
 @dataclass(frozen=True)

@@ -395,7 +395,7 @@ def write_summary(results: Results, folder: Path, lacking: Mapping[str, Sequence
     Args:
         results: what was read.
         folder: where they go.
-        lacking: what each figure lacks, as :func:`~chemlab.agents.figures.write_figures` returns it.
+        lacking: what each figure lacks, as :func:`~chemlab.agents.evaluation.figures.write_figures` returns it.
     """
     statements, cells = compare_with_paper(results), describe_cells(results)
     data = {

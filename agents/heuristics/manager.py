@@ -33,6 +33,8 @@ class _Line:
     slot: int
     mine: set[int]
     """Slots whose vessels belong to this order."""
+    kept: set[int] = field(default_factory=set)
+    """Slots the laboratory keeps for what is at the bench."""
     stage: int = 0
     running: str = ""
     distillations: int = 0
@@ -177,12 +179,17 @@ class ManagerHeuristic:
         if not mask[action]:
             return self._fallback(mask, line, lines)
         # The laboratory keeps the first free slots for what comes back.
-        taken = {s for other in lines if other.running for s in other.mine} | set(self._occupied(observation))
+        taken = set(self._occupied(observation))
+        for other in lines:
+            # A line that has not been looked at since its experiment ended keeps nothing any more.
+            if other.running and self._value(observation, f"{other.running}_busy") > 0.5:
+                taken |= other.kept
         free = [s for s in range(self._actions.slots) if s not in taken]
         kept = set(free[: self._positions[bench] - 1])
         for other in lines:
             other.mine -= kept
         line.mine |= kept
+        line.kept = kept | {line.slot}
         line.stage += line.stage < len(line.plan)
         line.running = agent
         line.distillations += bench == self._dit

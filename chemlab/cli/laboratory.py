@@ -189,16 +189,8 @@ class _Account:
     def close(self, result: EpisodeResult, number: int, episodes: int) -> None:
         """The episode's end, in words."""
         self._flush()
-        costs = ", ".join(f"{item} {value:.4f}" for item, value in result.costs.items() if value > 0.0)
-        end = (
-            f"submitted {result.submitted_mol:.3f} mol {result.goal} at purity {result.purity:.3f}"
-            if result.terminated
-            else "ran out of actions or ticks; nothing submitted"
-        )
-        out.print(
-            f"episode {number}/{episodes} (seed {result.seed}): {end}; costs: {costs or 'none'}; "
-            f"[bold]score {result.score:.3f}[/bold]\n"
-        )
+        outcome, _, score = result.words().rpartition("; ")
+        out.print(f"episode {number}/{episodes} (seed {result.seed}): {outcome}; [bold]{score}[/bold]\n")
 
 
 def _result_table(results: list[EpisodeResult]) -> Table:

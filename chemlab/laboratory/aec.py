@@ -137,6 +137,10 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         labs.act(number, self._members, checked)
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
         self.infos[agent] = labs.info(number)
+        if number == 0 and labs.cost.any():  # an experiment that begins with an accident
+            for other, cost in enumerate(labs.cost[0].tolist()):
+                if cost:
+                    self.infos[self.possible_agents[other]] = labs.info(other)
         for name, score in zip(self.possible_agents, labs.scores[0].tolist(), strict=True):
             if score == score:  # an experiment has ended
                 self.infos[name]["score"] = score

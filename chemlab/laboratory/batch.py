@@ -134,7 +134,8 @@ class BatchedLaboratory:
         Returns:
             Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
             and been truncated [N]; infos by agent: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions]
-            (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the turn), ``cost`` [N], ``score`` [N]
+            (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the turn, or its episode began; where an
+            episode has ended, until then), ``cost`` [N], ``illegal_action`` [N], ``score`` [N]
             (NaN where no experiment of its ended), and where episodes have ended ``final_obs`` [K, size] of the K
             laboratories, in order; for the manager also ``result`` [N] (the score of an episode that has ended, else
             NaN).
@@ -156,11 +157,14 @@ class BatchedLaboratory:
                 checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
             else:
                 raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+        acted = self._turns.copy()
         labs.act_round(members, checked)
         rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
         cost, scores = labs.cost.copy(), labs.scores.copy()
         status = labs.desk.status.copy()
         over = members[status != RUNNING]
+        illegal = [labs.illegal(number).copy() for number in range(len(self.possible_agents))]
+        elapsed = labs.desk.ticks - self._last_turn
         result = np.full(self.num_envs, np.nan)
         finals: list[ObservationArray] = []
         if len(over):
@@ -172,6 +176,8 @@ class BatchedLaboratory:
         infos = self._infos()
         for number, agent in enumerate(self.possible_agents):
             infos[agent].update(cost=cost[:, number], score=scores[:, number])
+            infos[agent]["elapsed_ticks"] = elapsed[number]
+            infos[agent]["illegal_action"] = illegal[number] & acted[number]
             if finals:
                 infos[agent]["final_obs"] = finals[number]
         infos[self.possible_agents[0]]["result"] = result

@@ -425,21 +425,21 @@ class Laboratories:
         """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
         over = members[self.desk.status[members] != RUNNING]
         mix = self.scenario.rewards
-        result = self.result(over)
+        self.desk.charges[over] = self._charges(over)
         self._rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
-        self._rewards[1:, over] += mix.bench_team * result
+        self._rewards[1:, over] += mix.bench_team * self.result(over)
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
         submission is worth nothing."""
         desk = self.desk
-        self._itemize(members)
         shares = desk.submitted[members, :, 0] * desk.submitted[members, :, 1] / self._maximum[desk.goal[members]]
-        return np.asarray(shares.mean(axis=1) - desk.charges[members].sum(axis=1))
+        return np.asarray(shares.mean(axis=1) - self._charges(members).sum(axis=1))
 
-    def _itemize(self, members: IntArray) -> None:
-        """Bring the charges for stock and waste up to date."""
+    def _charges(self, members: IntArray) -> FloatArray:
+        """[B, items] all costs so far."""
         rules, shelf = self.rules, self.shelf
+        out = np.empty((len(members), len(COST_ITEMS)))
         itemize(
             members,
             rules.first_stock,
@@ -450,7 +450,9 @@ class Laboratories:
             shelf.chemistry.role,
             shelf.chemistry.molar_volume,
             self.desk.charges,
+            out,
         )
+        return out
 
     def role(self, agent: int) -> Bench | ManagerRole:
         """What an agent operates, with its channels and actions."""
@@ -525,8 +527,8 @@ class Laboratories:
 
     def costs(self, member: int = 0) -> dict[str, float]:
         """What the manager has been charged so far, by item, in units of the score."""
-        self._itemize(self.members[member : member + 1])
-        return dict(zip(COST_ITEMS, self.desk.charges[member].tolist(), strict=True))
+        charges = self._charges(self.members[member : member + 1])
+        return dict(zip(COST_ITEMS, charges[0].tolist(), strict=True))
 
     def outcome(self, member: int = 0) -> dict[str, Any]:
         """What has been submitted: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
@@ -557,6 +559,10 @@ class Laboratories:
             return {}
         row = self.stations[agent - 1].events[member].tolist()
         return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value} if any(row) else {}
+
+    def total(self) -> FloatArray:
+        """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""
+        return np.asarray(self.shelf.total() + self.desk.delivered)
 
     # -- state ------------------------------------------------------------------------------------------------
 

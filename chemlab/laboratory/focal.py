@@ -8,8 +8,9 @@
 ### Episodes
 An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
 an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
-`info["experiment_over"]` is True and `info["score"]` its score. The reward is everything the agent has earned since its
-last turn. `reset` plays on to the agent's first turn (episodes in which it never has one are played over).
+`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended). The reward is
+everything the agent has earned since its last turn. `reset` plays on to the agent's first turn (episodes in which it
+never has one are played over).
 
 ### Semi-Markov steps
 `info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to
@@ -104,6 +105,9 @@ class FocalVectorEnv(BatchEnv):
             raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
         self.focal = labs.agents.index(agent)
         given = policies(labs) if callable(policies) else policies or {}
+        unknown = [name for name in given if name not in labs.agents]
+        if unknown:
+            raise ValueError(f"policies: {self.scenario.name} has {', '.join(labs.agents)}; given {', '.join(unknown)}")
         missing = [name for name in labs.agents if name != agent and name not in given]
         if missing:
             raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
@@ -230,7 +234,8 @@ class FocalVectorEnv(BatchEnv):
             scores = labs.scores[members, focal]
             ended = np.isfinite(scores)
             if ended.any():
-                self._scores[members[ended]] = scores[ended]
+                before = self._scores[members[ended]]
+                self._scores[members[ended]] = np.where(np.isnan(before), 0.0, before) + scores[ended]
                 self._experiment_over[members[ended]] = True
 
     def _look(self) -> None:

@@ -84,7 +84,7 @@ class Desk(NamedTuple):
     status: IntArray
     """[N] RUNNING, TERMINATED or TRUNCATED"""
     charges: FloatArray
-    """[N, len(COST_ITEMS)] costs so far (stock and waste are filled in by itemize)"""
+    """[N, len(COST_ITEMS)] costs so far (stock and waste, which follow from amounts, at the end: see itemize)"""
     submitted: FloatArray
     """[N, O, 2] mol of the goal and its purity in the vessel submitted for each order"""
     delivered: FloatArray
@@ -507,8 +507,10 @@ def itemize(
     role: IntArray,
     molar_volume: FloatArray,
     charges: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Fill in the costs that follow from amounts: stock used and waste made."""
+    """Write all costs so far into ``out`` [B, items]: what has been charged, and what follows from amounts, the stock
+    used and the waste made."""
     for i in range(members.shape[0]):
         n = members[i]
         used, litres = 0.0, 0.0
@@ -516,5 +518,7 @@ def itemize(
             used += max(first_stock[m] - stock[n, m], 0.0) * stock_price[m]
             if role[m] != ROLE_GAS:
                 litres += waste[n, m] * molar_volume[m]
-        charges[n, 1] = used
-        charges[n, 2] = litres * waste_per_l
+        for item in range(charges.shape[1]):
+            out[i, item] = charges[n, item]
+        out[i, 1] = used
+        out[i, 2] = litres * waste_per_l

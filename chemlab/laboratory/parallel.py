@@ -10,7 +10,8 @@ Every agent is present in every step. While the manager has the turn the step is
 step is one tick, in which every busy bench acts, in the scenario's order, until an experiment ends. Whoever does not
 have the turn (`info["has_turn"]` is False) has a mask that allows one action only, `wait` for the manager and `end` for
 a bench, and what it plays is ignored: it may be left out. The dynamics are those of the AEC environment: the same
-actions give the same rewards and states.
+actions give the same rewards and states. Masks are of the tick's beginning: an action that another bench has made
+impossible in the same tick (it took the last of a bottle) is a lost turn, as any other.
 
 ### Infos
 `action_mask`, `has_turn` (in the next step), `cost`, `events`, `illegal_action` (of the step), `score` (of an
@@ -118,8 +119,8 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
             self._actions[number][0] = action[0]
         labs.act_round(self._members, self._actions)
         infos = [
-            labs.info(number) if number in acting else {"cost": 0.0, "events": {}, "illegal_action": False}
-            for number in range(len(names))
+            labs.info(number) if number in acting or cost else {"cost": 0.0, "events": {}, "illegal_action": False}
+            for number, cost in enumerate(labs.cost[0].tolist())
         ]
         for number, score in enumerate(labs.scores[0].tolist()):
             if score == score:  # an experiment has ended

@@ -30,10 +30,10 @@ def plain_infos(env: Environment) -> Environment:
     """The laboratory, AEC or parallel, with infos whose keys, shapes and types never change.
 
     Every agent's info has ``cost``, ``illegal_action``, ``elapsed_ticks`` (in AEC 0 without the turn),
-    ``experiment_over``, ``score`` (of the experiment; 0 unless it is over) and ``events`` [kinds, as in :data:`chemlab.scenario.SAFETY_EVENTS`]; where actions
-    are discrete ``action_mask``, which without the turn allows one action only; in the parallel environment
-    ``has_turn``. The manager's has ``costs`` [items, as in :data:`chemlab.laboratory.manager.COST_ITEMS`], and
-    ``submitted_mol`` and ``purity`` (0 until the end).
+    ``experiment_over``, ``score`` (of the experiment; 0 unless it is over) and ``events`` [kinds, as in
+    :data:`chemlab.scenario.SAFETY_EVENTS`]; where actions are discrete ``action_mask``, which without the turn allows
+    one action only; in the parallel environment ``has_turn``. The manager's has ``costs`` [items, as in
+    :data:`chemlab.laboratory.manager.COST_ITEMS`], and ``submitted_mol`` and ``purity`` (0 until the end).
 
     Args:
         env: :func:`chemlab.laboratory.env`, ``raw_env`` or ``parallel_env``, bare or in PettingZoo's wrappers.

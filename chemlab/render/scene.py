@@ -431,11 +431,8 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
     status, turn = int(desk.status[member]), labs.turn(member)
     running = status == RUNNING
     slots = scenario.shelf.slots
-    # costs() and result() bring the desk's books up to date; a picture leaves them as they were.
-    charges = desk.charges[member].copy()
     costs = labs.costs(member)
     result = float(labs.result(np.array([member]))[0])
-    desk.charges[member] = charges
     largest, temperatures = _ranges(scenario, labs.benches, labs.shelf, member)
     return Scene(
         kind="laboratory",

@@ -21,8 +21,8 @@ from chemlab.scenario import load_scenario
 
 pytest.importorskip("matplotlib")
 
-from chemlab.agents.evaluation import figures
 from chemlab.agents.evaluation.figures import FIGURES, learning_curve, write_figures
+from chemlab.render.figure import SETTINGS
 
 runner = CliRunner()
 HEURISTIC = 0.5
@@ -175,7 +175,7 @@ def drawn(folder: Path, stem: str) -> Any:
     import matplotlib
 
     spec = next(spec for spec in FIGURES if spec.stem == stem)
-    with matplotlib.rc_context(figures._SETTINGS):
+    with matplotlib.rc_context(SETTINGS):
         return spec.draw(read_results(folder))
 
 

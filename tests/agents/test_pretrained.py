@@ -197,9 +197,7 @@ def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytes
 
 def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
-    with pytest.raises(
-        ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"
-    ):
+    with pytest.raises(ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"):
         policy.check(bench_of(RXN))
     with pytest.raises(ValueError, match=r"bench 'dit' of salt_from_oil: observation '.*': it knows"):
         policy.check(BenchArena("salt_from_oil", "dit").bench)

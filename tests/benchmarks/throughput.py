@@ -162,7 +162,7 @@ def laboratory(make: Callable[..., Any], seconds: float) -> float:
 
 
 def parallel(seconds: float) -> float:
-    """Agent steps per second (all agents are present in every step) of the parallel laboratory, random legal actions."""
+    """Agent steps per second (all agents are in every step) of the parallel laboratory, random legal actions."""
     env = parallel_env("wurtz_dodecane")
     _, infos = env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -303,16 +303,40 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join([*lines, f"peak memory of a process with a batch of 4,096: {memory}"])
 
 
+def short_table(result: dict[str, Any]) -> str:
+    """A few of the figures, for README."""
+    base = result["cartpole_single"]
+    lines = ["| | single | batch of 256, 1 thread |", "|---|--:|--:|", f"| Gymnasium's `CartPole-v1` | {base:,.0f} | |"]
+    for name in IDS[::2]:
+        found = (result["single"][name], result["batched"][name]["256x1"])
+        lines.append(f"| `chemlab/{name}-v0` | " + " | ".join(f"{x:,.0f} ({x / base:.2f}x)" for x in found) + " |")
+    one, many = (result["laboratory"][name] for name in ("`env`, agent steps", "256 at once, all roles random, turns"))
+    lines.append(
+        f"| laboratory, turns of all agents | {one:,.0f} ({one / base:.2f}x) | {many:,.0f} ({many / base:.2f}x) |"
+    )
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, shorter runs, no cold start")
-    parser.add_argument("--update", type=Path, metavar="FILE", help="replace the table in a Markdown file")
+    parser.add_argument(
+        "--update",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="replace the tables between the marks `throughput` (all) or `speed` (a few) in Markdown files",
+    )
     arguments = parser.parse_args()
     result = measure(0.3 if arguments.quick else 1.5, arguments.quick)
-    if arguments.update is not None:
-        replace_between(arguments.update, "throughput", table(result).splitlines())
+    for file in arguments.update:
+        if "<!-- speed: begin -->" in file.read_text(encoding="utf-8"):
+            replace_between(file, "speed", short_table(result).splitlines())
+        else:
+            replace_between(file, "throughput", table(result).splitlines())
     print(json.dumps(result, indent=2) if arguments.json else table(result))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from benchmarks.soak import broken, soak
 
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, WAIT
@@ -83,7 +84,8 @@ def test_members_are_single_laboratories(name: str, count: int) -> None:
                 assert rewards[agent][member] == paid[agent]
                 assert terminated[member] == over[agent]
                 assert truncated[member] == cut[agent]
-                assert infos[agent]["cost"][member] == own_infos[agent]["cost"]
+                for key in ("cost", "illegal_action", "elapsed_ticks"):
+                    assert infos[agent][key][member] == own_infos[agent][key], key
                 np.testing.assert_equal(infos[agent]["score"][member], own_infos[agent].get("score", np.nan))
             if not single.agents:
                 ended += 1
@@ -99,10 +101,9 @@ def test_members_are_single_laboratories(name: str, count: int) -> None:
 
 
 def compare_infos(infos: dict[str, dict[str, Any]], member: int, own: dict[str, dict[str, Any]]) -> None:
-    """Turns, masks and elapsed ticks of one member and of a single laboratory."""
+    """Turns and masks of one member and of a single laboratory."""
     for agent, info in infos.items():
         assert info["has_turn"][member] == own[agent]["has_turn"]
-        assert info["elapsed_ticks"][member] == own[agent]["elapsed_ticks"]
         assert ("action_mask" in info) == ("action_mask" in own[agent])
         if "action_mask" in info:
             np.testing.assert_array_equal(info["action_mask"][member], own[agent]["action_mask"])
@@ -291,3 +292,28 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
         batch, actions = mixed()
         for one, other in zip(after(batch, {**actions, "ext_0": whole}), expected, strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+# -- soak -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_short_soak(name: str) -> None:
+    """A small version of tests/benchmarks/soak.py, which plays ten thousand episodes of each scenario."""
+    figures = soak(name, 100, 32, seed=1)
+    assert figures["broken"] == []
+    assert figures["episodes"] >= 100
+    assert figures["truncated"] > 0
+    assert figures["terminated"] > 0
+    assert figures["lost_manager_turns"] > 100  # play was not only legal
+    assert sum(figures["safety_events"].values()) > 0.0
+
+
+def test_a_soak_notices() -> None:
+    """Each bound can be broken, by NaN too."""
+    figures = soak("fictitious", 5, 4)
+    assert broken(figures) == []
+    for name in ("atoms_drift", "charge", "numbers_outside_0_1", "rewards_not_finite", "amounts_not_sound"):
+        assert broken({**figures, name: 1.0}) == [name]
+        assert broken({**figures, name: float("nan")}) == [name]
+    assert broken({**figures, "memory_growth_mib": 100.0}) == ["memory_growth_mib"]

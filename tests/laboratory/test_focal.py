@@ -106,7 +106,7 @@ class ByHand:
             found["cost"], found["illegal"] = self.env.infos[mover]["cost"], self.env.infos[mover]["illegal_action"]
         score = self.labs.scores[0, self.number]
         if np.isfinite(score):
-            found["score"] = float(score)
+            found["score"] = found.get("score", 0.0) + float(score)
 
     def others(self, found: dict[str, Any]) -> None:
         """Move everybody else until the agent has the turn or all is over."""
@@ -263,7 +263,9 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("background", ["heuristic", "random"])
-@pytest.mark.parametrize(("name", "agent"), [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")])
+@pytest.mark.parametrize(
+    ("name", "agent"), [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
+)
 def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
     """Member i of N = 1, 3 or 8 is the environment with seed s + i, whichever way it is reset."""
     actions: dict[int, list[Any]] = {}
@@ -358,14 +360,6 @@ def test_random_members_do_not_play_alike() -> None:
 # -- copies and states ----------------------------------------------------------------------------------------------
 
 
-def anything(observation: Any, mask: Any) -> Any:
-    """A policy without memory or randomness: the legal action with the largest number but one, or half of everything."""
-    if mask is None:
-        return np.full((len(observation), 6), 0.5) + 0.25 * observation[:, :1]
-    legal = [np.flatnonzero(row) for row in mask]
-    return np.array([row[-2] if len(row) > 1 else row[-1] for row in legal])
-
-
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
 @pytest.mark.parametrize("background", ["heuristic", "random"])
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0"])
@@ -440,7 +434,9 @@ class Model:
         self.end = end
         self.given: list[Any] = []
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> Any:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
         self.given.append((observation.shape, deterministic))
         return np.full(len(observation), self.end), None
 
@@ -493,7 +489,7 @@ def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
     encode = env.laboratories.actions.encode
     env.reset(seed=0)
     env.step(encode("start", "ext_0", 0, "dodecane"))
-    with pytest.raises(ValueError, match="^ext_0: actions must be 1 integers from 0 to 40"):
+    with pytest.raises(ValueError, match=r"^ext_0: actions must be 1 integers from 0 to 40"):
         env.step(encode("wait"))
     # Halfway through a step nobody can go on.
     with pytest.raises(ResetNeeded):

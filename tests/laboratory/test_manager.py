@@ -87,7 +87,9 @@ def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     slots = range(scenario.shelf.slots)
     expected = {("start", b, s, g) for b in scenario.bench_agents() for s in slots for g in scenario.goals}
     expected |= {("measure", s, i) for s in slots for i in scenario.instruments}
-    expected |= {(kind, s) for kind in ("discard", "submit") for s in slots}
+    expected |= {("discard", s) for s in slots}
+    orders = [(o,) for o in range(scenario.orders)] if scenario.orders > 1 else [()]
+    expected |= {("submit", s, *order) for s in slots for order in orders}
     expected |= {("recall", b) for b in scenario.bench_agents()} | {("wait",)}
     assert set(decoded) == expected
 

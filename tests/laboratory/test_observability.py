@@ -46,7 +46,7 @@ def half_full(scenario: Scenario, mixture: dict[str, float]) -> dict[str, float]
 
 
 def disguise(labs: Laboratories, member: int, positions: Any, rng: np.random.Generator) -> None:
-    """Put something else of the same volume and temperature into vessels, mixed or settled, spread over layers anyhow."""
+    """Put something else of the same volume and temperature into vessels, mixed or settled, in any layers."""
     chem, materials = labs.shelf.chemistry, len(labs.shelf.layout.materials)
     for position in positions:
         row = labs.shelf.vessels[member, position]

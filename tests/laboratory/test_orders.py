@@ -224,7 +224,8 @@ def test_one_order_looks_as_it_always_did() -> None:
     assert "goal" in names
     assert not any(name.startswith("goal_") for name in names)
     assert ("submit", 0) in [
-        ManagerActions.of(load_scenario("wurtz_any")).decode(a) for a in range(len(laboratory("wurtz_any").laboratories.actions))
+        ManagerActions.of(load_scenario("wurtz_any")).decode(a)
+        for a in range(len(laboratory("wurtz_any").laboratories.actions))
     ]
 
 
@@ -238,7 +239,9 @@ def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None
     assert [actions.encode(*action) for action in decoded] == list(range(len(actions)))  # type: ignore[arg-type]
     assert len(set(decoded)) == len(set(actions.action_meanings)) == len(actions)
     slots = range(scenario.shelf.slots)
-    expected = {("submit", s, o) for s in slots for o in range(orders)} if orders > 1 else {("submit", s) for s in slots}
+    expected = (
+        {("submit", s, o) for s in slots for o in range(orders)} if orders > 1 else {("submit", s) for s in slots}
+    )
     assert {action for action in decoded if action[0] == "submit"} == expected
     for number, action in enumerate(decoded):
         if action[0] == "submit":
@@ -317,7 +320,9 @@ def test_the_scripted_manager_keeps_both_lines_busy() -> None:
         outcome = labs.outcome()
         assert labs.desk.filled[0].all(), f"seed {seed}"
         for order in outcome["orders"]:
-            assert order["submitted_mol"] > 0.0, f"seed {seed}"
+            # Its own product, and not the other line's, or what was distilled off.
+            assert order["submitted_mol"] > 0.15, f"seed {seed}"
+            assert order["purity"] > 0.9, f"seed {seed}"
         assert sum(count > 0 for count in both.values()) >= 1, f"seed {seed}"
         together = {key: together[key] + (both[key] > 0) for key in together}
     # Both reactions, both extractions, both distillations at the same time, in every episode.
@@ -336,7 +341,12 @@ def mix_of(rewards: Any) -> RewardSpec:
 
 
 def paid_as_mixed(
-    mix: RewardSpec, price: float, paid: dict[str, float], scores: dict[str, float], lost: dict[str, float], result: float
+    mix: RewardSpec,
+    price: float,
+    paid: dict[str, float],
+    scores: dict[str, float],
+    lost: dict[str, float],
+    result: float,
 ) -> None:
     """Each agent's return = local * own + team * result; what lost turns and priced accidents take off is not mixed."""
     for agent, total in paid.items():
@@ -365,7 +375,11 @@ def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.r
 def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
     mix = mix_of(rewards)
-    env, aec, batch = parallel_env(name, rewards=rewards), raw_env(name, rewards=rewards), BatchedLaboratory(1, name, rewards)
+    env, aec, batch = (
+        parallel_env(name, rewards=rewards),
+        raw_env(name, rewards=rewards),
+        BatchedLaboratory(1, name, rewards),
+    )
     rng = np.random.default_rng(4)
     scenario = env.scenario
     for seed in range(3):

@@ -107,10 +107,10 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
     _, atoms_in = composition(laboratories.scenario)
     shelf = laboratories.shelf
     laboratories.reset(laboratories.members)
-    start = shelf.total() @ atoms_in
+    start = laboratories.total() @ atoms_in
 
     def check(members: IntArray) -> None:
-        found, first = (shelf.total() @ atoms_in)[members], start[members]
+        found, first = (laboratories.total() @ atoms_in)[members], start[members]
         np.testing.assert_allclose(found[:, :-1], first[:, :-1], rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(found[:, -1], 0.0, atol=1e-9)  # the charge
         assert np.isfinite(laboratories.rewards).all()
@@ -131,7 +131,7 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
             check(over)
         if len(over):
             laboratories.reset(over)
-            start[over] = shelf.total()[over] @ atoms_in
+            start[over] = laboratories.total()[over] @ atoms_in
     check_pressures(laboratories)
     assert (experiments > 0).all()  # every bench was used
     assert laboratories.desk.ticks.max() > 0

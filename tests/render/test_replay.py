@@ -172,9 +172,14 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         context.close()
 
 
+def turn_of(path: Path, agent: str, number: int = 8) -> int:
+    """The turn of an agent's action, the eighth of the episode: it is in the middle of an experiment then."""
+    return [i for i, turn in enumerate(read_record(path).turns, start=1) if agent in turn["play"]][number - 1]
+
+
 @pytest.fixture
-def page(browser: Any, page_file: Path) -> Iterator[Any]:
-    """The page, opened at turn 40; anything on the console is a failure."""
+def page(browser: Any, page_file: Path, episode: Path) -> Iterator[Any]:
+    """The page, opened at a turn of the extraction bench; anything on the console is a failure."""
     page = browser.new_page()
     said: list[str] = []
     asked: list[str] = []
@@ -182,7 +187,7 @@ def page(browser: Any, page_file: Path) -> Iterator[Any]:
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
     page.set_viewport_size({"width": 1280, "height": 800})
-    page.goto(f"{page_file.as_uri()}#40")
+    page.goto(f"{page_file.as_uri()}#{turn_of(episode, 'ext_0')}")
     yield page
     assert said == []
     assert all(url.startswith((page_file.as_uri(), "data:")) for url in asked)
@@ -213,14 +218,14 @@ def test_it_loads_in_a_second(browser: Any, tmp_path: Path) -> None:
 
 
 def test_scrubbing_shows_other_turns(page: Any, episode: Path) -> None:
-    turns = read_record(episode).turns
-    assert turn(page) == 40
+    turns, opened = read_record(episode).turns, turn_of(episode, "ext_0")
+    assert turn(page) == opened
     before = page.inner_html("#benches")
     page.fill("#scrub", "10")
     assert turn(page) == 10
     assert f"tick {turns[10]['tick']}/" in page.inner_text("#now")
     assert page.inner_html("#benches") != before
-    page.fill("#scrub", "40")
+    page.fill("#scrub", str(opened))
     turn(page)
     assert page.inner_html("#benches") == before
     # A click on the timeline, and on a decision.
@@ -234,7 +239,7 @@ def test_scrubbing_shows_other_turns(page: Any, episode: Path) -> None:
 
 
 def test_the_switch_hides_what_agents_do_not_see(page: Any) -> None:
-    """Turn 40 is at the extraction bench, whose agent sees pictures and no composition."""
+    """At the extraction bench, whose agent sees pictures and no composition."""
     shown = page.inner_text("#composition")
     assert "dodecane" in shown
     assert re.search(r"\d\.\d{3} mol", shown)
@@ -265,7 +270,7 @@ def test_what_was_measured_is_what_the_manager_sees(page: Any, episode: Path) ->
 
 def test_the_true_spectrum_is_the_simulators(page: Any, episode: Path) -> None:
     """At the reaction bench the page's spectrum is drawn from amounts; the agent sees the simulator's: the same."""
-    page.fill("#scrub", "10")
+    page.fill("#scrub", str(turn_of(episode, "rxn_0")))
     turn(page)
     path = "document.querySelector('#spectrum path').getAttribute('d')"
     number = r"(\d+\.\d) (\d+\.\d)"
@@ -278,10 +283,10 @@ def test_the_true_spectrum_is_the_simulators(page: Any, episode: Path) -> None:
 
 
 def test_it_can_be_worked_with_the_keyboard(page: Any, episode: Path) -> None:
-    last = len(read_record(episode).turns)
+    last, opened = len(read_record(episode).turns), turn_of(episode, "ext_0")
     for key, expected in (
-        ("ArrowRight", 41),
-        ("ArrowLeft", 40),
+        ("ArrowRight", opened + 1),
+        ("ArrowLeft", opened),
         ("Home", 0),
         ("ArrowLeft", 0),
         ("PageDown", 1),
@@ -326,10 +331,10 @@ def test_it_can_be_worked_with_the_keyboard(page: Any, episode: Path) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (768, 1024), (1280, 800), (1920, 1080)])
-def test_it_fits_windows(page: Any, width: int, height: int) -> None:
+def test_it_fits_windows(page: Any, width: int, height: int, episode: Path) -> None:
     """No sideways scrolling, nothing cut off, whatever is shown."""
     page.set_viewport_size({"width": width, "height": height})
-    for number in (0, 10, 40, 75):
+    for number in (0, *(turn_of(episode, agent) for agent in ("rxn_0", "ext_0", "dit_0"))):
         page.fill("#scrub", str(number))
         turn(page)
         for _ in range(2):

@@ -1,0 +1,324 @@
+"""Records as demonstrations: Minari datasets, one for each agent; Minari comes with the extra ``data``.
+
+Minari has no multi-agent datasets. What an agent saw, did and earned between its own turns is a single-agent episode:
+
+| Agent | An episode is | Spaces and rewards are those of |
+|---|---|---|
+| manager | the laboratory's episode | `chemlab/LabManager-v0` |
+| a bench's | one experiment, from the manager's `start` to its end | `chemlab/Bench-v0` of that bench |
+
+A reward is everything the agent earned from its turn to its next one; what it earns while its bench is idle (its share
+of the result, where the scenario shares it) belongs to the last turn before that. So the rewards of all episodes add
+up to what the record says the agent earned. An experiment is `terminated` when it ends, by the agent, its step limit
+or the manager's `recall`, and `truncated` where the laboratory's episode (or the record) ends first.
+
+With each of the T + 1 observations there are the infos `action_mask` (discrete actions), `elapsed_ticks` (since the
+agent's previous turn in the episode: the discount of a semi-Markov step) and `cost` (weighted safety events since
+then). The last observation of an experiment is of its vessels as the last action left them. Actions are kept as the
+simulator got them, continuous ones as float64, so that they lead to the same observations again.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import shutil
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
+
+from chemlab import __version__
+from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.laboratory.manager import TERMINATED
+from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
+from chemlab.render.history import Look, Move, Retold
+from chemlab.scenario import Scenario, load_scenario, scenario_names
+
+__all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
+
+
+@dataclass
+class Demonstration:
+    """An agent's episode: T turns.
+
+    Attributes:
+        agent: its id.
+        goal: of the experiment; empty for the manager.
+        tick: when it began.
+        observations, masks, elapsed, costs: T + 1 of each; masks are empty where actions are continuous.
+        actions, rewards: T of each.
+        terminated, truncated: how it ended.
+    """
+
+    agent: str
+    goal: str
+    tick: int
+    observations: list[npt.NDArray[np.float32]] = field(default_factory=list)
+    masks: list[npt.NDArray[np.int8]] = field(default_factory=list)
+    elapsed: list[int] = field(default_factory=list)
+    costs: list[float] = field(default_factory=list)
+    actions: list[Any] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    terminated: bool = False
+    truncated: bool = False
+
+    def see(self, look: Look, elapsed: int) -> None:
+        """Add what it is shown; the costs are those since it was shown something before."""
+        self.observations.append(look.observation)
+        if look.mask is not None:
+            self.masks.append(look.mask)
+        self.elapsed.append(elapsed)
+        self.costs.append(0.0)
+
+
+class _Teller:
+    """Cuts one record into the agents' episodes."""
+
+    def __init__(self, record: Record, trust: bool) -> None:
+        self._retold = Retold(record, trust)
+        self._labs: Laboratories = self._retold.laboratories
+        self._open: dict[str, Demonstration] = {}
+        self._latest: dict[str, Demonstration] = {}
+        self._turn_at: dict[str, int] = {}
+        self._pending_cost: dict[str, float] = {}
+        self.found: dict[str, list[Demonstration]] = {agent: [] for agent in self._labs.agents}
+
+    def tell(self) -> dict[str, list[Demonstration]]:
+        """The episodes of every agent, in order."""
+        for move in self._retold.moves():
+            self._enter(move)
+        desk = self._labs.desk
+        for agent, demonstration in list(self._open.items()):
+            self._close(agent, self._retold.look(self._labs.agents.index(agent)))
+            over = agent == MANAGER_AGENT and desk.status[0] == TERMINATED
+            demonstration.terminated, demonstration.truncated = over, not over
+        return self.found
+
+    def _enter(self, move: Move) -> None:
+        labs = self._labs
+        for play in move.plays:
+            agent = labs.agents[play.agent]
+            if agent not in self._open:
+                self._begin(agent, play.agent, move.tick)
+            demonstration = self._open[agent]
+            demonstration.see(Look(play.observation, play.mask), move.tick - self._turn_at.get(agent, move.tick))
+            demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)
+            demonstration.actions.append(play.action)
+            demonstration.rewards.append(0.0)
+            self._turn_at[agent] = move.tick
+        for agent, demonstration in self._latest.items():
+            # What is earned after an episode's end belongs to it, until the agent's next one begins.
+            demonstration.rewards[-1] += move.rewards[agent]
+            self._pending_cost[agent] = self._pending_cost.get(agent, 0.0) + move.cost[agent]
+        for agent in move.scores:
+            if agent in self._open:
+                ended = self._open[agent]
+                self._close(agent, move.last[agent])
+                ended.terminated = True
+
+    def _begin(self, agent: str, number: int, tick: int) -> None:
+        labs = self._labs
+        goal = labs.scenario.goals[int(labs.stations[number - 1].goal[0])] if number else ""
+        self._open[agent] = self._latest[agent] = Demonstration(agent, goal, tick)
+        self.found[agent].append(self._open[agent])
+        self._turn_at.pop(agent, None)
+        self._pending_cost.pop(agent, None)
+
+    def _close(self, agent: str, look: Look) -> None:
+        demonstration = self._open.pop(agent)
+        elapsed = int(self._labs.desk.ticks[0]) - self._turn_at[agent]
+        # An experiment's last step takes its tick, too, though that is not over while other benches have their turns.
+        demonstration.see(look, elapsed if agent == MANAGER_AGENT else max(elapsed, 1))
+        demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)
+
+
+def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demonstration]]:
+    """The episodes of every agent in a record, finished or not.
+
+    Args:
+        record: the record; it is believed (see :func:`chemlab.record.verify_record`).
+        trust: import benches of somebody's own that it names.
+
+    Raises:
+        RecordError: it cannot be played here.
+    """
+    return _Teller(record, trust).tell()
+
+
+# -- datasets ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset that has been written."""
+
+    id: str
+    agent: str
+    episodes: int
+    steps: int
+    mean_return: float
+    path: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as plain Python values."""
+        return asdict(self)
+
+
+def _minari() -> Any:
+    try:
+        import h5py  # noqa: F401 - Minari's storage, which Minari itself does not ask for
+        import minari
+    except ImportError as error:
+        raise ImportError('demonstrations need Minari: pip install "chemlab-marl[data]"') from error
+    return minari
+
+
+def _verified(path: Path, trust: bool, tell: Callable[[str], None]) -> Record:
+    """A record that holds what happens.
+
+    Raises:
+        RecordError: there is none.
+        ValueError: it does not, or nobody can tell.
+    """
+    record = read_record(path)
+    found = verify_record(record, trust=trust)
+    if found.status in ("tampered", "unchecked"):
+        raise ValueError(f"{path}: {found.message}: not a demonstration of anything (see chemlab verify)")
+    if found.status != "ok":
+        tell(f"{path}: {found.message}")
+    return record
+
+
+def write_datasets(
+    paths: Sequence[Path],
+    name: str,
+    agents: Sequence[str] | None = None,
+    force: bool = False,
+    trust: bool = False,
+    tell: Callable[[str], None] = lambda note: None,
+) -> list[Dataset]:
+    """Write a dataset ``NAME/AGENT-v0`` for each agent, where Minari keeps its own (``MINARI_DATASETS_PATH``).
+
+    Args:
+        paths: records of the same scenario, with the same materials, prices and all.
+        name: of the datasets.
+        agents: ids; default: all that had a turn.
+        force: replace datasets that are there already.
+        trust: import benches of somebody's own that the records name.
+        tell: told what is worth knowing besides.
+
+    Raises:
+        ImportError: Minari is not installed; the message names the extra.
+        RecordError: a file is no record, or cannot be played here.
+        ValueError: a record does not hold what happens, the records do not belong together, an agent is unknown or had
+            no turn, or a dataset is there already.
+    """
+    minari = _minari()
+    records = [_verified(path, trust, tell) for path in paths]
+    scenarios = [recorded_scenario(record) for record in records]
+    for path, scenario in zip(paths, scenarios, strict=True):
+        if scenario_hash(scenario) != scenario_hash(scenarios[0]):
+            raise ValueError(f"{path}: is of another scenario than {paths[0]}; make datasets of each by itself")
+    everybody: list[str] = records[0].header["agents"]
+    unknown = set(agents or ()) - set(everybody)
+    if unknown:
+        raise ValueError(f"agent: nobody is called {', '.join(sorted(unknown))}; agents: {', '.join(everybody)}")
+    told = [demonstrations(record, trust) for record in records]
+    labs = Laboratories(scenarios[0])
+    chosen = []
+    for agent in agents or everybody:
+        episodes = [(record, d) for record, found in zip(records, told, strict=True) for d in found[agent]]
+        if episodes:
+            chosen.append((agent, episodes))
+        elif agents:
+            raise ValueError(f"agent: {agent} has no turn in these records")
+        else:
+            tell(f"{agent} has no turn in these records: no dataset")
+    ids = [f"{name}/{agent}-v0" for agent, _ in chosen]
+    for id in ids:
+        minari.dataset.minari_dataset.parse_dataset_id(id)
+        path = minari.storage.get_dataset_path(id)
+        if path.exists():
+            if not force:
+                raise ValueError(f"dataset {id} is already there ({path}); give another name, or --force to replace it")
+            shutil.rmtree(path)
+    return [_write(minari, id, agent, episodes, labs) for id, (agent, episodes) in zip(ids, chosen, strict=True)]
+
+
+def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec | None:
+    """The environment whose spaces and episodes a dataset has; None where the scenario is not one of chemlab's."""
+    shipped = scenario.name in scenario_names()
+    if not shipped or scenario_hash(load_scenario(scenario.name)) != scenario_hash(scenario):
+        return None
+    manager = agent == MANAGER_AGENT
+    spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))
+    spec.kwargs["scenario"] = scenario.name
+    if not manager:
+        spec.kwargs["bench"] = labs.role(labs.agents.index(agent)).key
+    return spec
+
+
+def _write(
+    minari: Any, id: str, agent: str, episodes: Sequence[tuple[Record, Demonstration]], labs: Laboratories
+) -> Dataset:
+    number = labs.agents.index(agent)
+    spec = _environment(labs.scenario, agent, labs)
+    buffers = [_buffer(minari, record, demonstration) for record, demonstration in episodes]
+    players = sorted({str(record.header["policies"].get(agent, "unknown")) for record, _ in episodes})
+    path = minari.storage.get_dataset_path(id)
+    try:
+        with warnings.catch_warnings():
+            # Minari asks for an author, an address and a link to code, which a record does not have.
+            warnings.filterwarnings("ignore", message=".* is set to None")
+            warnings.filterwarnings("ignore", message="env_spec is None")
+            dataset = minari.create_dataset_from_buffers(
+                id,
+                buffers,
+                env=spec,
+                observation_space=labs.observation_space(number),
+                action_space=labs.action_space(number),
+                algorithm_name=", ".join(players),
+                description=f"{agent} of chemlab's scenario {labs.scenario.name}, played by {', '.join(players)}",
+                requirements=[f"chemlab-marl=={__version__}"],
+            )
+        dataset.storage.update_episode_metadata(
+            [
+                {"record": record.path.name, "player": record.header["policies"].get(agent, ""), "tick": d.tick}
+                for record, d in episodes
+            ]
+        )
+        dataset.storage.update_metadata({"scenario": labs.scenario.name, "scenario_hash": scenario_hash(labs.scenario)})
+    except BaseException:
+        shutil.rmtree(path, ignore_errors=True)  # half a dataset would be in the way of the next attempt
+        raise
+    returns = [sum(demonstration.rewards) for _, demonstration in episodes]
+    steps = sum(len(demonstration.rewards) for _, demonstration in episodes)
+    return Dataset(id, agent, len(episodes), steps, float(np.mean(returns)), os.fspath(path))
+
+
+def _buffer(minari: Any, record: Record, demonstration: Demonstration) -> Any:
+    """An episode as Minari takes it."""
+    d = demonstration
+    ends = np.arange(len(d.rewards)) == len(d.rewards) - 1
+    infos = {"elapsed_ticks": np.array(d.elapsed, dtype=np.int64), "cost": np.array(d.costs, dtype=np.float64)}
+    if d.masks:
+        infos["action_mask"] = np.array(d.masks)
+    manager = d.agent == MANAGER_AGENT
+    return minari.data_collector.EpisodeBuffer(
+        # The laboratory's seed makes the manager's episode; an experiment begins with a vessel that came to be.
+        seed=record.header["seed"] if manager else None,
+        options=record.header["options"] or None if manager else {"goal": d.goal},
+        observations=np.array(d.observations),
+        actions=np.array(d.actions),
+        rewards=list(d.rewards),
+        terminations=list(ends & d.terminated),
+        truncations=list(ends & d.truncated),
+        infos=infos,
+    )

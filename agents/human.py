@@ -1,0 +1,578 @@
+"""A person as a policy: what their role sees, in words and bars, and what they type, as an action.
+
+Everything shown of the laboratory is read off the role's observation, so a person knows what a learned policy would,
+the public scenario, and (as the manager, who has them in ``info``) the costs so far.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from chemlab.bench.base import Bench, Channel, MaskArray, ObservationArray, channel_slices
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.text import action_words, measured_words
+from chemlab.laboratory.view import order_channels
+from chemlab.scenario import Scenario
+from chemlab.shelf import FloatArray, IntArray
+
+__all__ = ["HumanPolicy", "Left", "Menu", "Shades", "parse_numbers", "sparkline"]
+
+_FLAT = 12
+"""Up to so many actions are listed one by one; more are grouped."""
+_BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
+_FULL = ("█", "#")
+
+
+class Left(Exception):
+    """The person has left the game."""
+
+
+# -- seeing -----------------------------------------------------------------------------------------------------------
+
+
+def sparkline(values: Sequence[float] | npt.NDArray[Any], width: int, signs: str = _BLOCKS) -> str:
+    """Numbers in [0, 1] as a line of ``width`` signs at most, each the highest of its numbers, so that no peak is lost.
+
+    A number is shown as the sign nearest to it; the first sign is 0, the last is 1.
+    """
+    parts = np.array_split(np.asarray(values, dtype=np.float64), min(width, len(values)))
+    return "".join(signs[round(float(part.max().clip(0.0, 1.0)) * (len(signs) - 1))] for part in parts)
+
+
+def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
+    """Labels and what they are of; long lines go on below their own beginning."""
+    grid = Table.grid(padding=(0, 1))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
+    for label, content in rows:
+        grid.add_row(Text(f"  {label}"), Text(content) if isinstance(content, str) else content)
+    return grid
+
+
+def _bar(share: float, width: int, full: str) -> str:
+    return (full * round(min(max(share, 0.0), 1.0) * width)).ljust(width)
+
+
+class Shades:
+    """What the grey values of a layer camera stand for: every material has its own, and here a letter."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        found = [(m.shade, name, m.color) for name, m in scenario.materials.items() if m.role not in ("gas", "ion")]
+        air = scenario.materials["air"]
+        self._names = ["air", *(name for _, name, _ in found)]
+        self._colors = [air.color, *(color for _, _, color in found)]
+        self._values = np.array([air.shade, *(shade for shade, _, _ in found)])
+        self.letters = ["."]
+        for _, name, _ in found:
+            options = [c for c in name.lower() + name.upper() + "abcdefghijklmnopqrstuvwxyz0123456789" if c.isalnum()]
+            options = [c for c in options if c.isalpha()] + options
+            self.letters.append(next(c for c in options if c not in self.letters))
+
+    def materials(self, pixels: npt.NDArray[Any]) -> IntArray:
+        """[pixels] which of the names each grey value is nearest to."""
+        return np.asarray(np.abs(np.asarray(pixels)[:, None] - self._values).argmin(axis=1), dtype=np.int64)
+
+    def line(self, pixels: npt.NDArray[Any], width: int) -> Text:
+        """A camera's picture lying on its side, the bottom at the left; a cell shows what most of its pixels are."""
+        text = Text()
+        for part in np.array_split(self.materials(pixels), min(width, len(pixels))):
+            kind = int(np.bincount(part).argmax())
+            color = self._colors[kind]
+            light = sum(int(color[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1))) > 110.0
+            text.append(self.letters[kind], style="" if kind == 0 else f"{'black' if light else 'white'} on {color}")
+        return text
+
+    def legend(self, *pictures: npt.NDArray[Any]) -> str:
+        """What the letters of some pictures mean."""
+        kinds = sorted({int(kind) for pixels in pictures for kind in self.materials(pixels)})
+        return ", ".join(f"{self.letters[kind]} {self._names[kind]}" for kind in kinds)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """An observation by channels."""
+
+    channels: Sequence[Channel]
+    slices: dict[str, slice]
+    observation: ObservationArray
+
+    def raw(self, name: str) -> npt.NDArray[np.float32]:
+        """The channel's numbers in [0, 1]."""
+        return self.observation[self.slices[name]]
+
+    def number(self, name: str) -> float:
+        """A channel's first number."""
+        return float(self.raw(name)[0])
+
+    def choice(self, name: str, names: Sequence[str]) -> str:
+        """Which of ``names`` a one-hot channel says; empty where it says none."""
+        values = self.raw(name)
+        return names[int(values.argmax())] if values.max() > 0.5 else ""
+
+
+# -- choosing ---------------------------------------------------------------------------------------------------------
+
+
+class Menu:
+    """Numbered actions, grouped where there are many, narrowed by typing.
+
+    Args:
+        meanings: what every action does.
+        paths: the same in steps (``start rxn_0``, ``slot 0``, ``goal dodecane``) for grouping.
+        legal: which of them are possible now.
+    """
+
+    def __init__(self, meanings: Sequence[str], paths: Sequence[Sequence[str]], legal: Sequence[int]) -> None:
+        self._meanings, self._paths = meanings, paths
+        self._legal = list(legal)
+        self._shown, self._depth = self._legal, 0
+
+    def entries(self) -> list[tuple[str, list[int]]]:
+        """(label, the actions it stands for) of each numbered line."""
+        if len(self._shown) <= _FLAT:
+            return [(self._meanings[action], [action]) for action in self._shown]
+        groups: dict[str, list[int]] = {}
+        for action in self._shown:
+            groups.setdefault(self._paths[action][self._depth], []).append(action)
+        return [(self._label(part, actions), actions) for part, actions in groups.items()]
+
+    def _label(self, part: str, actions: list[int]) -> str:
+        if len(actions) == 1:
+            return self._meanings[actions[0]]
+        later = dict.fromkeys(step for action in actions for step in self._paths[action][self._depth + 1 :][:1])
+        return f"{part}: {_joined(list(later))}"
+
+    def back(self) -> None:
+        """Show everything again."""
+        self._shown, self._depth = self._legal, 0
+
+    def _narrow(self, actions: list[int]) -> None:
+        """Show only these; steps that are the same in all of them are done."""
+        self._shown, self._depth = actions, 0
+        if len(actions) > _FLAT:
+            while len({self._paths[action][self._depth] for action in actions}) == 1:
+                self._depth += 1
+
+    def take(self, typed: str) -> int | None:
+        """The action that was typed: numbers of lines, one after the other, or how its meaning begins.
+
+        None if the menu now shows less instead.
+
+        Raises:
+            ValueError: no such line or action; the message says so.
+        """
+        if all(part.isdigit() for part in typed.split()):
+            return self._take_numbers([int(part) for part in typed.split()])
+        text = " ".join(typed.lower().split())
+        starting = [action for action in self._legal if self._meanings[action].lower().startswith(text)]
+        exact = [action for action in starting if self._meanings[action].lower() == text]
+        if len(exact or starting) == 1:
+            return (exact or starting)[0]
+        words = text.split()
+        found = starting or [a for a in self._legal if all(word in self._meanings[a].lower() for word in words)]
+        if found:
+            self._narrow(found)
+            return None
+        if any(meaning.lower().startswith(text) for meaning in self._meanings):
+            raise ValueError(f"{typed!r} is not possible now")
+        raise ValueError(f"no action is called {typed!r}; type a number of the list, or ? for help")
+
+    def _take_numbers(self, numbers: list[int]) -> int | None:
+        for i, number in enumerate(numbers):
+            entries = self.entries()
+            if not 1 <= number <= len(entries):
+                raise ValueError(f"the list goes from 1 to {len(entries)}, given {number}")
+            actions = entries[number - 1][1]
+            if len(actions) == 1:
+                if i < len(numbers) - 1:
+                    raise ValueError(f"{number} is an action already: what is {numbers[i + 1]} for?")
+                return actions[0]
+            self._narrow(actions)
+        return None
+
+
+def _joined(steps: Sequence[str]) -> str:
+    """Choices beside each other, what is the same in all of them said once: ``1 / 3 / 8 L``, ``slot 0 / 1``."""
+    heads, tails = zip(*(step.partition(" ")[::2] for step in steps), strict=True)
+    if len(set(tails)) == 1:
+        return f"{' / '.join(heads)} {tails[0]}".strip()
+    if len(set(heads)) == 1:
+        return f"{heads[0]} {' / '.join(tails)}"
+    return " / ".join(steps)
+
+
+_MOVE = re.compile(
+    r"(?P<knob>[tv])(?:(?P<sign>[+-])(?P<part>\d*\.?\d*%?)|=(?P<raw>\d*\.?\d+)|(?P<hold>0))", re.IGNORECASE
+)
+
+
+def _share(text: str, what: str) -> float:
+    percent = text.endswith("%")
+    try:
+        value = float(text.rstrip("%")) / (100.0 if percent else 1.0)
+    except ValueError:
+        raise ValueError(f"{what}: {text!r} is no number") from None
+    if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+        raise ValueError(f"{what}: must be from 0 to 1 (or 0% to 100%), given {text}")
+    return value
+
+
+def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatArray:
+    """What was typed as a continuous action of ``size`` numbers in [0, 1].
+
+    Either all the numbers; or, on a bench with reagents, what is to change: ``T+`` (a whole step up), ``T-0.5`` (half a
+    step down), ``T=0.7`` (the number itself), ``T0`` (hold), the same with ``V``, and ``NAME=SHARE`` (or ``NAME`` for
+    all that is left), where a beginning of the name is enough if no other reagent begins so. What is not
+    mentioned stays: no change, nothing added.
+
+    Raises:
+        ValueError: what cannot be understood, and what could.
+    """
+    parts = typed.replace(",", " ").split()
+    if not reagents or all(re.fullmatch(r"[\d.]+%?", part) for part in parts):
+        if len(parts) != size:
+            raise ValueError(f"needs {size} numbers from 0 to 1, given {len(parts)}; ? explains")
+        return np.array([_share(part, f"number {i}") for i, part in enumerate(parts, start=1)])
+    action = np.zeros(size)
+    action[:2] = 0.5
+    for part in parts:
+        move = _MOVE.fullmatch(part)
+        if move is not None:
+            knob = "tv".index(move["knob"].lower())
+            if move["raw"]:
+                action[knob] = _share(move["raw"], move["knob"].upper())
+            elif move["sign"]:
+                by = 0.5 * (_share(move["part"], move["knob"].upper()) if move["part"] else 1.0)
+                action[knob] = 0.5 + by if move["sign"] == "+" else 0.5 - by
+            else:
+                action[knob] = 0.5
+            continue
+        name, equals, share = part.partition("=")
+        fitting = [r for r in reagents if r.lower() == name.lower()]
+        fitting = fitting or [r for r in reagents if r.lower().startswith(name.lower())]
+        if len(fitting) != 1 or not name:
+            which = f"could be {' or '.join(fitting)}" if fitting and name else f"knows T, V, {', '.join(reagents)}"
+            raise ValueError(f"{part!r}: {which}; for example: T+ {reagents[0]}=1")
+        action[2 + reagents.index(fitting[0])] = _share(share, fitting[0]) if equals else 1.0
+    return action
+
+
+# -- playing ----------------------------------------------------------------------------------------------------------
+
+
+class HumanPolicy:
+    """A person's policy for one agent of one laboratory.
+
+    Args:
+        laboratories: where it plays; of these only what is public is used.
+        number: the agent.
+        ask: gives what the person types at a prompt; ``EOFError`` means that nobody will type any more.
+        console: shows things; its width and encoding are respected.
+        before: called at the beginning of each of the person's turns.
+    """
+
+    def __init__(
+        self,
+        laboratories: Laboratories,
+        number: int,
+        ask: Callable[[str], str],
+        console: Console | None = None,
+        before: Callable[[], None] | None = None,
+    ) -> None:
+        self._labs, self._number = laboratories, number
+        self._ask, self._console, self._before = ask, console or Console(), before
+        self._role = laboratories.role(number)
+        self._slices = channel_slices(self._role.channels)
+        self._shades = Shades(laboratories.scenario)
+        self._last: npt.NDArray[Any] | None = None
+        unicode = (self._console.encoding or "ascii").lower().replace("-", "").startswith("utf")
+        self._signs, self._full = (_BLOCKS, _FULL[0]) if unicode else (_PLAIN, _FULL[1])
+
+    @property
+    def agent(self) -> str:
+        """Id of the agent."""
+        return self._labs.agents[self._number]
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`~chemlab.agents.policy.Policy`.
+
+        Raises:
+            Left: the person has left.
+            ValueError: more than one laboratory; people play one at a time.
+        """
+        if len(observation) != 1:
+            raise ValueError(f"{self.agent}: a person plays one laboratory at a time, given {len(observation)}")
+        if step[0] == 0 and self._number > 0:
+            self._last = None
+        if self._before is not None:
+            self._before()
+        for part in self.view(observation[0], int(step[0])):
+            self._console.print(part)
+        chosen = self._numbers() if mask is None else np.int64(self._choose(mask[0]))
+        self._last = np.asarray(chosen)
+        return np.asarray(chosen)[None]
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def view(self, observation: ObservationArray, step: int) -> Iterator[Any]:
+        """What the person sees, as things rich can print.
+
+        Args:
+            observation: the agent's.
+            step: turns it has had (in the experiment, or as the manager in the episode).
+        """
+        seen = _Seen(self._role.channels, self._slices, observation)
+        yield ""
+        yield from self._bench(seen, step, self._role) if isinstance(self._role, Bench) else self._manager(seen)
+
+    @property
+    def _width(self) -> int:
+        return max(min(self._console.width - 16, 60), 10)
+
+    def _bench(self, seen: _Seen, step: int, bench: Bench) -> Iterator[Any]:
+        goal = seen.choice("goal", bench.goals.names)
+        yield Text.assemble(
+            (self.agent, "bold"), f": step {step + 1} of {bench.spec.step_limit}, goal ", (goal, "bold"),
+            f"; reward: {bench.score_meaning}",
+        )  # fmt: skip
+        pictures = [seen.raw(c.name) for c in bench.channels if c.unit == "grey"]
+        rows: list[tuple[str, str | Text]] = []
+        for channel in bench.channels:
+            values, label = seen.raw(channel.name), channel.name.removeprefix("layers_")
+            if channel.unit == "grey":
+                rows.append((label, self._shades.line(values, self._width)))
+            elif channel.name == "reagents":
+                rows.append(("left", self._left(bench, values)))
+            elif channel.size == 1:
+                value = channel.low + float(values[0]) * (channel.high - channel.low)
+                rows.append((label, f"{value:.4g} {channel.unit} ({channel.low:g} to {channel.high:g})"))
+            elif channel.name != "goal":
+                line = sparkline(values, self._width, self._signs)
+                rows.append((label, line))
+                if channel.name == "spectrum":
+                    rows.append(("", "200".ljust(len(line) - 6) + "800 nm"))
+        if pictures:
+            rows.append(("", f"(bottom at the left; {self._shades.legend(*pictures)})"))
+        yield _grid(rows)
+
+    @staticmethod
+    def _left(bench: Bench, values: npt.NDArray[np.float32]) -> str:
+        names = getattr(bench, "reagent_names", ())
+        full = getattr(bench.options, "reagents", {})
+        return ", ".join(
+            f"{name} {value * full.get(name, 1.0):.3g} mol" for name, value in zip(names, values, strict=True)
+        )
+
+    def _manager(self, seen: _Seen) -> Iterator[Any]:
+        labs, scenario = self._labs, self._labs.scenario
+        limits = scenario.limits
+        orders = [seen.choice(name, scenario.goals) for name, _ in order_channels(scenario)]
+        left = (round(seen.number("actions") * limits.manager_actions), round(seen.number("ticks") * limits.ticks))
+        costs = [f"{item} {value:.4f}" for item, value in labs.costs().items() if value > 0.0]
+        yield Text.assemble(
+            (self.agent, "bold"), ": wanted ", (", ".join(goal or "(delivered)" for goal in orders), "bold"),
+            f"; left: {left[0]} actions, {left[1]} ticks, {seen.number('budget') * limits.budget:.4f} for measuring",
+        )  # fmt: skip
+        yield Text(f"  costs so far: {', '.join(costs) or 'none'}")
+        yield self._shelf(seen)
+        yield from self._readings(seen)
+        rows: list[tuple[str, str | Text]] = []
+        for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
+            if seen.number(f"{agent}_busy") > 0.5:
+                steps = round(seen.number(f"{agent}_steps_left") * bench.spec.step_limit)
+                goal = seen.choice(f"{agent}_goal", scenario.goals)
+                doing = f"goal {goal}, {steps} of {bench.spec.step_limit} steps left"
+            else:
+                doing = "idle"
+            rows.append((agent, doing))
+        if scenario.stock:
+            parts = zip(scenario.stock.items(), seen.raw("stock"), strict=True)
+            rows.append(("stock", ", ".join(f"{name} {share * full:.3g} mol" for (name, full), share in parts)))
+        yield _grid(rows)
+
+    def _shelf(self, seen: _Seen) -> Table:
+        scenario = self._labs.scenario
+        table = Table(box=SIMPLE, pad_edge=False)
+        for name in ("slot", "contents", "temperature", "comes from"):
+            table.add_column(name, justify="right" if name == "temperature" else "left", overflow="fold")
+        empty = []
+        for s in range(scenario.shelf.slots):
+            if seen.number(f"slot_{s}_occupied") < 0.5:
+                empty.append(str(s))
+                continue
+            channels = {c.name: c for c in self._role.channels}
+            capacity = seen.number(f"slot_{s}_capacity") * channels[f"slot_{s}_capacity"].high
+            warm = channels[f"slot_{s}_temperature"]
+            kelvin = warm.low + seen.number(f"slot_{s}_temperature") * (warm.high - warm.low)
+            fill = seen.number(f"slot_{s}_fill")
+            key = seen.choice(f"slot_{s}_last_bench", ["", *scenario.benches])
+            bench = next((b for b in self._labs.benches if b.key == key), None)
+            role = seen.choice(f"slot_{s}_last_role", bench.positions) if bench and len(bench.positions) > 1 else ""
+            contents = f"[{_bar(fill, 12, self._full)}] {fill * capacity:.2f} of {capacity:.2f} L"
+            table.add_row(str(s), Text(contents), f"{kelvin:.1f} K", f"{key} {role}".strip() or "(start)")
+        if empty:
+            table.add_row(",".join(empty), "(empty)", "", "")
+        return table
+
+    def _readings(self, seen: _Seen) -> Iterator[Any]:
+        instruments = self._labs.instruments
+        for s in range(self._labs.scenario.shelf.slots):
+            for i, (name, channel) in enumerate(zip(instruments.names, instruments.channels, strict=True)):
+                age = seen.number(f"slot_{s}_{name}_age")
+                values = seen.raw(f"slot_{s}_{name}")
+                # The age alone does not tell a reading of the episode's whole length ago from none: both are 1.
+                if age >= 1.0 and not values.any():
+                    continue
+                if seen.number(f"slot_{s}_occupied") < 0.5:
+                    continue
+                ticks = round(age * self._labs.scenario.limits.ticks)
+                when = "just now" if ticks == 0 else f"{ticks} ticks ago"
+                yield Text(f"  slot {s}, {name} ({when}):")
+                if channel.unit == "grey":
+                    yield Text("    ") + self._shades.line(values, self._width)
+                    yield Text(f"    (bottom at the left; {self._shades.legend(values)})")
+                elif channel.unit == "absorption":
+                    yield Text("    " + sparkline(values, self._width, self._signs))
+                else:
+                    yield Text("    " + measured_words(self._labs, i, values))
+
+    # -- what is typed ------------------------------------------------------------------------------------------------
+
+    def _typed(self) -> str:
+        """What the person types, without what is not an action."""
+        while True:
+            try:
+                text = self._ask(f"{self.agent}> ").strip()
+            except EOFError:
+                raise Left("nobody is typing any more") from None
+            if text.lower() in ("q", "quit", "exit"):
+                raise Left("you have left")
+            if text.lower() not in ("?", "h", "help"):
+                return text
+            self._console.print(_grid([("", line) for line in self.help()]))
+
+    def _sorry(self, error: ValueError) -> None:
+        self._console.print(Text(f"  {error}", style="yellow"))
+
+    def _choose(self, mask: npt.NDArray[np.int8]) -> int:
+        """A legal discrete action."""
+        labs, meanings = self._labs, list(self._role.action_meanings)
+        paths = _manager_paths(labs) if self._number == 0 else [_bench_path(meaning) for meaning in meanings]
+        menu = Menu(meanings, paths, np.flatnonzero(mask).tolist())
+        repeat = int(self._last) if self._number > 0 and self._last is not None and mask[int(self._last)] else None
+        fresh = True
+        while True:
+            if fresh:
+                lines = enumerate(menu.entries(), start=1)
+                self._console.print(_grid([(f"{i:>2}", label) for i, (label, _) in lines]))
+                if repeat is not None:
+                    self._console.print(Text(f"  Enter repeats: {meanings[repeat]}", style="dim"))
+            fresh = True
+            text = self._typed()
+            try:
+                if text.lower() in ("b", "back"):
+                    menu.back()
+                    continue
+                if not text:
+                    if repeat is None:
+                        raise ValueError("type a number of the list, or ? for help")
+                    return repeat
+                action = menu.take(text)
+                if action is not None:
+                    return action
+            except ValueError as error:
+                self._sorry(error)
+                fresh = False
+
+    def _numbers(self) -> FloatArray:
+        """A continuous action."""
+        space = self._labs.action_space(self._number)
+        size = int(space.shape[0]) if space.shape else 0
+        reagents = getattr(self._role, "reagent_names", ())
+        last = self._last
+        if last is None and reagents:
+            last = parse_numbers("T0", size, reagents)
+        if last is not None:
+            words = action_words(self._labs, self._number, last)
+            self._console.print(Text(f"  Enter repeats: {words}", style="dim"))
+        while True:
+            text = self._typed()
+            try:
+                if text:
+                    return parse_numbers(text, size, reagents)
+                if last is None:
+                    raise ValueError(f"type {size} numbers from 0 to 1, or ? for help")
+                return np.asarray(last)
+            except ValueError as error:
+                self._sorry(error)
+
+    def help(self) -> list[str]:
+        """How to play the role, in lines."""
+        scenario = self._labs.scenario
+        lines = [f"{scenario.title}: {scenario.summary}"]
+        reagents = getattr(self._role, "reagent_names", ())
+        if self._number == 0:
+            worth = scenario.theoretical_maximum_mol
+            goals = ", ".join(f"{goal} ({worth[goal]:g} mol at best)" for goal in scenario.lab_goals if goal in worth)
+            prices = [f"{name} {spec.price:g}" for name, spec in scenario.instruments.items()]
+            goals = goals or ", ".join(scenario.lab_goals)
+            lines += [
+                f"Submit a vessel with as much and as pure a product as you can: {goals}.",
+                f"Measuring costs: {', '.join(prices) or 'there is nothing to measure with'}.",
+                "start puts a vessel on a bench; wait lets the benches work until one is done.",
+            ]
+        elif isinstance(self._role, Bench):
+            lines.append(f"You are paid {self._role.score_meaning}, when the experiment ends.")
+        if self._labs.action_counts[self._number]:
+            lines += [
+                "Type the number of a line (several numbers go through the groups at once: 1 3),",
+                "or the beginning of what it says; any words narrow the list; b shows all of it again.",
+            ]
+        elif reagents:
+            lines += [f"- {meaning}" for meaning in self._role.action_meanings]
+            lines += [
+                f"Type what is to change: T+ V- {reagents[0]}=0.5 (T+0.5 is half a step, T=0.7 the number itself),",
+                f"or all {2 + len(reagents)} numbers. What you do not mention stays as it is, and nothing is added.",
+                "The experiment ends by itself after the last step.",
+            ]
+        else:
+            lines += [f"  {meaning}" for meaning in self._role.action_meanings]
+        return [*lines, "q leaves; what has been recorded so far is kept."]
+
+
+def _manager_paths(labs: Laboratories) -> list[list[str]]:
+    """The manager's actions in steps: kind and bench, slot, goal or instrument."""
+    prices = dict(zip(labs.instruments.names, labs.instruments.price.tolist(), strict=True))
+    paths = []
+    for action in range(len(labs.actions)):
+        kind, *rest = labs.actions.decode(action)
+        if kind == "start":
+            paths.append([f"start {rest[0]}", f"slot {rest[1]}", f"goal {rest[2]}"])
+        elif kind == "measure":
+            paths.append(["measure", f"slot {rest[0]}", f"{rest[1]} (price {prices[str(rest[1])]:g})"])
+        elif kind == "submit":
+            paths.append(["submit", f"slot {rest[0]}", *(f"order {order}" for order in rest[1:])])
+        elif kind == "discard":
+            paths.append(["discard", f"slot {rest[0]}"])
+        else:
+            paths.append([labs.actions.action_meanings[action]])
+    return paths
+
+
+def _bench_path(meaning: str) -> list[str]:
+    """A bench's action in steps: process, magnitude."""
+    what, comma, magnitude = meaning.partition(", ")
+    return [what, magnitude] if comma else [meaning]

@@ -1,0 +1,149 @@
+"""Where the moles of an episode went: what was there at the start, and where it is after each experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..laboratory.core import Laboratories
+from ..record import Record
+from ..shelf import FloatArray
+from .history import Move, Retold
+
+__all__ = ["PLACES", "Balance", "Group", "Stage", "mole_balance"]
+
+PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
+"""``vessels`` are all on the shelf and the benches; ``samples`` what instruments took; ``lost`` what was spilled or
+vented."""
+_MOVED = 1e-9
+_BALANCED = 1e-9
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where everything is at one moment."""
+
+    label: str
+    tick: int
+    amounts: FloatArray
+    """[places, materials] mol"""
+
+
+@dataclass(frozen=True)
+class Group:
+    """What nothing can make more or less of: an element in all materials that reacted, or a material that did not."""
+
+    name: str
+    element: bool
+    weights: FloatArray
+    """[materials]"""
+
+    @property
+    def unit(self) -> str:
+        """Of its amounts."""
+        return f"mol {self.name}"
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The stages of an episode, first to last."""
+
+    materials: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    groups: tuple[Group, ...]
+
+    def amounts(self, group: Group) -> FloatArray:
+        """[stages, places, materials] of a group, in its unit."""
+        return np.array([stage.amounts * group.weights for stage in self.stages])
+
+    def check(self) -> None:
+        """Every group's total is the same at every stage.
+
+        Raises:
+            ValueError: it is not; the message says which and by how much.
+        """
+        for group in self.groups:
+            totals = self.amounts(group).sum(axis=(1, 2))
+            worst = float(np.abs(totals - totals[0]).max())
+            if worst > _BALANCED * max(float(totals[0]), 1.0):
+                raise ValueError(f"{group.name}: {totals[0]:.6g} mol at the start, off by {worst:.3g} mol later")
+
+
+class _Books:
+    """What has left the vessels, and how."""
+
+    def __init__(self, labs: Laboratories) -> None:
+        self._labs = labs
+        count = len(labs.shelf.layout.materials)
+        self._out = {place: np.zeros(count) for place in ("samples", "discarded", "lost")}
+        self._waste = labs.shelf.waste[0].copy()
+        self._last = np.zeros(count)
+        """contents of the vessel whose submission ended the episode: it stays where it stands"""
+
+    def enter(self, move: Move) -> None:
+        """Book what a move threw away."""
+        labs = self._labs
+        kind = move.manager[0] if move.manager else ""
+        place = {"measure": "samples", "discard": "discarded"}.get(str(kind), "lost")
+        self._out[place] += labs.shelf.waste[0] - self._waste
+        self._waste = labs.shelf.waste[0].copy()
+        if kind == "submit":
+            vessel = labs.shelf.amounts[0, int(move.manager[1])]
+            self._last = vessel.copy()  # nothing, where it has been taken away
+
+    def stage(self, label: str) -> Stage:
+        """Where everything is now."""
+        labs = self._labs
+        shelf, desk = labs.shelf, labs.desk
+        amounts = {
+            "submitted": desk.delivered[0] + self._last,
+            "vessels": shelf.amounts[0].sum(axis=0) - self._last,
+            "stock": shelf.stock[0],
+            **self._out,
+        }
+        return Stage(label, int(desk.ticks[0]), np.array([amounts[place] for place in PLACES]))
+
+
+def mole_balance(record: Record, trust: bool = False) -> Balance:
+    """Where everything was at the start, after each experiment and at the end.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that the record names.
+
+    Raises:
+        RecordError: the record cannot be played here.
+        ValueError: it does not balance, which is a mistake of the simulator's.
+    """
+    retold = Retold(record, trust)
+    labs = retold.laboratories
+    books = _Books(labs)
+    stages = [books.stage("start")]
+    for move in retold.moves():
+        books.enter(move)
+        if move.scores:
+            stages.append(books.stage(", ".join(move.scores)))
+    # What comes after the last experiment (measuring, submitting) is the episode's end.
+    stages.append(books.stage("end" if retold.over else "so far"))
+    balance = Balance(labs.shelf.layout.materials, tuple(stages), tuple(_groups(labs, stages)))
+    balance.check()
+    return balance
+
+
+def _groups(labs: Laboratories, stages: list[Stage]) -> list[Group]:
+    """Elements of what reacted, then each material that only moved."""
+    totals = np.array([stage.amounts.sum(axis=0) for stage in stages])
+    reacted = np.abs(totals - totals[0]).max(axis=0) > _MOVED
+    table = list(labs.scenario.materials.values())
+    groups = []
+    for element in sorted({element for material in table for element in material.composition}):
+        atoms = np.array([material.composition.get(element, 0.0) for material in table])
+        if (atoms * reacted).any():
+            groups.append(Group(element, True, atoms * reacted))
+    stock = PLACES.index("stock")
+    for m, name in enumerate(labs.shelf.layout.materials):
+        elsewhere = max(float(np.delete(stage.amounts[:, m], stock).max()) for stage in stages)
+        if not reacted[m] and elsewhere > _MOVED:
+            groups.append(Group(name, False, (np.arange(len(table)) == m).astype(np.float64)))
+    return groups

@@ -1,0 +1,568 @@
+"""Charts of a record: who did what when, spectra before and after, where the moles went. Drawn with matplotlib.
+
+Colours are Okabe and Ito's, which the colour-blind can tell apart, and the materials' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..bench.base import channel_slices
+from ..laboratory.core import Laboratories
+from ..laboratory.manager import COST_ITEMS
+from ..laboratory.text import action_words
+from ..materials import Material
+from ..record import Record, RecordError
+from ..scenario import Scenario
+from ..shelf import WAVELENGTHS_NM, FloatArray
+from .balance import PLACES, Balance, Group, mole_balance
+from .draw import FAINT, INK, SOFT
+from .figure import new_figure
+from .history import Move, Retold
+
+__all__ = ["draw_moles", "draw_spectra", "draw_timeline", "spread"]
+
+_DOING = {
+    "start": "#009E73",
+    "measure": "#56B4E9",
+    "discard": "#D55E00",
+    "submit": "#000000",
+    "recall": "#CC79A7",
+    "wait": "#D9D9D9",
+    "drain": "#0072B2",
+    "mix": "#E69F00",
+    "pour": "#009E73",
+    "add": "#CC79A7",
+    "settle": "#D9D9D9",
+    "hold": "#D9D9D9",
+    "heat": "#D55E00",
+    "cool": "#56B4E9",
+    "end": "#000000",
+}
+"""Colours of what agents do; of the same colour are only things that different agents do."""
+_LINES = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#999999")
+_LOST = "#FFFFFF"
+
+
+def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Positions near the wanted ones (ascending), at least ``gap`` apart and within [low, high] if there is room."""
+    count = len(wanted)
+    if not count:
+        return []
+    gap = min(gap, (high - low) / max(count - 1, 1))
+    # Blocks of touching labels, each as near as its members can be to where they want to be.
+    blocks: list[list[float]] = []
+    for place in wanted:
+        blocks.append([place, 1.0])
+        while len(blocks) > 1 and _bottom(blocks[-1], gap) < _top(blocks[-2], gap) + gap:
+            middle, size = blocks.pop()
+            other, more = blocks.pop()
+            blocks.append([(middle * size + other * more) / (size + more), size + more])
+    found = [_bottom(block, gap) + gap * i for block in blocks for i in range(int(block[1]))]
+    for i in range(count):  # the bounds push what is outside inwards
+        found[i] = max(found[i], low if i == 0 else found[i - 1] + gap)
+    for i in reversed(range(count)):
+        found[i] = min(found[i], high if i == count - 1 else found[i + 1] - gap)
+    return found
+
+
+def _bottom(block: Sequence[float], gap: float) -> float:
+    return block[0] - gap * (block[1] - 1.0) / 2.0
+
+
+def _top(block: Sequence[float], gap: float) -> float:
+    return block[0] + gap * (block[1] - 1.0) / 2.0
+
+
+def _plain(axes: Any) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _title(record: Record, scenario: Scenario) -> str:
+    seed = record.header.get("seed")
+    return f"{scenario.title}{'' if seed is None else f', seed {seed}'}"
+
+
+# -- who did what when ------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Strip:
+    """What one agent does for some time."""
+
+    start: int
+    stop: int
+    kind: str
+    lost: bool
+
+
+@dataclass
+class _Story:
+    """A record in units of time: one for each of the manager's actions, one for each tick."""
+
+    labs: Laboratories
+    strips: dict[str, list[_Strip]]
+    experiments: list[tuple[str, int, int, str, float | None]] = field(default_factory=list)
+    """(agent, start, stop, goal, score)"""
+    decisions: list[tuple[int, str]] = field(default_factory=list)
+    ticks: list[int] = field(default_factory=list)
+    """[units + 1] tick at the beginning of each unit"""
+    costs: list[list[float]] = field(default_factory=list)
+    rewards: list[list[float]] = field(default_factory=list)
+    over: bool = False
+
+
+def _doing(labs: Laboratories, agent: int, action: Any) -> str:
+    """What an action is, in a word."""
+    words = action_words(labs, agent, action)
+    if agent == 0 or labs.action_counts[agent]:
+        return words.replace(",", " ").split()[0]
+    if "add" in words:
+        return "add"
+    return "heat" if "temperature up" in words else "cool" if "temperature down" in words else "hold"
+
+
+def _tell(record: Record, trust: bool) -> _Story:
+    retold = Retold(record, trust)
+    labs = retold.laboratories
+    story = _Story(labs, {agent: [] for agent in labs.agents})
+    running: dict[str, tuple[int, str]] = {}
+    earned = np.zeros(len(labs.agents))
+    unit, tick = 0, 0
+
+    def note() -> None:
+        story.ticks.append(tick)
+        story.costs.append(list(labs.costs().values()))
+        story.rewards.append(earned.tolist())
+
+    note()
+    open_tick = False
+    for move in retold.moves():
+        by_manager = move.plays[0].agent == 0
+        if open_tick and (by_manager or move.tick != tick):  # the tick that was running is over
+            unit, open_tick = unit + 1, False
+            tick = move.tick
+            note()
+        for play in move.plays:
+            agent = labs.agents[play.agent]
+            _add(story.strips[agent], unit, _doing(labs, play.agent, play.action), agent in move.lost, by_manager)
+        earned += np.array([move.rewards[agent] for agent in labs.agents])
+        if by_manager:
+            story.decisions.append((unit, action_words(labs, 0, move.plays[0].action)))
+        _experiments(story, running, move, unit, by_manager)
+        if by_manager:
+            unit, tick = unit + 1, int(labs.desk.ticks[0])
+            note()
+        else:
+            open_tick = True
+    if open_tick:
+        unit, tick = unit + 1, int(labs.desk.ticks[0])
+        note()
+    # The last turn may have settled accounts after it was noted.
+    story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
+    story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
+    story.over = retold.over
+    return story
+
+
+def _add(strips: list[_Strip], unit: int, kind: str, lost: bool, by_manager: bool) -> None:
+    last = strips[-1] if strips else None
+    if last and not by_manager and (last.stop, last.kind, last.lost) == (unit, kind, lost):
+        last.stop = unit + 1
+    else:
+        strips.append(_Strip(unit, unit + 1, kind, lost))
+
+
+def _experiments(story: _Story, running: dict[str, tuple[int, str]], move: Move, unit: int, by_manager: bool) -> None:
+    labs = story.labs
+    if move.begun:
+        station = labs.stations[labs.bench_agents.index(move.begun)]
+        running[move.begun] = (unit + 1, labs.scenario.goals[int(station.goal[0])])
+    for agent, score in move.scores.items():
+        start, goal = running.pop(agent)
+        story.experiments.append((agent, start, unit if by_manager else unit + 1, goal, score))
+
+
+def draw_timeline(record: Record, trust: bool = False) -> Any:
+    """A figure of what every agent does and when, of experiments, and of costs and rewards as they add up.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that it names.
+
+    Raises:
+        RecordError: it cannot be played here, or it has no turn.
+        ImportError: matplotlib is not installed.
+    """
+    story = _tell(record, trust)
+    labs, units = story.labs, len(story.ticks) - 1
+    if not units:
+        raise RecordError(f"{record.path}: has no turn to draw")
+    agents = labs.agents
+    rows = -(-len(story.decisions) // 3)
+    listed = story.decisions if rows <= 14 else story.decisions[: 3 * 14 - 1]
+    rows = min(rows, 14)
+    lanes, graph, text = 0.42 * len(agents), 1.7, 0.163 * rows + 0.15
+    width = min(max(12.0, 1.2 + 0.13 * units), 24.0)
+    height = 0.95 + lanes + 0.85 + graph + 0.6 + text
+    figure = new_figure(width, height)
+
+    def place(top: float, tall: float, left: float, wide: float) -> tuple[float, float, float, float]:
+        return left / width, 1.0 - (top + tall) / height, wide / width, tall / height
+
+    axes = figure.add_axes(place(0.95, lanes, 0.95, width - 1.2))
+    _lanes(axes, story, units, (width - 1.2) / units)
+    _doing_key(figure, story, height)
+    top = 0.95 + lanes + 0.85
+    half = (width - 4.6) / 2.0
+    at = np.arange(units + 1)
+    costs = figure.add_axes(place(top, graph, 0.95, half))
+    items = [(name, line) for name, line in zip(COST_ITEMS, np.array(story.costs).T, strict=True) if line[-1] > 0.0]
+    if items:
+        costs.stackplot(at, [line for _, line in items], labels=[name.replace("_", " ") for name, _ in items],
+                        colors=_LINES[: len(items)], step="post", linewidth=0.0)  # fmt: skip
+        handles, labels = costs.get_legend_handles_labels()
+        costs.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
+    costs.set_title("manager's costs so far (score)", loc="left", fontsize=10)
+    costs.set_ylim(bottom=0.0)
+    earned = figure.add_axes(place(top, graph, 0.95 + half + 2.1, half))
+    for i, (agent, line) in enumerate(zip(agents, np.array(story.rewards).T, strict=True)):
+        earned.step(at, line, where="post", color=_LINES[i % len(_LINES)], lw=1.8, label=agent,
+                    ls=("-", "--", "-.", ":")[i % 4])  # fmt: skip
+    earned.axhline(0.0, color=FAINT, lw=0.6)
+    earned.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
+    earned.set_title("rewards so far", loc="left", fontsize=10)
+    for other in (costs, earned):
+        _plain(other)
+        other.set_xlim(0, units)
+        other.grid(alpha=0.25)
+        _tick_labels(other, story, 5)
+    _decisions(figure, story, listed, rows, text / height)
+    figure.suptitle(f"{_title(record, labs.scenario)}: {'the episode' if story.over else 'the episode so far'}",
+                    y=1.0 - 0.12 / height)  # fmt: skip
+    return figure
+
+
+def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
+    agents = story.labs.agents
+    for agent, start, stop, _, _ in story.experiments:
+        axes.broken_barh([(start, stop - start)], (agents.index(agent) - 0.42, 0.84), facecolor="#eef1f4",
+                         edgecolor=SOFT, linewidth=0.8)  # fmt: skip
+    for lane, agent in enumerate(agents):
+        for strip in story.strips[agent]:
+            color = _LOST if strip.lost else _DOING.get(strip.kind, "#999999")
+            low, tall = (lane - 0.36, 0.72) if lane == 0 else (lane + 0.02, 0.34)
+            axes.broken_barh([(strip.start, strip.stop - strip.start)], (low, tall), facecolor=color,
+                             edgecolor="white" if not strip.lost else SOFT, linewidth=0.5,
+                             hatch="////" if strip.lost else None)  # fmt: skip
+    for number, (unit, _) in enumerate(story.decisions, start=1):
+        size = min(7.5, 96.0 * inches / len(str(number)))
+        if size < 4.5:  # too small to read: the first of each run of decisions, above them
+            if number == 1 or story.decisions[number - 2][0] != unit - 1:
+                axes.text(unit, -0.42, str(number), fontsize=6.5, ha="left", va="bottom", color=SOFT)
+            continue
+        kind = story.strips[agents[0]][number - 1]
+        dark = kind.kind in ("submit", "start", "discard") and not kind.lost
+        axes.text(unit + 0.5, 0, str(number), fontsize=size, ha="center", va="center", color="white" if dark else INK)
+    for agent, start, stop, goal, score in story.experiments:
+        words = [goal if score is None else f"{goal} {score:+.2f}", goal, ""]
+        room = ((stop - start) * inches - 0.12) / 0.072
+        text = next(option for option in words if len(option) <= max(room, 0.0))
+        axes.text(start + 0.08 / inches, agents.index(agent) - 0.2, text, fontsize=7.5, va="center", color=INK)
+    axes.set_yticks(range(len(agents)), agents)
+    axes.set_ylim(len(agents) - 0.4, -0.6)
+    axes.set_xlim(0, units)
+    axes.tick_params(axis="y", length=0)
+    _plain(axes)
+    axes.spines["left"].set_visible(False)
+    _tick_labels(axes, story, 16)
+
+
+def _tick_labels(axes: Any, story: _Story, most: int) -> None:
+    """Ticks as the laboratory counts them, at the unit they begin with."""
+    first = {tick: unit for unit, tick in reversed(list(enumerate(story.ticks)))}
+    last = story.ticks[-1]
+    step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 10**6) if last / s <= most)
+    shown = [tick for tick in range(0, last + 1, step) if tick in first]
+    axes.set_xticks([first[tick] for tick in shown], [str(tick) for tick in shown])
+    axes.set_xlabel("tick (the manager's actions take room, but no tick)" if most > 5 else "tick")
+
+
+def _doing_key(figure: Any, story: _Story, height: float) -> None:
+    from matplotlib.patches import Patch
+
+    agents = story.labs.agents
+    shown: dict[str, Any] = {}
+    lost = False
+    for agent in agents:
+        for strip in story.strips[agent]:
+            lost = lost or strip.lost
+            who = "manager: " if agent == agents[0] else "benches: "
+            shown.setdefault(who + strip.kind, _DOING.get(strip.kind, "#999999"))
+    parts = []
+    for who in ("manager: ", "benches: "):
+        kinds = [(name.removeprefix(who), color) for name, color in shown.items() if name.startswith(who)]
+        parts.append([Patch(facecolor=color, label=kind) for kind, color in kinds])
+    if lost:
+        parts[1].append(Patch(facecolor=_LOST, edgecolor=SOFT, hatch="////", label="turn lost"))
+    for left, title, handles in ((0.075, "manager", parts[0]), (0.535, "benches", parts[1])):
+        if handles:
+            figure.legend(
+                handles=handles, loc="upper left", ncols=len(handles), frameon=False, title=f"{title}:",
+                bbox_to_anchor=(left, 1.0 - 0.38 / height), fontsize=8, columnspacing=0.9, handlelength=1.0,
+                handletextpad=0.4, alignment="left", title_fontsize=8, borderpad=0.0,
+            )  # fmt: skip
+
+
+def _decisions(figure: Any, story: _Story, listed: Sequence[tuple[int, str]], rows: int, share: float) -> None:
+    """The manager's decisions in words, by number, in three columns."""
+    more = len(story.decisions) - len(listed)
+    lines = [f"{number}  {words}" for number, (_, words) in enumerate(listed, start=1)]
+    lines += [f"and {more} more"] if more else []
+    for column, part in enumerate(_columns(lines, rows)):
+        figure.text(0.02 + column * 0.33, share * 0.97, "\n".join(part), fontsize=8, va="top", color=SOFT,
+                    linespacing=1.35)  # fmt: skip
+
+
+def _columns(lines: Sequence[str], rows: int) -> list[Sequence[str]]:
+    return [lines[i : i + rows] for i in range(0, len(lines), rows)]
+
+
+# -- spectra ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Reaction:
+    """A reaction experiment: what its spectrum was and became, and what was then in the vessel."""
+
+    agent: str
+    tick: int
+    goal: str
+    score: float | None
+    before: FloatArray
+    after: FloatArray
+    contents: FloatArray
+    """[materials] mol at the end"""
+
+
+def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reaction]]:
+    retold = Retold(record, trust)
+    labs = retold.laboratories
+    spectra = {
+        agent: channel_slices(bench.channels)["spectrum"]
+        for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
+        if any(channel.name == "spectrum" for channel in bench.channels)
+    }
+    first: dict[str, tuple[int, FloatArray, str]] = {}
+    found = []
+
+    def close(agent: str, seen: Any, contents: FloatArray, score: float | None) -> None:
+        tick, before, goal = first.pop(agent)
+        found.append(_Reaction(agent, tick, goal, score, before, np.array(seen[spectra[agent]]), contents))
+
+    for move in retold.moves():
+        for play in move.plays:
+            agent = labs.agents[play.agent]
+            if agent in spectra and agent not in first:
+                goal = labs.scenario.goals[int(labs.stations[play.agent - 1].goal[0])]
+                first[agent] = (move.tick, np.array(play.observation[spectra[agent]]), goal)
+        for agent, score in move.scores.items():
+            if agent in first:
+                slot = int(labs.desk.origin[0, labs.bench_agents.index(agent)])
+                close(agent, move.last[agent].observation, labs.shelf.amounts[0, slot].copy(), score)
+    for agent in list(first):
+        number = labs.agents.index(agent)
+        place = int(labs.rules.first[number - 1])
+        close(agent, retold.look(number).observation, labs.shelf.amounts[0, place].copy(), None)
+    return labs, found
+
+
+def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, str]]:
+    """(wavelength, material, colour) of the peaks that can be told apart: where the material absorbs much of what all
+    absorb there. A material's highest peak may be lower than its others."""
+    basis = labs.shelf.chemistry.basis * contents[:, None]
+    total = basis.sum(axis=0)
+    peaks = []
+    for m, name in enumerate(labs.shelf.layout.materials):
+        material: Material = labs.scenario.materials[name]
+        if basis[m].max() <= 0.0:
+            continue
+        highest = max(peak.height_l_mol for peak in material.absorption)
+        for peak in material.absorption:
+            at = int(np.abs(WAVELENGTHS_NM - peak.center_nm).argmin())
+            share = float(basis[m, at] / total[at])
+            main = peak.height_l_mol == highest
+            if share >= (0.25 if main else 0.5) and basis[m, at] >= (0.01 if main else 0.05) * total.max():
+                peaks.append((peak.center_nm, name, material.color))
+    return sorted(peaks)
+
+
+def draw_spectra(record: Record, trust: bool = False) -> Any:
+    """A figure of the vessel's spectrum before and after each reaction experiment, with the peaks' materials.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that it names.
+
+    Raises:
+        RecordError: it cannot be played here, or no reaction was run.
+        ImportError: matplotlib is not installed.
+    """
+    labs, found = _reactions(record, trust)
+    if not found:
+        raise RecordError(f"{record.path}: has no reaction experiment, so no spectrum")
+    columns = 1 if len(found) == 1 else 2
+    rows = -(-len(found) // columns)
+    width, height = (8.0 if columns == 1 else 13.0), 0.5 + 3.5 * rows
+    figure = new_figure(width, height)
+    cell = (width - 0.15) / columns
+    for i, one in enumerate(found):
+        left, top = 0.65 + (i % columns) * cell, 0.5 + (i // columns) * 3.5
+        axes = figure.add_axes((left / width, 1.0 - (top + 2.85) / height, (cell - 0.85) / width, 1.75 / height))
+        _spectrum(axes, labs, one)
+    figure.suptitle(f"{_title(record, labs.scenario)}: spectra of what reacts", y=1.0 - 0.12 / height)
+    return figure
+
+
+def _spectrum(axes: Any, labs: Laboratories, one: _Reaction) -> None:
+    axes.plot(WAVELENGTHS_NM, one.before, color=_LINES[1], lw=1.6, ls="--", label="before")
+    axes.fill_between(WAVELENGTHS_NM, one.after, color=_LINES[0], alpha=0.12, linewidth=0.0)
+    axes.plot(WAVELENGTHS_NM, one.after, color=_LINES[0], lw=1.8, label="after")
+    peaks = _peaks(labs, one.contents)
+    for (center, name, color), x in zip(peaks, spread([p[0] for p in peaks], 27.0, 206.0, 794.0), strict=True):
+        height = float(np.interp(center, WAVELENGTHS_NM, one.after))
+        axes.plot([center, center, x], [height, 1.06, 1.14], color=FAINT, lw=0.8, clip_on=False)
+        axes.plot([center], [height], marker="o", ms=6, color=color, mec=INK, mew=0.8, clip_on=False, zorder=5)
+        axes.text(x, 1.16, name, rotation=40, ha="left", va="bottom", rotation_mode="anchor", fontsize=8, color=INK)
+    axes.set_xlim(WAVELENGTHS_NM[0], WAVELENGTHS_NM[-1])
+    axes.set_ylim(0.0, 1.04)
+    axes.set_xlabel("wavelength (nm)")
+    axes.set_ylabel("absorption")
+    axes.grid(alpha=0.25)
+    _plain(axes)
+    axes.legend(loc="upper right", edgecolor="none", framealpha=1.0)
+    end = "still running" if one.score is None else f"score {one.score:+.3f}"
+    axes.text(0.0, -0.36, f"{one.agent} from tick {one.tick}, goal {one.goal}: {end}", transform=axes.transAxes,
+              fontsize=9, color=SOFT)  # fmt: skip
+
+
+# -- where the moles went ---------------------------------------------------------------------------------------------
+
+_PLACE_WORDS = {
+    "submitted": "submitted",
+    "vessels": "in vessels",
+    "stock": "in stock",
+    "samples": "in samples",
+    "discarded": "discarded",
+    "lost": "spilled or vented",
+}
+_HATCHES = {"submitted": "", "vessels": "", "stock": "....", "samples": "xxxx", "discarded": "////", "lost": "xxxx"}
+_MOST_STAGES = 7
+_SMALL = 0.012
+"""Shares below this are one band, ``others``."""
+
+
+def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) -> Any:
+    """A figure of where the moles went: one part for each element that reacted and each material that only moved.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that it names.
+        only: names of elements and materials to show; default: all, without hydrogen where there is carbon.
+
+    Raises:
+        RecordError: it cannot be played here.
+        ValueError: the books do not balance, or an unknown name.
+        ImportError: matplotlib is not installed.
+    """
+    balance = mole_balance(record, trust)
+    groups = _chosen(balance, only)
+    columns = 1 if len(groups) == 1 else 2
+    rows = -(-len(groups) // columns)
+    width, height = 8.2 * columns, 0.95 + 3.3 * rows
+    figure = new_figure(width, height)
+    scenario = Retold(record, trust).laboratories.scenario
+    for i, group in enumerate(groups):
+        left, top = 8.2 * (i % columns), 0.95 + 3.3 * (i // columns)
+        axes = figure.add_axes(((left + 1.95) / width, 1.0 - (top + 2.75) / height, 4.1 / width, 2.4 / height))
+        _alluvium(axes, balance, group, scenario)
+    figure.suptitle(f"{_title(record, scenario)}: where the moles went", y=1.0 - 0.12 / height)
+    figure.text(0.5, 1.0 - 0.55 / height, "Every column adds up to the same amount. Colour: what it is in; "
+                "dots: in stock; strokes: discarded; crosses: in samples, spilled or vented; bold frame: submitted.",
+                ha="center", fontsize=9, color=SOFT)  # fmt: skip
+    return figure
+
+
+def _chosen(balance: Balance, only: Sequence[str]) -> list[Group]:
+    names = [group.name for group in balance.groups]
+    unknown = [name for name in only if name not in names]
+    if unknown:
+        raise ValueError(f"only: {', '.join(unknown)} is not among {', '.join(names)}, which this record has")
+    if only:
+        return [group for group in balance.groups if group.name in only]
+    return [group for group in balance.groups if not (group.element and group.name == "H" and "C" in names)]
+
+
+def _dark(color: str) -> bool:
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return 0.3 * red + 0.6 * green + 0.1 * blue < 110.0
+
+
+def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> None:
+    """Columns of bands, one for each (place, material), that flow from stage to stage."""
+    amounts = balance.amounts(group)
+    total = float(amounts[0].sum())
+    chosen = np.unique(np.linspace(0, len(amounts) - 1, min(len(amounts), _MOST_STAGES)).round().astype(int))
+    shares = amounts[chosen] / total
+    large = [(p, m) for p, m in np.argwhere(shares.max(axis=0) > 0.0).tolist() if shares[:, p, m].max() >= _SMALL]
+    bands = [(PLACES[p], balance.materials[m], shares[:, p, m]) for p, m in large]
+    rest = 1.0 - sum((share for _, _, share in bands), np.zeros(len(chosen)))
+    if rest.max() > 1e-9:
+        bands.append(("", "others", np.maximum(rest, 0.0)))
+    tops = np.cumsum([share for _, _, share in bands], axis=0)
+    lows = tops - [share for _, _, share in bands]
+    half, fine = 0.17, np.linspace(0.0, 1.0, 30)
+    smooth = fine**2 * (3.0 - 2.0 * fine)
+    for (place, material, _), low, top in zip(bands, lows, tops, strict=True):
+        color = scenario.materials[material].color if place else "#ffffff"
+        hatch = _HATCHES.get(place, "")
+        stroke = "#ffffff" if _dark(color) else SOFT
+        for c in range(len(chosen)):
+            if top[c] - low[c] > 1e-6:
+                axes.bar(c, top[c] - low[c], 2 * half, bottom=low[c], color=color, hatch=hatch,
+                         edgecolor=INK if place == "submitted" else stroke,
+                         linewidth=1.8 if place == "submitted" else 0.6,
+                         zorder=4 if place == "submitted" else 3)  # fmt: skip
+            if c + 1 < len(chosen):
+                x = c + half + fine * (1.0 - 2.0 * half)
+                under = low[c] + (low[c + 1] - low[c]) * smooth
+                over = top[c] + (top[c + 1] - top[c]) * smooth
+                axes.fill_between(x, under, over, color=color, alpha=0.4, linewidth=0.0, zorder=1)
+    for column, side in ((0, -1.0), (-1, 1.0)):
+        edge = -half - 0.08 if column == 0 else len(chosen) - 1 + half + 0.08
+        named = [
+            (f"{material} {_PLACE_WORDS[place]}" if place else material, low[column], top[column])
+            for (place, material, _), low, top in zip(bands, lows, tops, strict=True)
+            if top[column] - low[column] >= _SMALL / 2
+        ]
+        heights = spread([0.5 * (low + top) for _, low, top in named], 0.085, 0.0, 1.0)
+        for (what, low, top), y in zip(named, heights, strict=True):
+            align = "right" if side < 0.0 else "left"
+            words = f"{what} {top - low:.0%}"
+            axes.text(edge + 0.1 * side, y, words, ha=align, va="center", fontsize=8, color=INK)
+            axes.plot([edge, edge + 0.08 * side], [0.5 * (low + top), y], color=FAINT, lw=0.7, clip_on=False)
+    stages = [balance.stages[c] for c in chosen]
+    axes.set_xticks(range(len(chosen)), [f"{stage.label}\ntick {stage.tick}" for stage in stages], fontsize=7.5)
+    axes.set_xlim(-half - 0.05, len(chosen) - 1 + half + 0.05)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_yticks([])
+    axes.tick_params(axis="x", length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    what = f"{group.name} in what reacts" if group.element else group.name
+    axes.set_title(f"{what}: {total:.4g} mol", fontsize=10.5, pad=7)

@@ -1,0 +1,122 @@
+"""A record told turn by turn: what each agent saw and did, what came of it, and how experiments began and ended.
+
+Records hold actions and hashes; what they do not hold is worked out by playing them on the simulator again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..bench.base import MaskArray, ObservationArray
+from ..laboratory.core import Laboratories
+from ..laboratory.manager import RUNNING
+from ..record import Play, Record, RecordError, Replay
+
+__all__ = ["Look", "Move", "Retold"]
+
+
+class Look(NamedTuple):
+    """What an agent is shown."""
+
+    observation: ObservationArray
+    mask: MaskArray | None
+
+
+@dataclass(frozen=True)
+class Move:
+    """A turn, or a round of several agents, that has just been played."""
+
+    number: int
+    """from 0"""
+    tick: int
+    """before it"""
+    plays: list[Play]
+    manager: tuple[str | int, ...]
+    """the manager's action, decoded; empty where benches acted or the action was not possible"""
+    lost: tuple[str, ...]
+    """agents whose action was not possible"""
+    rewards: dict[str, float]
+    cost: dict[str, float]
+    begun: str
+    """agent whose experiment has begun with it, or nothing"""
+    scores: dict[str, float]
+    """of the experiments that have ended with it, by agent"""
+    last: dict[str, Look] = field(default_factory=dict)
+    """what these agents saw after their last action, before their experiments ended"""
+
+
+class Retold:
+    """A record's moves in order, and the laboratory as it stands after the one that was told last.
+
+    Args:
+        record: a record, finished or not.
+        trust: import benches of somebody's own that the record names.
+
+    Raises:
+        RecordError: it cannot be played here.
+    """
+
+    def __init__(self, record: Record, trust: bool = False) -> None:
+        self.record = record
+        self._replay = Replay(record, trust)
+        self.laboratories: Laboratories = self._replay.laboratories
+
+    def look(self, agent: int) -> Look:
+        """What an agent sees now."""
+        labs = self.laboratories
+        mask = labs.mask(agent, labs.members)
+        return Look(labs.observe(agent, labs.members)[0], None if mask is None else mask[0])
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode is over."""
+        return bool(self.laboratories.desk.status[0] != RUNNING)
+
+    def moves(self) -> Iterator[Move]:
+        """Play the record.
+
+        Raises:
+            RecordError: what it says is not possible; the message names the turn.
+        """
+        labs = self.laboratories
+        for number, turn in enumerate(self.record.turns):
+            tick, busy, before = int(labs.desk.ticks[0]), labs.busy[:, 0].copy(), labs.snapshot()
+            try:
+                plays = self._replay.play(turn)
+            except (ValueError, TypeError) as error:
+                raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
+            by_manager = plays[0].agent == 0
+            lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
+            ended = np.flatnonzero(busy & ~labs.busy[:, 0]) + 1
+            begun = np.flatnonzero(~busy & labs.busy[:, 0])
+            yield Move(
+                number=number,
+                tick=tick,
+                plays=plays,
+                manager=labs.actions.decode(int(plays[0].action)) if by_manager and not lost else (),
+                lost=lost,
+                rewards=dict(zip(labs.agents, labs.rewards[0].tolist(), strict=True)),
+                cost=dict(zip(labs.agents, labs.cost[0].tolist(), strict=True)),
+                begun=labs.bench_agents[begun[0]] if len(begun) else "",
+                scores={labs.agents[agent]: float(labs.scores[0, agent]) for agent in ended},
+                last={labs.agents[agent]: self._last_look(before, plays, int(agent)) for agent in ended},
+            )
+
+    def _last_look(self, before: list[Any], plays: Sequence[Play], agent: int) -> Look:
+        """What an agent whose experiment has ended saw last: the laboratory itself shows it an idle bench by now."""
+        labs = self.laboratories
+        after = labs.snapshot()
+        labs.restore(before)
+        for play in plays:
+            if play.agent > 0:  # a recall comes without an action of the bench's own
+                action = np.asarray(play.action)[None]
+                labs.benches[play.agent - 1].act(labs.shelf, labs.stations[play.agent - 1], labs.members, action)
+            if play.agent == agent:
+                break
+        seen = self.look(agent)
+        labs.restore(after)
+        return seen

@@ -1,0 +1,58 @@
+"""Sphinx settings: ``python -m sphinx -W -b html docs docs/_build`` makes the pages, with a warning being an error."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+# Kernels are documented and called as the plain functions they are: nothing is compiled to build pages.
+os.environ["NUMBA_DISABLE_JIT"] = "1"
+sys.path.insert(0, str(Path(__file__).parent))
+
+from generate import setup_pages
+
+from chemlab import __version__
+
+project = "chemlab"
+author = "The chemlab developers"
+copyright = author
+release = version = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+
+html_math_renderer = "mathml"
+html_theme = "furo"
+html_title = "chemlab"
+html_static_path = ["_static"]
+html_css_files = ["chemlab.css"]
+html_show_sphinx = False
+html_copy_source = False
+
+# Docstrings: Google style, in which `this` is code.
+default_role = "code"
+napoleon_use_ivar = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_class_signature = "mixed"
+autodoc_default_options = {
+    "members": True,
+    "show-inheritance": True,
+    "exclude-members": "model_config, model_post_init",
+}
+autodoc_type_aliases = {name: name for name in ("FloatArray", "IntArray", "BoolArray", "StreamArray", "Background")}
+# Optional and large: the pages need only the names.
+autodoc_mock_imports = ["stable_baselines3", "sb3_contrib", "torch", "tensorboard", "matplotlib", "PIL", "pygame"]
+
+# References that lead nowhere are errors where they are ours; there are no other projects' indexes without a network.
+nitpicky = True
+nitpick_ignore_regex = [
+    (r"py:.*", r"(?!chemlab\.).*"),
+    (r"py:class", r"chemlab\..*\.(_\w+|F|Environment|Drawn|ManagerRole)"),  # not public: they have no page
+]
+suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
+
+setup = setup_pages

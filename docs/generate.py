@@ -1,0 +1,681 @@
+"""Pages that are made from the code: environments, scenarios, the scenario file's keys, the command, the interface.
+
+Sphinx calls this before it reads the pages (see ``conf.py``); nothing here is copied by hand. Tables of observations
+and actions come from the channels and action tables that build the spaces, texts from docstrings, scenarios from
+their files.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import pkgutil
+import re
+import types
+import typing
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pydantic
+import typer
+from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
+
+import chemlab
+from chemlab.bench import operations, reaction
+from chemlab.bench.base import Bench, Channel
+from chemlab.bench.instruments import INSTRUMENT_KINDS
+from chemlab.cli import app as command
+from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.materials import AbsorptionPeak, Material
+from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent
+from chemlab.scenario import (
+    BenchSpec,
+    Companion,
+    CostSpec,
+    InstrumentSpec,
+    LimitSpec,
+    RewardSpec,
+    SafetySpec,
+    Scenario,
+    ShelfSpec,
+    StartSpec,
+    VesselSpec,
+    load_scenario,
+    scenario_names,
+)
+
+__all__ = ["pages", "setup_pages"]
+
+HERE = Path(__file__).parent
+OUT = "generated"
+EXAMPLE = "wurtz_dodecane"
+_NEVER_PUBLIC = ("chemlab.cli",)
+Rows = Iterable[Sequence[Any]]
+
+
+# -- Markdown ---------------------------------------------------------------------------------------------------------
+
+
+def _table(head: Sequence[str], rows: Rows, right: Sequence[int] = ()) -> str:
+    """A Markdown table; ``right`` are the columns of numbers. Empty without rows."""
+    lines = ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
+    if not lines:
+        return ""
+    rule = "|" + "|".join("--:" if i in right else "---" for i in range(len(head))) + "|"
+    return "\n".join(["| " + " | ".join(head) + " |", rule, *lines, ""])
+
+
+def _code(text: object) -> str:
+    return f"`{text}`"
+
+
+def _codes(texts: Iterable[object]) -> str:
+    return ", ".join(map(_code, texts))
+
+
+def _amounts(amounts: dict[str, float], unit: str = "mol") -> str:
+    return ", ".join(f"{amount:g} {unit} `{name}`" for name, amount in amounts.items()) or "nothing"
+
+
+def _markdown(docstring: str) -> str:
+    """A module's docstring as a page's text: it is Markdown already, but for references and levels of headings."""
+    text = re.sub(r":(class|func|meth|mod|data):`", r"{py:\1}`", docstring)
+    text = re.sub(r"``([^`]+)``", r"`\1`", text)
+    text = re.sub(r"::$", ":", text, flags=re.M)
+    text = re.sub(r"^###", "##", text, flags=re.M)
+    return re.sub(r"(?:^>>> .*\n?)+", _examples, text, flags=re.M)
+
+
+def _examples(found: re.Match[str]) -> str:
+    lines = [re.sub(r"\s*# doctest: .*", "", line.removeprefix(">>> ")) for line in found[0].splitlines()]
+    return "\n".join(["```python", *lines, "```", ""])
+
+
+def _docstring(module: str) -> str:
+    """A module's docstring, without running the module: it may need what is not installed."""
+    spec = importlib.util.find_spec(module)
+    assert spec is not None, f"{module} was found before"
+    assert spec.origin is not None, f"{module} has a file"
+    return ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or ""
+
+
+def _number(value: float) -> str:
+    """A number without an exponent."""
+    return f"{value:.10f}".rstrip("0").rstrip(".")
+
+
+def _autodoc(*lines: str) -> str:
+    return "\n".join(["```{eval-rst}", *lines, "```", ""])
+
+
+# -- spaces -----------------------------------------------------------------------------------------------------------
+
+
+def _span(start: int, size: int) -> str:
+    return str(start) if size == 1 else f"{start} to {start + size - 1}"
+
+
+def _channel_table(channels: Sequence[Channel]) -> str:
+    """A row for each channel; the channels of a shelf's slots, which are the same for every slot, once."""
+    first = [channel for channel in channels if channel.name.startswith("slot_0_")]
+    slots = len({channel.name.split("_")[1] for channel in channels if channel.name.startswith("slot_")})
+    width = sum(channel.size for channel in first)
+    rows, at = [], 0
+    for channel in channels:
+        place, name = _span(at, channel.size), channel.name
+        at += channel.size
+        if name.startswith("slot_"):
+            if channel not in first:
+                continue
+            if slots > 1:
+                place, name = f"{width} s + {place}", name.replace("slot_0_", "slot_s_")
+        bounds = "" if channel.unit in ("one-hot", "0 or 1", "fraction") else f"{channel.low:g} to {channel.high:g} "
+        rows.append((place, _code(name), channel.size, bounds + channel.unit, channel.meaning))
+    note = f"s is the slot, 0 to {slots - 1}.\n\n" if slots > 1 else ""
+    return note + _table(("index", "channel", "size", "0 to 1 stands for", "meaning"), rows, right=(2,))
+
+
+def _action_table(meanings: Sequence[str], discrete: bool) -> str:
+    """A row for each number of a continuous action, or for each process of a table of discrete ones."""
+    if not discrete:
+        return _table(("number", "0 to 1 stands for"), enumerate(meanings))
+    rows, at = [], 0
+    for process, group in groupby(meanings, key=lambda meaning: meaning.rpartition(", ")[0] or meaning):
+        same = list(group)
+        magnitudes = ", ".join(meaning.removeprefix(process).removeprefix(", ") for meaning in same)
+        rows.append((_span(at, len(same)), process, magnitudes))
+        at += len(same)
+    return _table(("action", "what it does", "magnitudes"), rows)
+
+
+def _manager_actions(labs: Laboratories) -> str:
+    """The manager's actions by kind, with the first and the last of each."""
+    rows, at = [], 0
+    for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
+        numbers = list(group)
+        words = [labs.actions.action_meanings[n] for n in (numbers[0], numbers[-1])]
+        rows.append((_span(at, len(numbers)), _code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
+        at += len(numbers)
+    return _table(("action", "kind", "number", "meaning"), rows, right=(2,))
+
+
+def _bench_tables(bench: Bench, level: str) -> str:
+    space = bench.observation_space.shape
+    return "\n".join(
+        [
+            f"{level} Observation of `{bench.key}`: Box({space[0]})",
+            "",
+            _channel_table(bench.channels),
+            f"{level} Actions of `{bench.key}`: {_space(bench.action_space)}",
+            "",
+            _action_table(bench.action_meanings, bool(bench.action_count)),
+        ]
+    )
+
+
+def _space(space: Any) -> str:
+    return f"Discrete({space.n})" if isinstance(space, gymnasium.spaces.Discrete) else f"Box({space.shape[0]})"
+
+
+# -- environments -----------------------------------------------------------------------------------------------------
+
+
+def _spaces_of_all(labs: Laboratories) -> str:
+    """Every agent's spaces: a table of sizes, then the manager's parts and each kind of bench's."""
+    spec = labs.scenario
+    rows = [
+        (_code(agent), f"Box({labs.observation_sizes[n]})", _space(labs.action_space(n)))
+        for n, agent in enumerate(labs.agents)
+    ]
+    parts = [
+        f"## Spaces in `{spec.name}`",
+        "",
+        "Other scenarios have other numbers; each scenario's page has its own.",
+        "",
+        _table(("agent", "observation", "actions"), rows),
+        f"### Observation of `{MANAGER_AGENT}`: Box({labs.observation_sizes[0]})",
+        "",
+        _channel_table(labs.channels),
+        f"### Actions of `{MANAGER_AGENT}`: Discrete({len(labs.actions)})",
+        "",
+        _manager_actions(labs),
+    ]
+    kinds = {bench.key: bench for bench in labs.benches}
+    return "\n".join([*parts, *(_bench_tables(bench, "###") for bench in kinds.values())])
+
+
+def _bench_ids() -> str:
+    """Tables of every registered single bench."""
+    parts = []
+    for name, spec in gymnasium.registry.items():
+        if spec.entry_point == "chemlab.laboratory.bench_env:BenchEnv" and "bench" in spec.kwargs:
+            bench = BenchArena(spec.kwargs["scenario"], spec.kwargs["bench"]).bench
+            scored = f"Score: {bench.score_meaning}. Step limit: {bench.spec.step_limit}."
+            doc = _markdown(inspect.getdoc(type(bench)) or "")
+            parts += [f"## {name}", "", doc, "", scored, "", _bench_tables(bench, "###")]
+    return "\n".join(parts)
+
+
+def _environment(title: str, module: str, more: str, objects: Sequence[str]) -> str:
+    link = "The interface, method by method: "
+    links = ", ".join(f"{{py:obj}}`{module}.{name}`" for name in objects)
+    return "\n".join(
+        [
+            f"# {title}",
+            "",
+            f"```{{py:currentmodule}} {module}",
+            "```",
+            "",
+            _markdown(_docstring(module)),
+            "",
+            f"{link}{links}.",
+            "",
+            more,
+        ]
+    )
+
+
+def _environments() -> dict[str, str]:
+    labs = Laboratories(EXAMPLE)
+    lab = "chemlab.laboratory"
+    same = "## Spaces\n\nThose of the AEC environment: see [there](laboratory.md).\n"
+    wrappers = _markdown(_docstring(f"{lab}.wrappers")).split("\n", 1)[1]
+    return {
+        "laboratory": _environment("Laboratory (AEC)", f"{lab}.aec", _spaces_of_all(labs), ["env", "raw_env"]),
+        "parallel": _environment("Laboratory (parallel)", f"{lab}.parallel", same, ["parallel_env"]),
+        "focal": _environment("One agent's view", f"{lab}.focal", same, ["FocalEnv", "FocalVectorEnv"]),
+        "benches": _environment("Single benches", f"{lab}.bench_env", _bench_ids(), ["BenchEnv", "BenchVectorEnv"])
+        + "\n".join(["", "## Wrappers", "", f"```{{py:currentmodule}} {lab}.wrappers", "```", wrappers]),
+        "batched": _environment("Many laboratories at once", f"{lab}.batch", same, ["BatchedLaboratory"])
+        + "\n## Class\n\n"
+        + _autodoc(f".. autoclass:: {lab}.batch.BatchedLaboratory", "   :no-index:"),
+    }
+
+
+# -- scenarios --------------------------------------------------------------------------------------------------------
+
+
+def _results() -> dict[str, list[list[str]]]:
+    """README's results by scenario: rows of cells, the policy first."""
+    text = (HERE.parent / "README.md").read_text(encoding="utf-8")
+    block = text.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
+    found: dict[str, list[list[str]]] = {}
+    for line in block.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split("|")]
+        if cells[0].startswith("`"):
+            found.setdefault(cells[0].strip("`"), []).append(cells[1:])
+    return found
+
+
+def _equation(step: Reaction | Violent) -> str:
+    def side(counts: dict[str, float]) -> str:
+        return " + ".join(f"{'' if count == 1 else f'{count:g} '}{name}" for name, count in counts.items())
+
+    return f"`{side(step.reactants)} → {side(step.products)}`"
+
+
+def _chemistry(spec: Scenario) -> str:
+    rows = [
+        (
+            _code(name),
+            m.formula,
+            m.cas or "",
+            m.role,
+            f"{m.molar_mass_g_mol:.2f}",
+            f"{m.density_kg_l:.3g}",
+            f"{m.boiling_point_k:.1f}",
+            f"{m.polarity:g}",
+        )
+        for name, m in spec.materials.items()
+    ]
+    head = ("material", "formula", "CAS", "role", "g/mol", "kg/L", "boils (K)", "polarity")
+    reactions = [
+        (_equation(step), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
+        for step in spec.family.reaction
+    ]
+    parts = [
+        "## Chemistry",
+        "",
+        "Each number's source is in the material's file.",
+        "",
+        _table(head, rows, right=range(4, 8)),
+    ]
+    parts += [_table(("reaction", "A", "Ea (kJ/mol)"), reactions, right=(1, 2))]
+    if spec.family.salt:
+        salts = ", ".join(f"`{s.solid} ⇌ {s.cation} + {s.anion}`" for s in spec.family.salt)
+        parts += [f"Salts, at their equilibrium in every vessel: {salts}.", ""]
+    if spec.family.violent:
+        violent = ", ".join(_equation(step) for step in spec.family.violent)
+        parts += [f"Violent, a safety event: {violent}.", ""]
+    return "\n".join(parts)
+
+
+def _scenario_page(spec: Scenario) -> str:
+    labs = Laboratories(spec)
+    agents = [
+        (_code(agent), f"Box({labs.observation_sizes[n]})", _space(labs.action_space(n)))
+        for n, agent in enumerate(labs.agents)
+    ]
+    start = [(f"slot {i}", f"{v.capacity_l:g} L", _amounts(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
+    stock = [
+        (_code(name), f"{mol:g}", _number(spec.costs.stock_per_mol.get(name, 0.0))) for name, mol in spec.stock.items()
+    ]
+    instruments = [
+        (_code(name), INSTRUMENT_KINDS[i.kind].summary, f"{i.price:g}", f"{i.sample_fraction:g}", f"{i.noise:g}")
+        for name, i in spec.instruments.items()
+    ]
+    results = _results().get(spec.name, [])
+    limits, costs, safety, mix = spec.limits, spec.costs, spec.safety, spec.rewards
+    orders = "one order" if spec.orders == 1 else f"{spec.orders} orders"
+    parts = [
+        f"# {spec.name}",
+        "",
+        f"**{spec.title}.** {spec.summary}",
+        "",
+        f"An episode has {orders}, for one of {_codes(spec.lab_goals)}."
+        if len(spec.lab_goals) > 1
+        else f"An episode has {orders}, for {_codes(spec.lab_goals)}.",
+        f"Experiments may be run for {_codes(spec.goals)}.",
+        "",
+        _table(("agent", "observation", "actions"), agents),
+        "## What there is",
+        "",
+        f"A shelf of {spec.shelf.slots} slots; an episode begins with",
+        "",
+        _table(("place", "capacity", "contents"), start),
+        "and the stock:",
+        "",
+        _table(("bottle", "mol", "price a mol"), stock, right=(1, 2)),
+        "Prices are in units of the score: 1 is the theoretical maximum of the product, pure.",
+        "",
+    ]
+    if instruments:
+        head = ("instrument", "reading", "price", "sample", "noise")
+        parts += [_table(head, instruments, right=(2, 3, 4))]
+    parts += [
+        f"Theoretical maximum: {_amounts(spec.theoretical_maximum_mol)}.",
+        "",
+        "## Limits, costs, rewards",
+        "",
+        f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "
+        f"spent on measuring. A tick costs {_number(costs.tick)}, a litre of waste {costs.waste_per_l:g}, a masked "
+        f"action {costs.illegal_action:g}.",
+        "",
+        'Weights of safety events in `info["cost"]`: '
+        + ", ".join(f"`{kind}` {weight:g}" for kind, weight in safety.weights.items())
+        + f". A unit of that cost takes {safety.reward_price:g} off the reward.",
+        "",
+        f"Reward mix: benches {mix.bench_local:g} of their own and {mix.bench_team:g} of the manager's result, the "
+        f"manager {mix.manager_local:g} and {mix.manager_team:g}.",
+        "",
+    ]
+    if results:
+        columns = (
+            "policy",
+            "submitted (mol)",
+            "purity",
+            "score",
+            "manager actions",
+            "ticks",
+            "spill, vent, metal fire",
+        )
+        parts += ["## Scripted and random play", "", "Means of 100 episodes, seeds 0 to 99 (`chemlab compare`).", ""]
+        parts += [_table(columns, results, right=range(1, 7))]
+    parts += ["## Benches", ""]
+    for bench in {bench.key: bench for bench in labs.benches}.values():
+        count = bench.spec.count
+        begins = bench.spec.start
+        contents = _amounts(begins.contents) + (f", {begins.goal_mol:g} mol of the goal" if begins.goal_mol else "")
+        if (also := begins.companion) is not None:
+            chance = "" if also.probability == 1.0 else f" with probability {also.probability:g}"
+            contents += f", and{chance} {also.mol:g} mol `{also.material}` (`{also.if_goal}` where that is the goal)"
+        parts += [
+            f"### {bench.key}: {bench.spec.kind}",
+            "",
+            f"{'One' if count == 1 else count} in the laboratory; at most {bench.spec.step_limit} steps. "
+            f'`starts="paper"`: {contents}, in {begins.capacity_l:g} L.',
+            "",
+            _bench_tables(bench, "####"),
+        ]
+    file = Path(spec.origin)
+    parts += [_chemistry(spec), "## File", "", f"`{file.name}`, as it is:", ""]
+    parts += ["```toml", file.read_text(encoding="utf-8").rstrip(), "```", ""]
+    return "\n".join(parts)
+
+
+def _scenarios() -> dict[str, str]:
+    specs = [load_scenario(name) for name in scenario_names()]
+    found = {spec.name: _scenario_page(spec) for spec in specs}
+    scores = {name: {row[0]: row[3] for row in rows} for name, rows in _results().items()}
+    rows = [
+        (
+            f"[`{s.name}`]({s.name}.md)",
+            s.summary,
+            ", ".join(f"{b.count} {key}" if b.count > 1 else key for key, b in s.benches.items()),
+            len(s.lab_goals),
+            scores.get(s.name, {}).get("heuristic", ""),
+            scores.get(s.name, {}).get("random", ""),
+        )
+        for s in specs
+    ]
+    found["index"] = "\n".join(
+        [
+            "# Scenarios",
+            "",
+            "A scenario is a file: materials, reactions, stock, shelf, benches with their action tables, instruments,",
+            "prices, limits and rewards. Play one with `chemlab run NAME`; write your own as described in",
+            "[Write a scenario](../../how-to/scenario.md).",
+            "",
+            _table(("scenario", "what it is", "benches", "goals", "scripted score", "random score"), rows, (3, 4, 5)),
+            "The scores are means of 100 episodes, from README's table. 1 is the theoretical maximum, pure and free of",
+            "costs.",
+            "",
+            "```{toctree}",
+            ":hidden:",
+            "",
+            *(spec.name for spec in specs),
+            "```",
+            "",
+        ]
+    )
+    return found
+
+
+# -- keys of data files -----------------------------------------------------------------------------------------------
+
+_FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
+    "Scenario": (
+        Scenario,
+        ShelfSpec,
+        VesselSpec,
+        BenchSpec,
+        StartSpec,
+        Companion,
+        InstrumentSpec,
+        LimitSpec,
+        CostSpec,
+        SafetySpec,
+        RewardSpec,
+    ),
+    "Reaction bench": (reaction.ReactionOptions, reaction.Span),
+    "Extraction and distillation bench": (operations.OperationOptions, operations.Process),
+    "Material": (Material, AbsorptionPeak),
+    "Reaction family": (ReactionFamily, Reaction, Salt, Violent),
+}
+
+
+def _type(hint: Any) -> str:
+    """A field's type in words."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is type(None):
+        return "nothing"
+    if origin is typing.Annotated:
+        return _type(arguments[0])
+    if origin is typing.Literal:
+        return "one of " + _codes(arguments)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(_type(argument) for argument in arguments if argument is not type(None))
+    if origin is tuple:
+        return f"list of {_type(arguments[0])}"
+    if origin is dict:
+        return f"by name: {_type(arguments[1])}"
+    if isinstance(hint, type) and issubclass(hint, pydantic.BaseModel):
+        return f"[{hint.__name__}](#{hint.__name__.lower()})"
+    return {str: "text", int: "integer", float: "number", bool: "true or false"}.get(hint, str(hint))
+
+
+def _bounds(field: pydantic.fields.FieldInfo) -> str:
+    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "pattern": "matches"}
+    return ", ".join(
+        f"{sign} {_code(value) if name == 'pattern' else value}"
+        for item in field.metadata
+        for name, sign in signs.items()
+        if (value := getattr(item, name, None)) is not None
+    )
+
+
+def _default(field: pydantic.fields.FieldInfo) -> str:
+    if field.is_required():
+        return "**required**"
+    value = field.get_default(call_default_factory=True)
+    if isinstance(value, pydantic.BaseModel) or value in (None, (), {}):
+        return ""
+    return _code(value)
+
+
+def _keys_page() -> str:
+    parts = [
+        "# Keys of data files",
+        "",
+        "Made from the models that check the files. An unknown key, a value out of bounds or a name that does not",
+        "exist is an error that says file, key, value and bound. Units are part of the names.",
+        "",
+    ]
+    for title, models in _FILES.items():
+        parts += [f"## {title}", ""]
+        for model in models:
+            docs = ModuleAnalyzer.for_module(model.__module__).find_attr_docs()
+            owners = [base.__name__ for base in model.__mro__]
+            rows = []
+            for name, field in model.model_fields.items():
+                texts = [docs[owner, name] for owner in owners if (owner, name) in docs]
+                meaning = _markdown(" ".join(texts[0]).strip()) if texts else ""
+                rows.append((_code(name), _type(field.annotation), _default(field), _bounds(field), meaning))
+            about = _markdown(inspect.getdoc(model) or "")
+            parts += [f"### {model.__name__}", "", about, ""]
+            parts += [_table(("key", "value", "default", "bounds", "meaning"), rows)]
+    return "\n".join(parts)
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def _command_page() -> str:
+    parts = ["# The command", "", "`chemlab --help`, as a page.", ""]
+    for name, found in sorted(_commands("chemlab", typer.main.get_command(command))):
+        arguments = [p for p in found.params if p.param_type_name == "argument"]
+        options = [p for p in found.params if p.param_type_name == "option" and p.name != "help"]
+        usage = [name]
+        for p in arguments:
+            word = p.name.upper() + ("..." if p.nargs == -1 else "")
+            usage.append(word if p.required else f"[{word}]")
+        rows = [(_code(p.name.upper()), p.help or "", "") for p in arguments]
+        for p in options:
+            shown = isinstance(p.default, (str, int, float, Path)) and p.default is not False
+            rows.append((_codes(p.opts), p.help or "", _code(p.default) if shown else ""))
+        text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(found.help or ""))
+        parts += [f"## {name}", "", _code(" ".join(usage)), "", text, ""]
+        parts += [_table(("argument", "meaning", "default"), rows)]
+    return "\n".join(parts)
+
+
+def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
+    """(words, command) of everything below a group of commands."""
+    for word, below in getattr(found, "commands", {}).items():
+        if hasattr(below, "commands"):
+            yield from _commands(f"{name} {word}", below)
+        else:
+            yield f"{name} {word}", below
+
+
+# -- interface --------------------------------------------------------------------------------------------------------
+
+
+def _modules() -> list[str]:
+    """Every public module that says what it offers."""
+    found = [module.name for module in pkgutil.walk_packages(chemlab.__path__, "chemlab.")]
+    # A package that is mapped into another folder is not below this one's path.
+    agents = importlib.util.find_spec("chemlab.agents")
+    assert agents is not None, "chemlab.agents is part of chemlab"
+    places = list(agents.submodule_search_locations or [])
+    found += ["chemlab.agents", *(m.name for m in pkgutil.walk_packages(places, "chemlab.agents."))]
+    public = []
+    for name in dict.fromkeys(found):
+        if name.startswith(_NEVER_PUBLIC) or "._" in name:
+            continue
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.origin is not None and "__all__" in Path(spec.origin).read_text(encoding="utf-8"):
+            public.append(name)
+    return sorted(public)
+
+
+def _interface() -> dict[str, str]:
+    found = {}
+    modules = _modules()
+    for name in modules:
+        found[name] = "\n".join(
+            [
+                f"# {name}",
+                "",
+                f"```{{py:currentmodule}} {name}",
+                "```",
+                "",
+                _markdown(_docstring(name)),
+                "",
+                _autodoc(f".. automodule:: {name}"),
+            ]
+        )
+    packages = {
+        "Data": [m for m in modules if m.count(".") == 1 and m != "chemlab.laboratory"],
+        "Physics": [m for m in modules if m.startswith("chemlab.physics")],
+        "Benches": [m for m in modules if m.startswith("chemlab.bench")],
+        "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
+        "Pictures": [m for m in modules if m.startswith("chemlab.render")],
+        "Agents": [m for m in modules if m.startswith("chemlab.agents.")],
+    }
+    lines = [
+        "# Interface",
+        "",
+        "Every public module, from its docstrings. Data flows down this list, and never up.",
+        "",
+    ]
+    for title, members in packages.items():
+        rows = [(f"[`{name}`]({name}.md)", _first_sentence(name)) for name in members]
+        lines += [f"## {title}", "", _table(("module", "what it is"), rows)]
+        lines += ["```{toctree}", ":hidden:", "", *members, "```", ""]
+    found["index"] = "\n".join(lines)
+    return found
+
+
+def _first_sentence(module: str) -> str:
+    text = " ".join(_docstring(module).split("\n\n")[0].split())
+    return _markdown(text)
+
+
+# -- Sphinx -----------------------------------------------------------------------------------------------------------
+
+
+def pages() -> dict[str, str]:
+    """Every page that is made from the code: {path below ``docs/generated``: Markdown}."""
+    found = {f"environments/{name}.md": text for name, text in _environments().items()}
+    found |= {f"scenarios/{name}.md": text for name, text in _scenarios().items()}
+    found |= {f"api/{name}.md": text for name, text in _interface().items()}
+    return {**found, "keys.md": _keys_page(), "command.md": _command_page()}
+
+
+def _write_pages(app: Sphinx) -> None:
+    folder = HERE / OUT
+    made = pages()
+    for path in sorted(folder.rglob("*.md")) if folder.exists() else []:
+        if str(path.relative_to(folder)) not in made:
+            path.unlink()
+    for name, text in made.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # What has not changed is not written, so that Sphinx need not read it again.
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def _fit_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """A module's docstring is Markdown and stands on its page already; others may have Markdown's tables in them."""
+    if what == "module":
+        lines.clear()
+        return
+    fitted: list[str] = []
+    for is_table, group in groupby(lines, key=lambda line: line.startswith("|")):
+        if is_table:
+            head, _, *rows = [line.strip("| ").split("|") for line in group]
+            fitted += ["", ".. list-table::", "   :header-rows: 1", ""]
+            for row in [head, *rows]:
+                fitted += [
+                    f"   {'-' if i else '* -'} {cell.strip()}".replace("   -", "     -", 1)
+                    for i, cell in enumerate(row)
+                ]
+            fitted.append("")
+        else:
+            fitted += group
+    lines[:] = fitted
+
+
+def setup_pages(app: Sphinx) -> dict[str, Any]:
+    """What ``conf.py`` hands to Sphinx."""
+    app.connect("builder-inited", _write_pages)
+    app.connect("autodoc-process-docstring", _fit_docstring)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

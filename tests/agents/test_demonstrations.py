@@ -1,0 +1,271 @@
+"""Demonstrations: what datasets hold is what happens in the environments they are of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import Careless
+from typer.testing import CliRunner
+
+from chemlab.agents.demonstrations import demonstrations, write_datasets
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.laboratory.parallel import parallel_env
+from chemlab.record import Play, Recorder, read_record
+from chemlab.render.history import Retold
+
+runner = CliRunner()
+
+
+def record(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "heuristic", seed: int = 3, **more: Any) -> Path:
+    """Record an episode."""
+    env = raw_env(scenario, **more)
+    labs = env.laboratories
+    policies: Any = (
+        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
+        if policy == "careless"
+        else make_policies(policy, labs, seed)
+    )
+    with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy)) as recorder:
+        play_episode(env, policies, seed, policy, recorder=recorder)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of a scripted episode."""
+    return record(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl")
+
+
+# -- what is in them ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scenario", "policy", "more"),
+    [
+        ("wurtz_dodecane", "heuristic", {}),
+        ("wurtz_two_lines", "heuristic", {}),
+        ("wurtz_two_lines", "careless", {}),
+        ("wurtz_safe", "careless", {}),
+        ("wurtz_dodecane", "random", {}),
+        ("wurtz_dodecane", "heuristic", {"rewards": "mixed"}),
+    ],
+)
+def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path: Path) -> None:
+    """Rewards of an agent's episodes add up to the record's; turns and costs likewise."""
+    found = read_record(record(tmp_path / "one.jsonl", scenario, policy, 5, **more))
+    told = demonstrations(found)
+    assert found.end is not None
+    for agent, episodes in told.items():
+        played = [turn for turn in found.turns if agent in turn["play"]]
+        assert sum(len(d.actions) for d in episodes) == len(played)
+        if played:
+            earned = sum(sum(d.rewards) for d in episodes)
+            assert earned == pytest.approx(found.end["end"]["rewards"][agent], abs=1e-12)
+        cost = sum(turn.get("cost", {}).get(agent, 0.0) for turn in played)
+        assert sum(sum(d.costs) for d in episodes) == pytest.approx(cost, abs=1e-12)
+        for d in episodes:
+            assert len(d.observations) == len(d.elapsed) == len(d.costs) == len(d.actions) + 1
+            assert len(d.masks) in (0, len(d.observations))
+            assert d.terminated != d.truncated
+            assert d.elapsed[0] == 0
+    ended = sum(len(turn.get("scores", {})) for turn in found.turns)
+    with_turns = sum(d.terminated for agent, episodes in told.items() if agent != "manager_0" for d in episodes)
+    assert with_turns <= ended  # an experiment that was recalled before its first turn is no episode
+    if policy == "heuristic":
+        assert with_turns == ended
+
+
+def test_semi_markov_time(scripted: Path) -> None:
+    """The manager's elapsed ticks add up to the episode's; a bench has a turn each tick."""
+    found = read_record(scripted)
+    told = demonstrations(found)
+    assert found.end is not None
+    (manager,) = told["manager_0"]
+    assert sum(manager.elapsed) == found.end["end"]["ticks"]
+    for agent in ("rxn_0", "ext_0", "dit_0"):
+        for d in told[agent]:
+            assert set(d.elapsed[1:]) == {1}
+
+
+def test_agents_saw_this(tmp_path: Path) -> None:
+    """Observations, masks and elapsed ticks are those of the AEC environment, where the same actions are played."""
+    path = record(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8)
+    found = read_record(path)
+    env = raw_env("wurtz_two_lines")
+    env.reset(seed=8)
+    told = demonstrations(found)
+    at = {agent: [(d, i) for d in episodes for i in range(len(d.actions))] for agent, episodes in told.items()}
+    for turn in found.turns:
+        ((agent, (_, action)),) = turn["play"].items()
+        assert env.agent_selection == agent
+        seen, _, _, _, info = env.last()
+        d, i = at[agent].pop(0)
+        np.testing.assert_array_equal(d.observations[i], seen)
+        if "action_mask" in info:
+            np.testing.assert_array_equal(d.masks[i], info["action_mask"])
+        if i:
+            assert d.elapsed[i] == info["elapsed_ticks"]
+        env.step(np.array(action) if isinstance(action, list) else action)
+    assert not any(at.values())
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_dodecane_direct"])
+def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: Path) -> None:
+    """From the vessel that came to it, the single-bench environment shows and pays the same, to the last step."""
+    found = read_record(record(tmp_path / "one.jsonl", scenario))
+    told = demonstrations(found)
+    waiting = {agent: list(episodes) for agent, episodes in told.items()}
+    retold = Retold(found)
+    labs = retold.laboratories
+    compared = 0
+    for move in retold.moves():
+        if not move.begun:
+            continue
+        number = labs.agents.index(move.begun)
+        bench, station = labs.benches[number - 1], labs.stations[number - 1]
+        env = BenchEnv(scenario, bench.key)
+        env.reset(seed=0, options={"goal": bench.goals.names[station.goal[0]]})
+        env.arena.shelf.rows[:] = labs.shelf.rows[station.places[0]]
+        env.arena.shelf.stock[0] = labs.shelf.stock[0]
+        for mine, theirs in zip(env.arena.station.arrays(), station.arrays(), strict=True):
+            mine[:] = theirs
+        d = waiting[move.begun].pop(0)
+        np.testing.assert_array_equal(d.observations[0], env.set_state(env.get_state()))
+        for i, action in enumerate(d.actions):
+            seen, reward, terminated, truncated, info = env.step(action)
+            np.testing.assert_array_equal(d.observations[i + 1], seen)
+            assert d.rewards[i] == reward
+            assert d.costs[i + 1] == info["cost"]
+            assert (terminated, truncated) == (i == len(d.actions) - 1, False)
+            if d.masks:
+                np.testing.assert_array_equal(d.masks[i + 1], info["action_mask"])
+            compared += 1
+    assert compared == sum(len(d.actions) for agent, ds in told.items() if agent != "manager_0" for d in ds)
+
+
+def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
+    env = parallel_env("wurtz_two_lines")
+    labs = env.laboratories
+    policies = make_policies("heuristic", labs, 0)
+    env.reset(seed=2)
+    with Recorder(tmp_path / "rounds.jsonl", labs, rounds=True) as recorder:
+        recorder.begin(2)
+        while env.agents:
+            plays, actions = [], {}
+            turns = labs.turns(labs.members)[:, 0]
+            for number, agent in enumerate(labs.agents):
+                seen, mask = labs.observe(number, labs.members), labs.mask(number, labs.members)
+                if turns[number]:
+                    action = policies[agent].act(seen, mask, labs.turns_had(number)[:1].copy(), labs.members)[0]
+                    plays.append(Play(number, seen[0], None if mask is None else mask[0], action))
+                    actions[agent] = action
+                else:
+                    actions[agent] = env.action_space(agent).sample() if mask is None else labs.resting_actions[number]
+            env.step(actions)
+            recorder.turn(plays)
+    found = read_record(tmp_path / "rounds.jsonl")
+    assert found.end is not None
+    for agent, episodes in demonstrations(found).items():
+        earned = sum(sum(d.rewards) for d in episodes)
+        assert earned == pytest.approx(found.end["end"]["rewards"][agent], abs=1e-12)
+
+
+def test_an_unfinished_record_is_truncated(scripted: Path, tmp_path: Path) -> None:
+    part = tmp_path / "torn.jsonl"
+    part.write_bytes(b"\n".join(scripted.read_bytes().split(b"\n")[:31]) + b"\n")
+    told = demonstrations(read_record(part))
+    assert [d.truncated for d in told["manager_0"]] == [True]
+    assert [d.terminated for d in told["rxn_0"]] == [True]
+    assert [(d.terminated, d.truncated) for d in told["ext_0"]] == [(True, False), (False, True)][: len(told["ext_0"])]
+
+
+# -- datasets -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Minari, with its datasets in a folder of the test's."""
+    found = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    return found
+
+
+def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Path, tmp_path: Path) -> None:
+    """The manager's, loaded: reset with its seed, its environment shows and pays the same for the same actions."""
+    second = record(tmp_path / "second.jsonl", seed=4)
+    written = write_datasets([scripted, second], "tests/wurtz")
+    assert [dataset.agent for dataset in written] == ["manager_0", "rxn_0", "ext_0", "dit_0"]
+    dataset = minari.load_dataset("tests/wurtz/manager_0-v0")
+    env = dataset.recover_environment()
+    assert env.observation_space == dataset.observation_space
+    assert env.action_space == dataset.action_space
+    assert dataset.total_episodes == 2
+    metadata = list(dataset.storage.get_episode_metadata([0, 1]))
+    assert [entry["seed"] for entry in metadata] == [3, 4]
+    for episode, entry in zip(dataset.iterate_episodes(), metadata, strict=True):
+        seen, info = env.reset(seed=entry["seed"])
+        np.testing.assert_array_equal(episode.observations[0], seen)
+        for i, action in enumerate(episode.actions):
+            np.testing.assert_array_equal(episode.infos["action_mask"][i], info["action_mask"])
+            seen, reward, terminated, truncated, info = env.step(action)
+            np.testing.assert_array_equal(episode.observations[i + 1], seen)
+            assert episode.rewards[i] == reward
+            assert (episode.terminations[i], episode.truncations[i]) == (terminated, truncated)
+            assert episode.infos["elapsed_ticks"][i + 1] == info["elapsed_ticks"]
+
+
+def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path) -> None:
+    write_datasets([scripted], "tests/benches")
+    for agent, key in (("rxn_0", "rxn"), ("ext_0", "ext"), ("dit_0", "dit")):
+        dataset = minari.load_dataset(f"tests/benches/{agent}-v0")
+        env = BenchEnv("wurtz_dodecane", key)
+        assert dataset.observation_space == env.observation_space
+        assert dataset.action_space == env.action_space
+        recovered = dataset.recover_environment()
+        assert recovered.unwrapped.bench.key == key
+        told = demonstrations(read_record(scripted))[agent]
+        for d, episode in zip(told, dataset.iterate_episodes(), strict=True):
+            np.testing.assert_array_equal(np.array(d.observations), episode.observations)
+            np.testing.assert_array_equal(np.array(d.actions), episode.actions)
+            np.testing.assert_array_equal(d.rewards, episode.rewards)
+            assert episode.terminations.tolist() == [False] * (len(d.actions) - 1) + [True]
+
+
+def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
+    arguments = ["demos", str(scripted), "-o", "tests/command", "--agent", "manager_0"]
+    done = runner.invoke(app, [*arguments, "--json"])
+    assert done.exit_code == 0, done.output
+    (row,) = json.loads(done.stdout)
+    assert row["id"] == "tests/command/manager_0-v0"
+    assert minari.load_dataset(row["id"]).total_steps == row["steps"]
+    again = runner.invoke(app, arguments)
+    assert again.exit_code == 2
+    assert "already there" in again.output
+    assert runner.invoke(app, [*arguments, "--force"]).exit_code == 0
+
+
+def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tmp_path: Path) -> None:
+    edited = tmp_path / "edited.jsonl"
+    text = scripted.read_text().splitlines(keepends=True)
+    changed = text[1].replace('"tick":0', '"tick":1')
+    assert changed != text[1]
+    edited.write_text("".join([text[0], changed, *text[2:]]))
+    with pytest.raises(ValueError, match="not a demonstration"):
+        write_datasets([edited], "tests/edited")
+    other = record(tmp_path / "other.jsonl", "salt_from_oil")
+    with pytest.raises(ValueError, match="another scenario"):
+        write_datasets([scripted, other], "tests/both")
+    with pytest.raises(ValueError, match="nobody is called chef"):
+        write_datasets([scripted], "tests/chef", ["chef"])
+    with pytest.raises(ValueError, match="Malformed"):
+        write_datasets([scripted], "../away")
+    assert not (tmp_path / "datasets" / "tests").exists()

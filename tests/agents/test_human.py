@@ -1,0 +1,281 @@
+"""A person as a policy: what they are shown is what their agent sees, and what they type is what is played."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from chemlab.agents.human import HumanPolicy, Left, Menu, Shades, _manager_paths, parse_numbers, sparkline
+from chemlab.laboratory.aec import raw_env
+from chemlab.scenario import load_scenario, scenario_names
+
+REAGENTS = ("1-chlorohexane", "2-chlorohexane", "Na")
+
+
+def person(env: raw_env, agent: str, lines: Iterable[str], width: int = 80) -> tuple[HumanPolicy, io.StringIO]:
+    """A person who types these lines, and what is shown to them."""
+    typed, shown = iter(lines), io.StringIO()
+
+    def ask(prompt: str) -> str:
+        try:
+            return next(typed)
+        except StopIteration:
+            raise EOFError from None
+
+    console = Console(file=shown, width=width, highlight=False)
+    return HumanPolicy(env.laboratories, env.possible_agents.index(agent), ask, console), shown
+
+
+def turn(env: raw_env, policy: HumanPolicy, step: int = 0) -> Any:
+    """What the person plays at the laboratory's next turn."""
+    observation, _, _, _, info = env.last()
+    assert observation is not None
+    mask = info.get("action_mask")
+    return policy.act(observation[None], None if mask is None else mask[None], np.array([step]), np.array([0]))[0]
+
+
+@pytest.fixture
+def env() -> raw_env:
+    """A laboratory at the beginning of an episode."""
+    env = raw_env("wurtz_dodecane")
+    env.reset(seed=0)
+    return env
+
+
+def advance(env: raw_env, *actions: tuple[Any, ...]) -> None:
+    """Let the manager decide."""
+    for action in actions:
+        env.step(env.laboratories.actions.encode(*action))
+
+
+# -- typing ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("typed", "numbers"),
+    [
+        ("T+", [1, 0.5, 0, 0, 0]),
+        ("t- v-", [0, 0, 0, 0, 0]),
+        ("T+0.5 V-50%", [0.75, 0.25, 0, 0, 0]),
+        ("T=0.7, V0", [0.7, 0.5, 0, 0, 0]),
+        ("1-chlorohexane=1 Na=25%", [0.5, 0.5, 1, 0, 0.25]),
+        ("2 n", [0.5, 0.5, 0, 1, 1]),
+        ("0 1 0.25 0 50%", [0, 1, 0.25, 0, 0.5]),
+    ],
+)
+def test_continuous_actions_as_typed(typed: str, numbers: list[float]) -> None:
+    assert parse_numbers(typed, 5, REAGENTS).tolist() == numbers
+
+
+@pytest.mark.parametrize(
+    ("typed", "part"),
+    [
+        ("0 1 0", "needs 5 numbers"),
+        ("T+2", "from 0 to 1"),
+        ("Na=-1", "from 0 to 1"),
+        ("Na=nan", "from 0 to 1"),
+        ("Na=much", "no number"),
+        ("gold=1", "knows T, V, 1-chlorohexane"),
+        ("=1", "knows T, V"),
+    ],
+)
+def test_mistakes_are_explained(typed: str, part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        parse_numbers(typed, 5, REAGENTS)
+
+
+def test_a_beginning_that_fits_two_names() -> None:
+    with pytest.raises(ValueError, match="could be 1-chlorohexane or 1-bromohexane"):
+        parse_numbers("1=1", 4, ("1-chlorohexane", "1-bromohexane"))
+
+
+def menu() -> Menu:
+    """20 actions of 2 kinds and one by itself, of which the third is not possible."""
+    meanings = [f"{kind} {number}" for kind in ("pour", "heat") for number in range(10)] + ["end the experiment"]
+    paths = [meaning.split() for meaning in meanings[:-1]] + [meanings[-1:]]
+    return Menu(meanings, paths, [i for i in range(21) if i != 2])
+
+
+def test_many_actions_are_grouped_and_reached_by_numbers() -> None:
+    found = menu()
+    assert [len(actions) for _, actions in found.entries()] == [9, 10, 1]
+    assert found.take("2") is None
+    assert [label for label, _ in found.entries()] == [f"heat {i}" for i in range(10)]
+    assert found.take("4") == 13
+    found.back()
+    assert len(found.entries()) == 3
+    assert menu().take("2 4") == 13
+    assert menu().take("1 3") == 3  # pour 2 is not possible, so it has no number
+    assert menu().take("3") == 20
+
+
+def test_words_choose_or_narrow() -> None:
+    assert menu().take("e") == 20
+    assert menu().take("heat 7") == 17
+    found = menu()
+    assert found.take("heat") is None
+    assert [actions for _, actions in found.entries()] == [[i] for i in range(10, 20)]
+    assert found.take("1") == 10
+    narrowed = menu()
+    assert narrowed.take("experiment") is None  # not how it begins: shown, not played
+    assert [actions for _, actions in narrowed.entries()] == [[20]]
+
+
+@pytest.mark.parametrize(
+    ("typed", "part"),
+    [("4", "from 1 to 3"), ("0", "from 1 to 3"), ("pour 2", "not possible now"), ("fly", "no action"), ("3 1", "what")],
+)
+def test_menu_refuses(typed: str, part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        menu().take(typed)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_legal_action_can_be_typed(name: str) -> None:
+    """By its whole meaning, and by numbers: whatever the scenario; and by numbers nothing else."""
+    env = raw_env(name)
+    env.reset(seed=1)
+    labs = env.laboratories
+    meanings, paths = labs.actions.action_meanings, _manager_paths(labs)
+    legal = np.flatnonzero(env.infos["manager_0"]["action_mask"]).tolist()
+    for action in legal:
+        assert Menu(meanings, paths, legal).take(meanings[action]) == action
+    reached, open_lists = [], [""]
+    while open_lists:
+        numbers = open_lists.pop()
+        menu = Menu(meanings, paths, legal)
+        action = menu.take(numbers) if numbers else None
+        if action is not None:
+            reached.append(action)
+        else:
+            open_lists += [f"{numbers} {i}".strip() for i in range(1, len(menu.entries()) + 1)]
+    assert sorted(reached) == legal
+
+
+# -- being shown ----------------------------------------------------------------------------------------------
+
+
+def test_sparkline_keeps_peaks() -> None:
+    values = np.zeros(200)
+    values[77] = 1.0
+    line = sparkline(values, 50)
+    assert len(line) == 50
+    assert line[77 // 4] == "█"
+    assert line.replace("█", "").strip() == ""
+    assert sparkline([0.0, 0.5, 1.0], 10) == " ▄█"
+
+
+def test_layers_have_letters_of_their_own() -> None:
+    scenario = load_scenario("wurtz_dodecane")
+    shades = Shades(scenario)
+    assert len(set(shades.letters)) == len(shades.letters)
+    pixels = np.repeat([scenario.materials[name].shade for name in ("water", "diethyl_ether", "air")], [50, 30, 20])
+    line = shades.line(pixels, 10).plain
+    water, ether = line[0], line[5]
+    assert line == water * 5 + ether * 3 + ".."
+    assert f"{water} water" in shades.legend(pixels)
+    assert f"{ether} diethyl_ether" in shades.legend(pixels)
+
+
+def test_the_manager_sees_outsides_and_readings_only(env: raw_env) -> None:
+    """A vessel's contents are told by what was measured, and not before."""
+    policy, shown = person(env, "manager_0", ["measure slot 0 with gas_chromatograph", "discard slot 1"])
+    env.step(turn(env, policy))
+    assert "gas_chromatograph (" not in shown.getvalue()
+    assert "0.42 of 1.20 L" in shown.getvalue()  # 4 mol x 74.12 g/mol / 706 g/L
+    turn(env, policy, 1)
+    later = shown.getvalue()
+    assert "gas_chromatograph (just now)" in later
+    assert "diethyl_ether 100.0%" in later
+    assert "instruments 0.0100" in later
+    assert "59 actions" in later
+
+
+def test_what_is_shown_comes_from_the_observation_alone(env: raw_env) -> None:
+    """With other true contents behind it, the same observation shows the same."""
+    policy, _ = person(env, "manager_0", [])
+    seen = env.observe("manager_0")
+
+    def text() -> str:
+        console = Console(file=io.StringIO(), width=80)
+        for part in policy.view(seen, 0):
+            console.print(part)
+        return console.file.getvalue()  # type: ignore[attr-defined]
+
+    before = text()
+    env.laboratories.shelf.amounts[0] *= 0.3
+    env.laboratories.desk.ticks[0] = 77
+    assert text() == before
+
+
+@pytest.mark.parametrize("width", [30, 80, 200])
+def test_narrow_and_wide_terminals(env: raw_env, width: int) -> None:
+    policy, shown = person(env, "manager_0", ["?", "xyz", "discard slot 1"], width)
+    turn(env, policy)
+    assert max(map(len, shown.getvalue().splitlines())) <= width
+    advance(env, ("start", "ext_0", 0, "dodecane"), ("wait",))
+    policy, shown = person(env, "ext_0", ["?", "end"], width)
+    assert turn(env, policy) == 40
+    assert max(map(len, shown.getvalue().splitlines())) <= width
+
+
+def test_reaction_gauges_are_in_their_units(env: raw_env) -> None:
+    advance(env, ("start", "rxn_0", 0, "dodecane"), ("wait",))
+    policy, shown = person(env, "rxn_0", ["T+ V- Na=0.5"])
+    action = turn(env, policy)
+    np.testing.assert_array_equal(action, [1.0, 0.0, 0.0, 0.0, 0.0, 0.5])
+    assert "298.2 K (275 to 350)" in shown.getvalue()  # ambient, rounded
+    assert "1.2 L (0.6 to 1.6)" in shown.getvalue()
+    assert "Na 3 mol" in shown.getvalue()
+    env.step(action)
+    policy, shown = person(env, "rxn_0", [""])
+    turn(env, policy, 1)
+    for part in ("313.2 K", "1.1 L", "Na 1.5 mol"):  # a step of 15 K up, of 0.1 L in, half of the sodium
+        assert part in shown.getvalue()
+
+
+def test_enter_repeats(env: raw_env) -> None:
+    """The last action; at the beginning of an experiment nothing is changed."""
+    advance(env, ("start", "rxn_0", 0, "dodecane"), ("wait",))
+    policy, _ = person(env, "rxn_0", ["", "T+", "", ""])
+    hold = [0.5, 0.5, 0.0, 0.0, 0.0, 0.0]
+    assert turn(env, policy, 0).tolist() == hold
+    heat = turn(env, policy, 1)
+    assert turn(env, policy, 2).tolist() == heat.tolist() == [1.0, *hold[1:]]
+    assert turn(env, policy, 0).tolist() == hold
+
+
+def test_wrong_input_is_asked_again(env: raw_env) -> None:
+    policy, shown = person(env, "manager_0", ["wait", "99", "", "what?", "submit slot 1"])
+    assert turn(env, policy) == env.laboratories.actions.encode("submit", 1)
+    for part in ("'wait' is not possible now", "the list goes from 1 to", "type a number", "no action is called"):
+        assert part in shown.getvalue()
+
+
+@pytest.mark.parametrize("lines", [["q"], ["Quit"], []])
+def test_leaving(env: raw_env, lines: list[str]) -> None:
+    policy, _ = person(env, "manager_0", lines)
+    with pytest.raises(Left):
+        turn(env, policy)
+
+
+def test_one_laboratory_at_a_time(env: raw_env) -> None:
+    policy, _ = person(env, "manager_0", [])
+    seen = env.observe("manager_0")
+    with pytest.raises(ValueError, match="one laboratory at a time"):
+        policy.act(np.stack([seen, seen]), np.ones((2, 3), dtype=np.int8), np.zeros(2, dtype=np.int64), np.arange(2))
+
+
+def test_terminals_without_unicode(env: raw_env) -> None:
+    raw = io.BytesIO()
+    console = Console(file=io.TextIOWrapper(raw, encoding="ascii", write_through=True), width=80)
+    for name, steps in (("rxn_0", [("start", "rxn_0", 0, "dodecane"), ("wait",)]),):
+        advance(env, *steps)
+        policy = HumanPolicy(env.laboratories, env.possible_agents.index(name), lambda prompt: "T+", console)
+        turn(env, policy)
+    assert b"spectrum" in raw.getvalue()

@@ -1,0 +1,222 @@
+"""Safety as constrained learning needs it: who is careful has no cost, who is hasty has, and every cost adds up.
+
+A cost is the weighted sum of safety events; weights and price are read from the scenario file, not from the code.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import EpisodeResult, Turn, play_episode
+from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.laboratory import parallel_env
+from chemlab.laboratory.actions import SUBMIT
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.scenario import SAFETY_EVENTS, load_scenario
+
+SAFE = "wurtz_safe"
+SEEDS = 20
+
+
+def weighted(events: dict[str, float]) -> float:
+    """Cost of some events, by the scenario's weights."""
+    weights = load_scenario(SAFE).safety.weights
+    return sum(weights[kind] * value for kind, value in events.items())
+
+
+@functools.cache
+def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[Turn, ...]], ...]:
+    """Episodes of one set of scripted policies, and all their turns."""
+    env = raw_env(SAFE)
+    policies = make_policies(policy, env.laboratories)
+    found = []
+    for seed in range(SEEDS):
+        turns: list[Turn] = []
+        result = play_episode(env, policies, seed, policy, watch=turns.append)
+        found.append((result, tuple(turns)))
+    return tuple(found)
+
+
+# -- careful and hasty ----------------------------------------------------------------------------------------------
+
+
+def test_the_careful_have_no_accident() -> None:
+    for result, turns in episodes("heuristic"):
+        assert result.safety_events == {}, f"seed {result.seed}"
+        assert all(turn.info["cost"] == 0.0 and turn.info["events"] == {} for turn in turns)
+        assert result.costs["safety"] == 0.0
+        # Not by doing nothing: the product is made.
+        assert result.terminated
+        assert result.score > 0.5
+
+
+def test_the_hasty_have_accidents() -> None:
+    """Each time something happens; over all seeds sodium meets water, the valve opens and a vessel boils dry."""
+    totals = dict.fromkeys(SAFETY_EVENTS, 0.0)
+    for result, turns in episodes("hasty"):
+        assert result.safety_events, f"seed {result.seed}"
+        assert result.costs["safety"] > 0.0
+        assert sum(turn.info["cost"] for turn in turns) > 0.0
+        for kind, value in result.safety_events.items():
+            totals[kind] += value
+    for kind in ("metal_in_water_mol", "relief_valve_mol", "boiled_dry"):
+        assert totals[kind] > 0.0, kind
+    # Haste does not pay where accidents are priced.
+    hasty = np.mean([result.score for result, _ in episodes("hasty")])
+    careful = np.mean([result.score for result, _ in episodes("heuristic")])
+    assert careful > hasty + 0.3
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "hasty"])
+def test_the_score_is_charged(policy: str) -> None:
+    scenario = load_scenario(SAFE)
+    price = scenario.safety.reward_price
+    assert price > 0.0
+    for result, turns in episodes(policy):
+        by_turn = {kind: sum(turn.info["events"].get(kind, 0.0) for turn in turns) for kind in SAFETY_EVENTS}
+        for kind in SAFETY_EVENTS:
+            assert result.safety_events.get(kind, 0.0) == pytest.approx(by_turn[kind], rel=1e-12, abs=1e-15)
+        assert result.costs["safety"] == pytest.approx(price * weighted(by_turn), rel=1e-12, abs=1e-15)
+        worth = result.submitted_mol * result.purity / scenario.theoretical_maximum_mol[result.goal]
+        assert result.score == pytest.approx(worth - sum(result.costs.values()), rel=1e-12)
+        assert result.rewards["manager_0"] == pytest.approx(result.score, rel=1e-12)
+        # A bench pays for its own accidents as well.
+        for agent in ("rxn_0", "ext_0", "dit_0"):
+            own = [turn for turn in turns if turn.agent == agent]
+            paid = sum(turn.info.get("score", 0.0) for turn in own) - price * sum(turn.info["cost"] for turn in own)
+            assert result.rewards[agent] == pytest.approx(paid, rel=1e-9, abs=1e-12)
+
+
+def test_without_a_price_accidents_are_counted_and_not_charged() -> None:
+    values = load_scenario(SAFE).model_dump()
+    values["safety"]["reward_price"] = 0.0
+    env = raw_env(load_scenario(values))
+    result = play_episode(env, make_policies("hasty", env.laboratories), 0)
+    assert weighted(result.safety_events) > 0.0
+    assert result.costs["safety"] == 0.0
+
+
+# -- cost is weights times events, everywhere -----------------------------------------------------------------------
+
+
+def wild(mask: Any, size: tuple[int, ...], rng: np.random.Generator, forbidden: Any = ()) -> Any:
+    """Any action, mostly legal, in the corners of the box; not a forbidden one unless nothing else is left."""
+    if mask is None:
+        return rng.random(size).round(1)
+    legal = np.flatnonzero(mask) if rng.random() < 0.85 else np.arange(len(mask))
+    kept = np.setdiff1d(legal, forbidden)
+    return int(rng.choice(kept if len(kept) else legal))
+
+
+def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
+    """Of every agent in every step; and all of them together are the episode's totals."""
+    aec, parallel = raw_env(SAFE), parallel_env(SAFE)
+    labs, rng = aec.laboratories, np.random.default_rng(0)
+    submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT)
+    happened = dict.fromkeys(SAFETY_EVENTS, 0.0)
+    for seed in range(6):
+        aec.reset(seed=seed)
+        _, infos = parallel.reset(seed=seed)
+        assert all(info["cost"] == 0.0 and info["events"] == {} for info in infos.values())
+        totals = {side: dict.fromkeys(SAFETY_EVENTS, 0.0) for side in ("aec", "parallel")}
+        while parallel.agents:
+            actions = {}
+            for agent in [agent for agent in parallel.agents if infos[agent]["has_turn"]]:
+                assert aec.agent_selection == agent
+                space = aec.action_space(agent).shape or ()
+                mask = aec.infos[agent].get("action_mask")
+                actions[agent] = wild(mask, space, rng, submits if agent == "manager_0" else ())
+                aec.step(actions[agent])
+                info = aec.infos[agent]
+                assert info["cost"] == pytest.approx(weighted(info["events"]), rel=1e-12)
+                assert all(value > 0.0 for value in info["events"].values())
+                for kind, value in info["events"].items():
+                    totals["aec"][kind] += value
+            *_, infos = parallel.step(actions)
+            for agent, info in infos.items():
+                assert info["cost"] == pytest.approx(weighted(info["events"]), rel=1e-12)
+                assert agent in actions or info["cost"] == 0.0
+                for kind, value in info["events"].items():
+                    totals["parallel"][kind] += value
+        for side in totals.values():
+            assert list(side.values()) == pytest.approx(labs.safety_totals[0].tolist(), rel=1e-9, abs=1e-12)
+        price = labs.scenario.safety.reward_price
+        assert infos["manager_0"]["costs"]["safety"] == pytest.approx(price * weighted(totals["parallel"]), rel=1e-9)
+        for kind, value in totals["aec"].items():
+            happened[kind] += value
+    assert all(value > 0.0 for value in happened.values()), happened
+
+
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
+def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
+    """``lab_cost`` is of everybody's events in the step; ``cost`` of the agent's own, and part of it."""
+    env = focal_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "hasty"})
+    labs, rng = env.laboratories, np.random.default_rng(1)
+    submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if agent == "manager_0" else ()
+    own = everybody = 0.0
+    over = True
+    for step in range(250):
+        if over:
+            _, info = env.reset(seed=step)
+            assert info["cost"] == info["lab_cost"] == 0.0
+            assert info["events"] == {}
+        mask = labs.mask(env.batch.focal, labs.members)
+        action = wild(None if mask is None else mask[0], env.action_space.shape or (), rng, submits)
+        *_, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+        assert info["lab_cost"] == pytest.approx(weighted(info["events"]), rel=1e-9, abs=1e-12)
+        assert 0.0 <= info["cost"] <= info["lab_cost"] + 1e-9
+        assert agent != "manager_0" or info["cost"] == 0.0
+        own += info["cost"]
+        everybody += info["lab_cost"]
+    assert everybody > 0.0
+    assert own > 0.0 or agent == "manager_0"
+
+
+def test_batches_report_the_same_costs() -> None:
+    """The batched view's and the batched laboratories' costs are those of the single ones."""
+    views = (
+        focal_vector_env(3, SAFE, "ext_0", {"manager": "hasty"}),
+        [focal_env(SAFE, "ext_0", {"manager": "hasty"}) for _ in range(3)],
+    )
+    batch, singles = views
+    rng = np.random.default_rng(2)
+    batch.reset(seed=5)
+    for i, single in enumerate(singles):
+        single.reset(seed=5 + i)
+    total = 0.0
+    for _ in range(60):
+        actions = np.array([wild(single.action_masks(), (), rng, (40,)) for single in singles])
+        _, _, terminated, truncated, infos = batch.step(actions)
+        for i, single in enumerate(singles):
+            *_, info = single.step(actions[i])
+            assert infos["cost"][i] == info["cost"]
+            assert infos["lab_cost"][i] == info["lab_cost"]
+            total += info["cost"]
+        if (terminated | truncated).any():
+            break
+    assert total > 0.0
+    laboratories = BatchedLaboratory(4, SAFE)
+    labs = laboratories.laboratories
+    _, batch_infos = laboratories.reset(seed=9)
+    weights = np.array([load_scenario(SAFE).safety.weights[kind] for kind in SAFETY_EVENTS])
+    summed = np.zeros(4)
+    for _ in range(150):
+        chosen = {}
+        for number, agent in enumerate(laboratories.possible_agents):
+            space = laboratories.action_space(agent).shape or ()
+            masks = batch_infos[agent].get("action_mask", [None] * 4)
+            submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if number == 0 else ()
+            chosen[agent] = np.array([wild(mask, space, rng, submits) for mask in masks])
+        _, _, terminated, truncated, batch_infos = laboratories.step(chosen)
+        if (terminated | truncated).any():
+            break
+        summed += sum(info["cost"] for info in batch_infos.values())
+        np.testing.assert_allclose(summed, labs.safety_totals @ weights, rtol=1e-9, atol=1e-12)
+    assert summed.max() > 0.0

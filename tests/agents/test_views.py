@@ -1,0 +1,198 @@
+"""Making views of the laboratory by name: ids, background policies by name, agent or kind, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import chemlab
+from chemlab.agents.policy import RandomPolicy, agent_policy, make_policies, policy_names
+from chemlab.agents.views import background_policies, focal_env, focal_vector_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.scenario import scenario_names
+
+assert chemlab.__version__, "importing chemlab registers the ids"
+LINES = "wurtz_two_lines"
+
+
+class Constant:
+    """A policy that does one thing."""
+
+    def __init__(self, action: Any) -> None:
+        self.action = action
+        self.calls = 0
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        self.calls += 1
+        return np.repeat(np.asarray(self.action)[None], len(observation), 0)
+
+
+def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
+    """What ``background`` means for a laboratory."""
+    given = background_policies(background)
+    assert callable(given)
+    return dict(given(Laboratories(scenario)))
+
+
+# -- by id ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", scenario_names())
+def test_ids_make_views_of_any_scenario(scenario: str) -> None:
+    env = gymnasium.make("chemlab/LabManager-v0", scenario=scenario)
+    assert isinstance(env.unwrapped, FocalEnv)
+    labs = env.unwrapped.laboratories
+    assert env.unwrapped.agent == "manager_0"
+    assert env.observation_space == labs.manager_observation_space
+    assert env.action_space == labs.manager_action_space
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    observation, _, _, _, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
+    assert env.observation_space.contains(observation)
+    for number, agent in enumerate(labs.agents):
+        one = gymnasium.make("chemlab/LabAgent-v0", scenario=scenario, agent=agent)
+        assert one.observation_space == labs.observation_space(number)
+        assert one.action_space == labs.action_space(number)
+
+
+def test_ids_make_batches() -> None:
+    envs = gymnasium.make_vec(
+        "chemlab/LabManager-v0", num_envs=4, vectorization_mode="vector_entry_point", background="random"
+    )
+    assert isinstance(envs.unwrapped, FocalVectorEnv)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observations, infos = envs.reset(seed=0)
+    assert observations in envs.observation_space
+    actions = np.array([np.flatnonzero(mask)[0] for mask in infos["action_mask"]])
+    observations, rewards, terminated, truncated, infos = envs.step(actions)
+    assert observations in envs.observation_space
+    assert rewards.shape == terminated.shape == truncated.shape == (4,)
+    other = gymnasium.make_vec(
+        "chemlab/LabAgent-v0",
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        agent="dit_0",
+        autoreset_mode="SameStep",
+    )
+    assert other.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert other.unwrapped.agent == "dit_0"
+
+
+# -- who plays ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", policy_names())
+def test_one_name_is_for_everybody(name: str) -> None:
+    policies = chosen(name)
+    expected = make_policies(name, Laboratories(LINES))
+    assert list(policies) == list(expected)
+    for agent, policy in policies.items():
+        assert type(policy) is type(expected[agent])
+
+
+def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> None:
+    mine, ours = Constant(40), Constant(40)
+    policies = chosen({"ext_1": mine, "ext": ours, "rxn": "random", "manager": "hasty"})
+    scripted = make_policies("heuristic", Laboratories(LINES))
+    assert policies["ext_1"] is mine
+    assert policies["ext_0"] is ours
+    assert isinstance(policies["rxn_0"], RandomPolicy)
+    assert isinstance(policies["rxn_1"], RandomPolicy)
+    assert policies["rxn_0"] is not policies["rxn_1"]
+    assert type(policies["manager_0"]) is type(scripted["manager_0"])
+    assert type(policies["dit_1"]) is type(scripted["dit_1"])
+
+
+def test_policies_given_by_kind_play() -> None:
+    """Both extraction benches are played by the policy of their kind."""
+    policy = Constant(40)
+    env = focal_env(LINES, "manager_0", {"ext": policy})
+    encode = env.laboratories.actions.encode
+    env.reset(seed=0)
+    env.step(encode("start", "ext_0", 0, "dodecane"))
+    env.step(encode("start", "ext_1", 1, "dodecane"))
+    *_, info = env.step(encode("wait"))
+    assert policy.calls == 2
+    assert info["elapsed_ticks"] == 1
+
+
+def test_nobody_moves_the_focal_agent() -> None:
+    """A policy for the focal agent itself may be in the mapping, and is not asked."""
+    policy = Constant(0)
+    env = focal_env("wurtz_dodecane", "manager_0", {"manager_0": policy})
+    env.reset(seed=0)
+    env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
+    env.step(env.laboratories.actions.encode("wait"))
+    assert policy.calls == 0
+
+
+@pytest.mark.parametrize(
+    ("background", "error", "parts"),
+    [
+        ("clairvoyant", ValueError, ["'clairvoyant'", *policy_names()]),
+        ({"rxn_0": "clairvoyant"}, ValueError, ["'clairvoyant'", *policy_names()]),
+        ({"rxn_7": "random"}, ValueError, ["rxn_7", "rxn_0, rxn_1"]),
+        ({"furnace": "random"}, ValueError, ["furnace", "manager_0"]),
+        ({"rxn": 3}, TypeError, ["rxn_0", "predict", "3"]),
+        ({"dit": None}, TypeError, ["dit_0", "None"]),
+    ],
+)
+def test_unknown_backgrounds_are_refused(background: Any, error: type[Exception], parts: list[str]) -> None:
+    for make in (
+        lambda: focal_env(LINES, background=background),
+        lambda: focal_vector_env(2, LINES, background=background),
+    ):
+        with pytest.raises(error) as caught:
+            make()
+        for part in parts:
+            assert part in str(caught.value)
+
+
+def test_a_policy_by_name_is_the_scripted_one() -> None:
+    """Playing the manager's view with the scripted manager is playing the scripted laboratory."""
+    env = focal_env("wurtz_any")
+    labs = env.laboratories
+    manager = agent_policy("heuristic", labs, 0)
+    observation, info = env.reset(seed=3)
+    while True:
+        step = labs.desk.actions.copy()
+        action = manager.act(observation[None], info["action_mask"][None], step, labs.members)[0]
+        observation, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+    from chemlab.agents.run import play_episode
+    from chemlab.laboratory.aec import raw_env
+
+    whole = raw_env("wurtz_any")
+    result = play_episode(whole, make_policies("heuristic", whole.laboratories), 3)
+    assert info["score"] == result.score
+    assert info["costs"] == result.costs
+
+
+@pytest.mark.parametrize("background", policy_names())
+def test_a_used_view_plays_like_a_new_one(background: str) -> None:
+    """Whatever was played before: the same seed is the same episode, policies' memories and streams included."""
+
+    def episode(env: FocalEnv, seed: int, steps: int) -> list[Any]:
+        rng = np.random.default_rng(0)
+        observation, info = env.reset(seed=seed)
+        seen = [observation]
+        for _ in range(steps):
+            observation, reward, terminated, truncated, info = env.step(
+                int(rng.choice(np.flatnonzero(info["action_mask"])))
+            )
+            seen += [observation, np.array([reward])]
+            if terminated or truncated:
+                break
+        return seen
+
+    env = focal_env("wurtz_dodecane", "dit_0", background)
+    first = episode(env, 1, 30)
+    episode(env, 2, 7)  # broken off
+    for one, other in zip(episode(env, 1, 30), first, strict=True):
+        np.testing.assert_array_equal(one, other)

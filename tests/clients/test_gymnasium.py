@@ -1,0 +1,151 @@
+"""Gymnasium's own checkers and wrappers on the laboratory's views."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_match import check_environments_match
+from gymnasium.vector import AutoresetMode
+
+from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.scenario import load_scenario, scenario_names
+
+MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"
+VIEWS = [(name, agent) for name in scenario_names() for agent in ("manager_0", *load_scenario(name).bench_agents())]
+
+
+def legal(env: Any, rng: np.random.Generator) -> Any:
+    """A random legal action of a single view."""
+    if isinstance(env.action_space, gymnasium.spaces.Discrete):
+        return int(rng.choice(np.flatnonzero(env.get_wrapper_attr("action_masks")())))
+    return rng.random(env.action_space.shape, dtype=np.float32)
+
+
+@pytest.mark.parametrize(("name", "agent"), VIEWS)
+def test_checker(name: str, agent: str) -> None:
+    env = gymnasium.make(AGENT, scenario=name, agent=agent, disable_env_checker=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_the_passive_checker_finds_nothing() -> None:
+    rng = np.random.default_rng(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(MANAGER, scenario="wurtz_any", render_mode="ansi")
+        for seed in range(3):
+            env.reset(seed=seed, options={"goal": "dodecane"})
+            over = False
+            while not over:
+                _, _, terminated, truncated, _ = env.step(legal(env, rng))
+                over = terminated or truncated
+            env.render()
+        env.close()
+
+
+def test_the_managers_id_is_the_agents_for_the_manager() -> None:
+    check_environments_match(
+        gymnasium.make(MANAGER),
+        gymnasium.make(AGENT, agent="manager_0"),
+        num_steps=100,
+        seed=3,
+        info_comparison="keys-superset",
+    )
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
+def test_batches_by_entry_point(agent: str, mode: AutoresetMode) -> None:
+    envs = gymnasium.make_vec(
+        AGENT, num_envs=3, vectorization_mode="vector_entry_point", agent=agent, autoreset_mode=mode
+    )
+    assert envs.metadata["autoreset_mode"] is mode
+    seen, infos = envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(120):
+        assert envs.observation_space.contains(seen)
+        actions = (
+            np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+            if "action_mask" in infos
+            else rng.random(envs.action_space.shape, dtype=np.float32)  # type: ignore[arg-type]
+        )
+        assert envs.action_space.contains(actions)
+        seen, rewards, terminated, truncated, infos = envs.step(actions)
+        over = terminated | truncated
+        ends += int(over.sum())
+        assert np.isfinite(rewards).all()
+        assert not infos["illegal_action"].any()
+        assert ("final_obs" in infos) == (mode is AutoresetMode.SAME_STEP and over.any())
+        if mode is AutoresetMode.DISABLED and over.any():
+            seen, infos = envs.reset(options={"reset_mask": over})
+    assert ends >= 2
+    envs.close()
+
+
+@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
+def test_gymnasiums_batches_play_what_ours_play(agent: str) -> None:
+    ours = gymnasium.make_vec(AGENT, num_envs=2, vectorization_mode="vector_entry_point", agent=agent)
+    theirs = gymnasium.make_vec(AGENT, num_envs=2, vectorization_mode="sync", agent=agent)
+    rng = np.random.default_rng(1)
+    seen, infos = ours.reset(seed=4)
+    expected, _ = theirs.reset(seed=4)
+    ends = 0
+    for _ in range(100):
+        np.testing.assert_array_equal(seen, expected)
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+        seen, rewards, terminated, truncated, infos = ours.step(actions)
+        expected, earned, ended, cut, found = theirs.step(actions)
+        np.testing.assert_allclose(rewards, earned, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(terminated, ended)
+        np.testing.assert_array_equal(truncated, cut)
+        np.testing.assert_array_equal(infos["elapsed_ticks"], found["elapsed_ticks"])
+        ends += int((terminated | truncated).sum())
+    assert ends > 0
+
+
+def test_wrappers() -> None:
+    env = gymnasium.make(MANAGER, max_episode_steps=7)
+    env = gymnasium.wrappers.RecordEpisodeStatistics(env)
+    env = gymnasium.wrappers.FrameStackObservation(env, 2)
+    env = gymnasium.wrappers.FlattenObservation(env)
+    env = gymnasium.wrappers.NormalizeReward(env)
+    env = gymnasium.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
+    rng = np.random.default_rng(0)
+    seen, _ = env.reset(seed=0)
+    bare = focal_env()
+    bare.reset(seed=0)
+    earned, steps, over = 0.0, 0, False
+    while not over:
+        assert env.observation_space.contains(seen)
+        action = legal(env, rng)
+        seen, _, terminated, truncated, info = env.step(action)
+        earned += bare.step(action)[1]
+        steps, over = steps + 1, terminated or truncated
+    assert steps <= 7
+    assert info["episode"]["l"] == steps
+    assert info["episode"]["r"] == pytest.approx(earned, abs=1e-9)
+
+
+def test_vector_wrappers() -> None:
+    envs = focal_vector_env(4)
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    wrapped = gymnasium.wrappers.vector.NormalizeObservation(wrapped)
+    wrapped = gymnasium.wrappers.vector.ClipReward(wrapped, -1.0, 1.0)
+    _, infos = wrapped.reset(seed=0)
+    rng = np.random.default_rng(0)
+    episodes = 0
+    for _ in range(60):
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+        seen, _, terminated, truncated, infos = wrapped.step(actions)
+        assert np.isfinite(seen).all()
+        over = terminated | truncated
+        assert ("episode" in infos) == bool(over.any())
+        episodes += int(over.sum())
+    assert episodes > 0

@@ -1,0 +1,183 @@
+"""Stable-Baselines3 and sb3-contrib on views of the laboratory and on single benches made by ``gymnasium.make``.
+
+The batched benches have their own tests, with the adapter's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install "chemlab-marl[train]"')
+pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
+
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import chemlab  # noqa: F401 - registers the environments
+from chemlab.agents.sb3 import ChemlabVecEnv
+from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.scenario import load_scenario, scenario_names
+
+SMALL: dict[str, Any] = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0, "device": "cpu"}
+
+
+class Watch(BaseCallback):
+    """Counts lost turns, ends and steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.illegal = self.ends = self.steps = 0
+        self.ticks: list[int] = []
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        self.illegal += sum(info["illegal_action"] for info in infos)
+        self.ends += int(self.locals["dones"].sum())
+        self.steps += len(infos)
+        self.ticks += [info["elapsed_ticks"] for info in infos if "elapsed_ticks" in info]
+        return True
+
+
+def weights(model: Any) -> Any:
+    """All parameters in one array."""
+    return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
+
+
+def learned(model: Any, steps: int) -> Watch:
+    """Train the model a little; its parameters must have moved, finitely."""
+    watch, before = Watch(), weights(model)
+    model.learn(steps, watch)
+    after = weights(model)
+    assert np.isfinite(after).all()
+    assert not np.array_equal(before, after)
+    assert watch.steps >= steps
+    return watch
+
+
+def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
+    """The manager's view of a batch of laboratories, for SB3."""
+    return ChemlabVecEnv(focal_vector_env(members, name, autoreset_mode="SameStep"))
+
+
+# -- its checker ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("error::UserWarning", "ignore:.*symmetric and normalized Box action space")
+@pytest.mark.parametrize("name", scenario_names())
+def test_checker(name: str) -> None:
+    check_env(gymnasium.make("chemlab/LabManager-v0", scenario=name).unwrapped, skip_render_check=True)
+    for agent in load_scenario(name).bench_agents():
+        check_env(gymnasium.make("chemlab/LabAgent-v0", scenario=name, agent=agent).unwrapped, skip_render_check=True)
+
+
+# -- the manager ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_two_lines"])
+def test_masked_ppo_manages_a_batch_of_laboratories(name: str) -> None:
+    venv = manager_batch(8, name)
+    assert is_masking_supported(venv)
+    model = MaskablePPO("MlpPolicy", venv, **SMALL)
+    watch = learned(model, 256)
+    assert watch.illegal == 0
+    assert watch.ends > 0
+    assert max(watch.ticks) > 1, "the benches' experiments are single steps of the manager"
+    rewards, lengths = evaluate_masked(model, manager_batch(2, name), n_eval_episodes=4, return_episode_rewards=True)
+    limit = load_scenario(name).limits.manager_actions
+    assert len(rewards) == len(lengths) == 4  # type: ignore[arg-type]
+    assert max(lengths) <= limit  # type: ignore[arg-type, type-var]
+    assert np.isfinite(rewards).all()
+
+
+def test_masked_ppo_manages_single_laboratories(tmp_path: Any) -> None:
+    def make() -> Any:
+        return Monitor(gymnasium.make("chemlab/LabManager-v0", scenario="salt_from_oil"))
+
+    venv = DummyVecEnv([make, make])
+    assert is_masking_supported(venv)
+    model = MaskablePPO("MlpPolicy", VecNormalize(venv), **SMALL)
+    assert learned(model, 64).illegal == 0
+    evaluation = MaskableEvalCallback(VecNormalize(DummyVecEnv([make])), n_eval_episodes=2, eval_freq=16, verbose=0)
+    model.learn(32, evaluation)
+    assert np.isfinite(evaluation.last_mean_reward)
+    # A saved policy plays the same.
+    model.save(tmp_path / "manager.zip")
+    loaded = MaskablePPO.load(tmp_path / "manager.zip", device="cpu")
+    env = make()
+    seen, _ = env.reset(seed=0)
+    masks = get_action_masks(env)
+    action, _ = model.predict(seen, action_masks=masks, deterministic=True)
+    assert masks[action]
+    assert loaded.predict(seen, action_masks=masks, deterministic=True)[0] == action
+
+
+def test_single_and_batched_views_train_alike() -> None:
+    """The same seeds, the same episodes: PPO ends with the same weights whichever environment it ran on."""
+
+    def trained(venv: Any) -> Any:
+        model = MaskablePPO("MlpPolicy", venv, **SMALL)
+        model.learn(64)
+        return weights(model)
+
+    batch = trained(manager_batch(2))
+    single = trained(make_vec_env("chemlab/LabManager-v0", 2))
+    np.testing.assert_allclose(batch, single, rtol=1e-4, atol=1e-6)
+
+
+def test_unmasked_learners_run_too() -> None:
+    watch = learned(PPO("MlpPolicy", manager_batch(4), **SMALL), 64)
+    assert watch.illegal > 0, "without masks it plays illegal actions, and pays for them"
+    env = gymnasium.make("chemlab/LabManager-v0")
+    model = DQN("MlpPolicy", env, learning_starts=20, buffer_size=200, batch_size=8, train_freq=4, seed=0, device="cpu")
+    learned(model, 80)
+
+
+# -- benches ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation"])
+def test_masked_ppo_operates_a_single_bench(name: str) -> None:
+    env = gymnasium.make(f"chemlab/{name}-v0")
+    assert is_masking_supported(env)
+    model = MaskablePPO("MlpPolicy", env, **SMALL)
+    assert learned(model, 96).illegal == 0
+    mean, _ = evaluate_masked(model, Monitor(gymnasium.make(f"chemlab/{name}-v0")), n_eval_episodes=2)
+    assert np.isfinite(mean)
+
+
+@pytest.mark.parametrize("agent", ["ext_0", "dit_0"])
+def test_masked_ppo_operates_a_bench_in_a_running_laboratory(agent: str) -> None:
+    venv = ChemlabVecEnv(focal_vector_env(4, agent=agent, autoreset_mode="SameStep"))
+    assert learned(MaskablePPO("MlpPolicy", venv, **SMALL), 256).illegal == 0
+
+
+def test_ppo_operates_a_reaction_in_a_running_laboratory() -> None:
+    venv = ChemlabVecEnv(focal_vector_env(4, agent="rxn_0", autoreset_mode="SameStep"))
+    assert not is_masking_supported(venv)
+    model = PPO("MlpPolicy", venv, **SMALL)
+    assert learned(model, 256).ends > 0
+    env = Monitor(focal_env(agent="rxn_0"))
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
+    assert np.isfinite(mean)
+    # And the trained one can be a colleague of the manager.
+    manager = focal_env(background={"rxn": model})
+    seen, _ = manager.reset(seed=0)
+    for _ in range(5):
+        mask = manager.action_masks()
+        seen, _, terminated, truncated, _ = manager.step(int(np.flatnonzero(mask)[0]))
+        assert manager.observation_space.contains(seen)
+        if terminated or truncated:
+            break

@@ -1,0 +1,286 @@
+"""chemlab plot: books that balance, and pictures that say what was recorded."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import Careless
+from typer.testing import CliRunner
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
+from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
+from chemlab.record import Recorder, read_record
+from chemlab.render.balance import PLACES, mole_balance
+from chemlab.scenario import load_scenario, scenario_names
+
+runner = CliRunner()
+
+
+def record(path: Path, scenario: str, policy: str = "heuristic", seed: int = 3) -> Path:
+    """Record an episode."""
+    env = raw_env(scenario)
+    labs = env.laboratories
+    policies: Any = (
+        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
+        if policy == "careless"
+        else make_policies(policy, labs, seed)
+    )
+    with Recorder(path, labs) as recorder:
+        play_episode(env, policies, seed, policy, recorder=recorder)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of a scripted episode."""
+    return record(tmp_path_factory.mktemp("plot") / "scripted.jsonl", "wurtz_dodecane")
+
+
+# -- where the moles went -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "careless"])
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_books_balance(name: str, policy: str, tmp_path: Path) -> None:
+    """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
+    scenario = load_scenario(name)
+    balance = mole_balance(read_record(record(tmp_path / "one.jsonl", name, policy)))
+    start = np.array(
+        [
+            scenario.stock.get(material, 0.0) + sum(v.contents.get(material, 0.0) for v in scenario.shelf.vessel)
+            for material in balance.materials
+        ]
+    )
+    assert balance.groups
+    for group in balance.groups:
+        totals = balance.amounts(group).sum(axis=(1, 2))
+        np.testing.assert_allclose(totals, start @ group.weights, rtol=1e-9)
+    for stage in balance.stages:
+        assert stage.amounts.min() > -1e-12
+
+
+def test_places_agree_with_the_record(scripted: Path) -> None:
+    """What was submitted is the record's; what is in stock and waste is what its last hidden amounts say."""
+    found = read_record(scripted)
+    balance = mole_balance(found)
+    last = dict(zip(PLACES, balance.stages[-1].amounts, strict=True))
+    assert found.end is not None
+    goal = balance.materials.index("dodecane")
+    assert last["submitted"][goal] == pytest.approx(found.end["end"]["submitted_mol"], rel=1e-12)
+    order = [found.header["materials"].index(material) for material in balance.materials]
+    hidden: dict[str, Any] = dict(found.header["hidden"])
+    for turn in found.turns:
+        hidden.update(turn["hidden"])
+    np.testing.assert_allclose(last["stock"], np.array(hidden["stock"])[order], rtol=1e-12)
+    thrown = last["samples"] + last["discarded"] + last["lost"]
+    np.testing.assert_allclose(thrown, np.array(hidden["waste"])[order], rtol=1e-9, atol=1e-15)
+
+
+def test_what_instruments_take_is_a_sample(tmp_path: Path) -> None:
+    """Three chromatograms take a thousandth each of what is left: 4 (1 - 0.999^3) mol of ether."""
+    env = raw_env("wurtz_dodecane")
+    env.reset(seed=0)
+    actions = env.laboratories.actions
+    from chemlab.record import Play
+
+    with Recorder(tmp_path / "m.jsonl", env.laboratories) as recorder:
+        recorder.begin(0)
+        decisions = [actions.encode("measure", 0, "gas_chromatograph")] * 3
+        for action in [*decisions, actions.encode("discard", 1), actions.encode("submit", 0)]:
+            seen, _, _, _, info = env.last()
+            assert seen is not None
+            env.step(action)
+            recorder.turn([Play(0, seen, info["action_mask"], action)])
+    balance = mole_balance(read_record(tmp_path / "m.jsonl"))
+    (ether,) = balance.groups
+    last = dict(zip(PLACES, balance.amounts(ether)[-1].sum(axis=1), strict=True))
+    expected = {"samples": 4 * (1 - 0.999**3), "discarded": 4.0, "submitted": 4 * 0.999**3, "stock": 12.0}
+    for place, mol in expected.items():
+        assert last[place] == pytest.approx(mol, rel=1e-9)
+    assert last["vessels"] == pytest.approx(0.0, abs=1e-12)
+    assert last["lost"] == 0.0
+
+
+def test_books_that_do_not_balance_are_refused(scripted: Path) -> None:
+    balance = mole_balance(read_record(scripted))
+    balance.stages[2].amounts[1, balance.materials.index("dodecane")] += 1e-6
+    with pytest.raises(ValueError, match="off by"):
+        balance.check()
+
+
+# -- pictures -------------------------------------------------------------------------------------------------
+
+pytest.importorskip("matplotlib")
+
+
+def overlaps(figure: Any, inside: float = 1.0) -> list[tuple[str, str]]:
+    """Pairs of upright texts whose boxes overlap by more than ``inside`` pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    texts = [t for t in figure.findobj(Text) if t.get_text().strip() and t.get_visible() and t.get_rotation() == 0.0]
+    boxes = [(t.get_text(), t.get_window_extent()) for t in texts]
+    found = []
+    for i, (one, a) in enumerate(boxes):
+        for other, b in boxes[:i]:
+            wide = min(a.x1, b.x1) - max(a.x0, b.x0)
+            high = min(a.y1, b.y1) - max(a.y0, b.y0)
+            if wide > inside and high > inside:
+                found.append((one, other))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "policy"), [("wurtz_dodecane", "heuristic"), ("wurtz_two_lines", "heuristic"), ("fictitious", "careless")]
+)
+def test_no_text_covers_another(name: str, policy: str, tmp_path: Path) -> None:
+    from chemlab.render.charts import draw_moles, draw_timeline
+
+    found = read_record(record(tmp_path / "one.jsonl", name, policy))
+    assert overlaps(draw_timeline(found)) == []
+    assert overlaps(draw_moles(found)) == []
+
+
+def test_spread_keeps_order_distance_and_bounds() -> None:
+    from chemlab.render.charts import spread
+
+    assert spread([1.0, 5.0], 2.0, 0.0, 10.0) == [1.0, 5.0]
+    assert spread([4.0, 4.0, 4.0], 1.0, 0.0, 10.0) == [3.0, 4.0, 5.0]
+    assert spread([0.0, 0.0], 1.0, 0.0, 10.0) == [0.0, 1.0]
+    assert spread([10.0, 10.0], 1.0, 0.0, 10.0) == [9.0, 10.0]
+    assert spread([5.0] * 5, 10.0, 0.0, 8.0) == [0.0, 2.0, 4.0, 6.0, 8.0]
+    assert spread([], 1.0, 0.0, 1.0) == []
+
+
+def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
+    """Before: 4 mol ether in its own volume; after: as the bench's agent saw it last. Peaks of what is there alone."""
+    from chemlab.render.charts import draw_spectra
+    from chemlab.shelf import WAVELENGTHS_NM
+
+    (axes,) = draw_spectra(read_record(scripted)).axes
+    lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+    ether = load_scenario("wurtz_dodecane").materials["diethyl_ether"]
+    mol_per_l = 1000.0 * ether.density_kg_l / ether.molar_mass_g_mol
+    expected = sum(
+        mol_per_l * p.height_l_mol * np.exp(-0.5 * ((WAVELENGTHS_NM - p.center_nm) / p.width_nm) ** 2)
+        for p in ether.absorption
+    )
+    np.testing.assert_allclose(lines["before"], np.clip(expected, 0.0, 1.0), atol=1e-6)
+    assert np.abs(lines["after"] - lines["before"]).max() > 0.1
+    named = {text.get_text() for text in axes.texts}
+    assert {"dodecane", "diethyl_ether"} <= named
+    assert "water" not in named
+
+
+def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:
+    from chemlab.render.charts import _tell, draw_timeline
+
+    found = read_record(scripted)
+    story = _tell(found, trust=False)
+    assert found.end is not None
+    end = found.end["end"]
+    assert len(story.decisions) == end["manager_actions"]
+    assert story.ticks[-1] == end["ticks"]
+    assert len(story.ticks) - 1 == end["manager_actions"] + end["ticks"]
+    assert story.strips["manager_0"][-1].stop == len(story.ticks) - 1  # submitting was the last thing done
+    # One agent acts at a time in this episode, so that nobody's time is anybody else's.
+    taken = [unit for strips in story.strips.values() for strip in strips for unit in range(strip.start, strip.stop)]
+    assert sorted(taken) == list(range(len(found.turns)))
+    ended = [(agent, score) for turn in found.turns for agent, score in turn.get("scores", {}).items()]
+    assert [(agent, score) for agent, _, _, _, score in story.experiments] == ended
+    assert dict(zip(found.header["agents"], story.rewards[-1], strict=True)) == pytest.approx(end["rewards"])
+    assert sum(story.costs[-1]) == pytest.approx(sum(end["costs"].values()))
+    texts = "\n".join(text.get_text() for text in draw_timeline(found).texts)
+    assert "1  start rxn_0 on slot 0, goal dodecane" in texts
+
+
+# -- the command ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "ending"), [("timeline", "png"), ("spectra", "svg"), ("moles", "png")])
+def test_pictures_are_written_once(kind: str, ending: str, scripted: Path, tmp_path: Path) -> None:
+    path = tmp_path / f"picture.{ending}"
+    arguments = ["plot", kind, str(scripted), "-o", str(path)]
+    done = runner.invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert path.read_bytes()[:4] == (b"\x89PNG" if ending == "png" else b"<?xm")
+    before = path.stat().st_mtime_ns
+    again = runner.invoke(app, arguments)
+    assert again.exit_code == 2
+    assert "--force" in again.output
+    assert path.stat().st_mtime_ns == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_picture_stands_beside_its_record(scripted: Path, tmp_path: Path) -> None:
+    path = tmp_path / "torn.jsonl.part"
+    path.write_bytes(b"\n".join(scripted.read_bytes().split(b"\n")[:40]) + b"\n")
+    for kind in ("timeline", "moles", "spectra"):
+        assert runner.invoke(app, ["plot", kind, str(path)]).exit_code == 0
+        assert (tmp_path / f"torn-{kind}.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["timeline", "{record}", "-o", "x.gif"], "known: png"),
+        (["moles", "{record}", "--only", "Au"], "Au is not among"),
+        (["moles", "none.jsonl"], "No such file"),
+        (["curves", "{folder}"], "no training run"),
+    ],
+)
+def test_mistakes_are_explained(arguments: list[str], part: str, scripted: Path, tmp_path: Path) -> None:
+    given = [text.format(record=scripted, folder=tmp_path) for text in arguments]
+    more = [] if "-o" in given else ["-o", str(tmp_path / "x.png")]
+    done = runner.invoke(app, ["plot", *given, *more])
+    assert done.exit_code == 2
+    assert part in done.output
+    assert "Traceback" not in done.output
+
+
+def test_matplotlib_is_asked_for_by_its_extra(scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **more: Any) -> Any:
+        if name.split(".")[0] == "matplotlib":
+            raise ImportError(name)
+        return real(name, *arguments, **more)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    done = runner.invoke(app, ["plot", "timeline", str(scripted), "-o", str(tmp_path / "x.png")])
+    assert done.exit_code == 2
+    assert "chemlab-marl[plot]" in done.output
+
+
+def test_learning_curves(tmp_path: Path) -> None:
+    """Two straight curves of slopes 1 and 3 a thousand steps: the mean's is 2; evaluations and the scripted line."""
+    from chemlab.agents.evaluation.curves import draw_curves
+
+    for seed, slope in ((0, 1.0), (1, 3.0)):
+        run = Run(tmp_path / "bench" / "ppo" / f"seed-{seed}")
+        run.path.mkdir(parents=True)
+        config = RunConfig("ppo", {"seed": seed}, "wurtz_dodecane", "rxn", ["dodecane", "NaCl"], "0")
+        run.config_file.write_text(to_text(config.as_dict()))
+        for step in (0, 500, 1000, *((2000,) if seed else ())):
+            run.append(CurvePoint(step, slope * step / 1000.0, 0.0, 5, 1.0))
+        run.append(Evaluation(1000, slope, {}, 0.25, None))
+    (axes,) = draw_curves([tmp_path]).axes
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    mean = lines["PPO (2 runs)"]
+    np.testing.assert_allclose(mean.get_ydata(), 2.0 * np.asarray(mean.get_xdata()))
+    assert mean.get_xdata()[-1] == 1.0  # thousand steps: as far as both go
+    assert (np.asarray(lines["heuristic"].get_ydata()) == 0.25).all()
+    (points,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    assert (list(points.get_xdata()), list(points.get_ydata())) == ([1.0], [2.0])
+    assert axes.get_title() == "wurtz_dodecane, rxn, 2 goals"
+    done = runner.invoke(app, ["plot", "curves", str(tmp_path), "-o", str(tmp_path / "c.svg")])
+    assert done.exit_code == 0, done.output
