@@ -670,12 +670,29 @@ def _fit_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
                 ]
             fitted.append("")
         else:
-            fitted += group
+            # "N." alone would begin a list.
+            fitted += [re.sub(r"^(\s+\w)\.$", r"\1\\.", line) for line in group]
     lines[:] = fitted
+
+
+def _fit_signature(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Arrays as people write them: ``ndarray[float32]``."""
+
+    array = r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?(?:\w+\.)*(\w+)\]\]"
+
+    def short(text: str | None) -> str | None:
+        if text is None:
+            return None
+        return re.sub(array, r"ndarray[\1]", re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text))
+
+    return short(signature), short(returned)
 
 
 def setup_pages(app: Sphinx) -> dict[str, Any]:
     """What ``conf.py`` hands to Sphinx."""
     app.connect("builder-inited", _write_pages)
     app.connect("autodoc-process-docstring", _fit_docstring)
+    app.connect("autodoc-process-signature", _fit_signature)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -6,7 +6,6 @@ import contextlib
 import importlib
 import importlib.util
 import io
-import os
 import re
 import shlex
 import subprocess
@@ -188,43 +187,33 @@ def test_pictures_are_small() -> None:
     assert (images / "episode.webp").stat().st_size < 400_000
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The pages, built with warnings as errors."""
+def test_pages_build_without_warnings(tmp_path: Path) -> None:
+    """Every scenario, command and environment has its page, and the tables are those of the spaces."""
     for package in ("sphinx", "myst_parser", "furo"):
         if importlib.util.find_spec(package) is None:
             pytest.skip(f'building the documentation needs {package}: pip install "chemlab-marl[docs]"')
-    out = tmp_path_factory.mktemp("html")
-    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", str(DOCS), str(out)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, env={**os.environ})
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", str(DOCS), str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    return out
-
-
-def test_pages_build_without_warnings(built: Path) -> None:
-    """Every scenario, every command and every environment has its page."""
+    pages = tmp_path / "generated"
     for name in scenario_names():
-        page = (built / "generated" / "scenarios" / f"{name}.html").read_text(encoding="utf-8")
-        assert load_scenario(name).title in page
-    commands = (built / "generated" / "command.html").read_text(encoding="utf-8")
+        assert load_scenario(name).title in (pages / "scenarios" / f"{name}.html").read_text(encoding="utf-8")
+    commands = (pages / "command.html").read_text(encoding="utf-8")
     for name in COMMAND.commands:
         assert f"chemlab {name}" in commands
     for name in ("laboratory", "parallel", "focal", "benches", "batched"):
-        assert (built / "generated" / "environments" / f"{name}.html").exists()
+        assert (pages / "environments" / f"{name}.html").exists()
+    check_tables((DOCS / "generated" / "environments" / "benches.md").read_text(encoding="utf-8"))
 
 
-def test_generated_tables_cover_the_spaces(built: Path) -> None:
-    """The indices of an observation's table run from 0 to its size, without a gap."""
-    text = (DOCS / "generated" / "environments" / "benches.md").read_text(encoding="utf-8")
-    sections = re.findall(r"### Observation of `\w+`: Box\((\d+)\)\n(.*?)\n#", text, re.S)
-    assert len(sections) >= 5
-    for size, section in sections:
+def check_tables(page: str) -> None:
+    """The indices of an observation's table run from 0 to its size without a gap, and so do the actions'."""
+    row = re.compile(r"^\| (\d+)(?: to (\d+))? \|", re.M)
+    tables = re.findall(r"### (?:Observation|Actions) of `\w+`: (?:Box|Discrete)\((\d+)\)\n(.*?)(?=\n#|\Z)", page, re.S)
+    assert len(tables) >= 10
+    for size, table in tables:
         at = 0
-        for first, last in re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.M):
+        for first, last in row.findall(table):
             assert int(first) == at
             at = int(last or first) + 1
         assert at == int(size)
-    actions = re.findall(r"### Actions of `\w+`: Discrete\((\d+)\)\n(.*?)\n(?=#|\Z)", text, re.S)
-    assert actions
-    for count, section in actions:
-        assert re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.M)[-1] in [(str(int(count) - 1), "")]

@@ -210,7 +210,7 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
 
         return pretrained_for(bench)
     path = Path(name)
-    if path.suffix in (".safetensors", ".json"):
+    if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
         from ..pretrained import load_pretrained
 
         policy = load_pretrained(path)

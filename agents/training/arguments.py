@@ -22,12 +22,14 @@ from chemlab.materials import read_toml
 __all__ = [
     "ALGORITHMS",
     "PRESETS",
+    "JointArguments",
     "TrainArguments",
     "arguments_of",
     "flags_of",
     "folder_of",
     "label_of",
     "load_arguments",
+    "load_joint_arguments",
     "resolved",
 ]
 
@@ -105,6 +107,38 @@ class TrainArguments:
     )
 
 
+@dataclass(frozen=True)
+class JointArguments:
+    """Everything that decides what a joint training run learns."""
+
+    scenario: str = _argument("wurtz_dodecane", "Scenario: a shipped name or a path.")
+    roles: tuple[str, ...] | None = _argument(
+        None, "Roles that learn: manager and bench keys; repeat the option. Default: all."
+    )
+    background: str = _argument("heuristic", "Who plays the roles that do not learn, by name.")
+    regime: str = _argument("together", "together, or in-turns (round-robin).")
+    period: int = _argument(10, "Updates before the next role's turn (in-turns).")
+    begin_from: str | None = _argument(
+        None, "Folder of a joint run, or of runs by role, to start from. Default: scratch."
+    )
+    rewards: str | None = _argument(None, "Another reward mix than the scenario's.")
+    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.")
+    envs: int = _argument(64, "Laboratories side by side.")
+    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.")
+    seed: int = _argument(0, "Seed of networks, exploration and laboratories.")
+    gamma: float = _argument(0.99, "Discount a turn of a bench's agent.")
+    manager_gamma: float = _argument(1.0, "Discount a decision of the manager.")
+    by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
+    gae_lambda: float = _argument(0.95, "GAE lambda.")
+    learning_rate: float = _argument(3e-4, "Learning rate.")
+    ent_coef: float = _argument(0.01, "Weight of the entropy of discrete actions.")
+    batch_size: int = _argument(256, "Minibatch.")
+    epochs: int = _argument(10, "PPO's passes over a rollout.")
+    evaluations: int = _argument(10, "Evaluations during training, evenly spread.")
+    eval_episodes: int = _argument(20, "Episodes a goal in each of them.")
+    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.")
+
+
 _LIMITS: dict[str, float] = {
     "steps": 1,
     "seed": 0,
@@ -174,6 +208,20 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
     return value
 
 
+def _given(kind: type[Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """What was given of a dataclass's fields, as the fields' types."""
+    hints = get_type_hints(kind)
+    names = [f.name for f in fields(kind)]
+    given = {}
+    for name, value in values.items():
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            raise ValueError(f"{where}: {name}: no such argument{f'; did you mean {near[0]}?' if near else ''}")
+        if value is not None:
+            given[name] = _converted(name, hints[name], value, where)
+    return given
+
+
 def arguments_of(values: Mapping[str, Any], where: str = "arguments") -> TrainArguments:
     """Arguments from {field: value}; what is not there is the preset's.
 
@@ -184,15 +232,7 @@ def arguments_of(values: Mapping[str, Any], where: str = "arguments") -> TrainAr
     Raises:
         ValueError: unknown field, or a value of the wrong type or out of bounds.
     """
-    hints = get_type_hints(TrainArguments)
-    names = [f.name for f in fields(TrainArguments)]
-    given = {}
-    for name, value in values.items():
-        if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            raise ValueError(f"{where}: {name}: no such argument{f'; did you mean {near[0]}?' if near else ''}")
-        if value is not None:
-            given[name] = _converted(name, hints[name], value, where)
+    given = _given(TrainArguments, values, where)
     given["env_id"] = _SHORT.get(given.get("env_id", ""), given.get("env_id", TrainArguments.env_id))
     preset = given.get("preset", "paper")
     if preset not in PRESETS:
@@ -228,6 +268,23 @@ def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> TrainArgument
     if path is not None:
         arguments_of(values, str(path))
     return arguments_of({**values, **{k: v for k, v in flags.items() if v is not None}}, "train")
+
+
+def load_joint_arguments(path: Path | None, flags: Mapping[str, Any]) -> JointArguments:
+    """Arguments of joint training from a TOML file and flags, which win.
+
+    Raises:
+        DataError: the file is missing or not TOML.
+        ValueError: unknown field, or a value of the wrong type or out of bounds.
+    """
+    values = {} if path is None else _given(JointArguments, read_toml(path), str(path))
+    arguments = JointArguments(**{**values, **_given(JointArguments, flags, "train-together")})
+    for name in ("steps", "envs", "rollout", "period", "batch_size", "epochs", "evaluations", "eval_episodes"):
+        if getattr(arguments, name) < 1:
+            raise ValueError(f"train-together: {name}: must be at least 1, given {getattr(arguments, name)}")
+    if arguments.regime not in ("together", "in-turns"):
+        raise ValueError(f"train-together: regime: together or in-turns, given {arguments.regime!r}")
+    return arguments
 
 
 def resolved(arguments: TrainArguments) -> TrainArguments:

@@ -12,11 +12,10 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
-import json
 import pickle
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from chemlab.shelf import IntArray
 from ..evaluation.play import play_laboratory
 from ..policy import Policy, agent_policy
 from ..pretrained import fingerprint
+from .arguments import JointArguments
 from .experience import Experience
 from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
 
@@ -48,7 +48,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 
     from .checkpoints import commit_checkpoint, random_state, restore_random_state, tidy
-    from .learn import RESULT_SEED, LearnerPolicy, Watcher, same_run, versions
+    from .learn import RESULT_SEED, LearnerPolicy, Watcher, open_run, versions
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
@@ -56,38 +56,6 @@ __all__ = ["JointArguments", "load_team", "train_together"]
 
 _EVALUATION_SEED = 1_000_000
 MANAGER_ROLE = "manager"
-
-
-@dataclass(frozen=True)
-class JointArguments:
-    """Everything that decides what a joint training run learns."""
-
-    scenario: str = field(default="wurtz_dodecane", metadata={"help": "Scenario: a shipped name or a path."})
-    roles: tuple[str, ...] | None = field(
-        default=None, metadata={"help": "Roles that learn: manager and bench keys; repeat the option. Default: all."}
-    )
-    background: str = field(default="heuristic", metadata={"help": "Who plays the roles that do not learn, by name."})
-    regime: str = field(default="together", metadata={"help": "together, or in-turns (round-robin)."})
-    period: int = field(default=10, metadata={"help": "Updates before the next role's turn (in-turns)."})
-    begin_from: str | None = field(
-        default=None, metadata={"help": "Folder of a joint run, or of runs by role, to start from. Default: scratch."}
-    )
-    rewards: str | None = field(default=None, metadata={"help": "Another reward mix than the scenario's."})
-    steps: int = field(default=1_000_000, metadata={"help": "Turns of learning agents, all laboratories together."})
-    envs: int = field(default=64, metadata={"help": "Laboratories side by side."})
-    rollout: int = field(default=64, metadata={"help": "Rounds (a manager action, or a tick) before each update."})
-    seed: int = field(default=0, metadata={"help": "Seed of networks, exploration and laboratories."})
-    gamma: float = field(default=0.99, metadata={"help": "Discount a turn of a bench's agent."})
-    manager_gamma: float = field(default=1.0, metadata={"help": "Discount a decision of the manager."})
-    by_ticks: bool = field(default=False, metadata={"help": "Discount by elapsed ticks instead of turns."})
-    gae_lambda: float = field(default=0.95, metadata={"help": "GAE lambda."})
-    learning_rate: float = field(default=3e-4, metadata={"help": "Learning rate."})
-    ent_coef: float = field(default=0.01, metadata={"help": "Weight of the entropy of discrete actions."})
-    batch_size: int = field(default=256, metadata={"help": "Minibatch."})
-    epochs: int = field(default=10, metadata={"help": "PPO's passes over a rollout."})
-    evaluations: int = field(default=10, metadata={"help": "Evaluations during training, evenly spread."})
-    eval_episodes: int = field(default=20, metadata={"help": "Episodes a goal in each of them."})
-    final_episodes: int = field(default=100, metadata={"help": "Episodes a goal in the evaluation at the end."})
 
 
 class _Spaces(VecEnv):
@@ -365,15 +333,7 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
         fingerprint(team.labs.role(0)),
         versions(),
     )
-    same_run(run, json.loads(to_text(described.as_dict())), asdict(JointArguments()))
-    finished = run.result()
-    if finished is not None:
-        return finished
-    with run.locked():
-        if run.config() is None:
-            write_text(run.config_file, to_text(described.as_dict()))
-        run.failed_file.unlink(missing_ok=True)
-        return _train(run, arguments, team, watcher)
+    return open_run(run, described, asdict(JointArguments()), lambda: _train(run, arguments, team, watcher))
 
 
 def _train(run: Run, arguments: JointArguments, team: _Team, watcher: Watcher | None) -> RunResult:

@@ -19,6 +19,7 @@ import math
 import platform
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Protocol
@@ -52,7 +53,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
-__all__ = ["RESULT_SEED", "LearnerPolicy", "Watcher", "load_learner", "same_run", "train", "versions"]
+__all__ = ["RESULT_SEED", "LearnerPolicy", "Watcher", "load_learner", "open_run", "train", "versions"]
 
 _CLASSES: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "sac": SAC, "td3": TD3, "maskable-ppo": MaskablePPO}
 _EVALUATION_SEED = 1_000_000
@@ -242,7 +243,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> None:
+def _same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> None:
     """Refuse to go on with a run that was begun with other arguments."""
     saved = run.config()
     if saved is None:
@@ -260,6 +261,30 @@ def same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> None
         raise ValueError(
             f"{run.path}: holds a run with other arguments: {what}; give another --out, or delete the folder"
         )
+
+
+def open_run(run: Run, described: RunConfig, defaults: dict[str, Any], go_on: Callable[[], RunResult]) -> RunResult:
+    """Begin a run, or go on with it, holding its folder; one that is finished is not run again.
+
+    Args:
+        run: the folder.
+        described: what is to be run there.
+        defaults: of its arguments, for runs that an older version began.
+        go_on: trains to the end.
+
+    Raises:
+        ValueError: the folder holds another run.
+        RunBusy: another process trains it.
+    """
+    _same_run(run, json.loads(to_text(described.as_dict())), defaults)
+    finished = run.result()
+    if finished is not None:
+        return finished
+    with run.locked():
+        if run.config() is None:
+            write_text(run.config_file, to_text(described.as_dict()))
+        run.failed_file.unlink(missing_ok=True)
+        return go_on()
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:
@@ -294,15 +319,8 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         task.fingerprint,
         versions(),
     )
-    same_run(run, json.loads(to_text(described.as_dict())), {f.name: f.default for f in fields(TrainArguments)})
-    finished = run.result()
-    if finished is not None:
-        return finished
-    with run.locked():
-        if run.config() is None:
-            write_text(run.config_file, to_text(described.as_dict()))
-        run.failed_file.unlink(missing_ok=True)
-        return _train(run, arguments, task, watcher)
+    defaults = {f.name: f.default for f in fields(TrainArguments)}
+    return open_run(run, described, defaults, lambda: _train(run, arguments, task, watcher))
 
 
 def _train(run: Run, arguments: TrainArguments, task: Task, watcher: Watcher | None) -> RunResult:

@@ -6,7 +6,7 @@ import inspect
 import json
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -19,7 +19,13 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ..agents.training.arguments import TrainArguments, folder_of, load_arguments
+from ..agents.training.arguments import (
+    JointArguments,
+    TrainArguments,
+    folder_of,
+    load_arguments,
+    load_joint_arguments,
+)
 from .common import JsonOption, app, err, out, readable_errors
 
 if TYPE_CHECKING:
@@ -84,23 +90,41 @@ class _Account:
 def _train(config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]) -> None:
     with _errors():
         arguments = load_arguments(config, flags)
-        from ..agents.training.learn import train as run_training
-        from ..agents.training.runs import Run
+        from ..agents.training.learn import train
 
-        folder = folder or Path("runs") / folder_of(arguments)
-        known = Run(folder).result_file.exists()
-        silent = quiet or as_json or not err.is_terminal
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-        clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[mean]}"))
-        try:
-            if silent:
-                result = run_training(arguments, folder, None if as_json else _Account(None))
-            else:
-                with Progress(*columns, *clocks, console=err) as progress:
-                    result = run_training(arguments, folder, _Account(progress))
-        except KeyboardInterrupt:
-            err.print(f"stopped; the same command goes on from the last checkpoint in {folder}")
-            raise typer.Exit(130) from None
+        place = folder or Path("runs") / folder_of(arguments)
+        _watched(place, quiet, as_json, lambda watcher: train(arguments, place, watcher))
+
+
+def _train_together(
+    config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]
+) -> None:
+    with _errors():
+        arguments = load_joint_arguments(config, flags)
+        from ..agents.training.joint import train_together
+
+        own = Path(f"{Path(arguments.scenario).stem}-joint", arguments.regime, f"seed-{arguments.seed}")
+        place = folder or Path("runs") / own
+        _watched(place, quiet, as_json, lambda watcher: train_together(arguments, place, watcher))
+
+
+def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunResult]) -> None:
+    """Train with an account of it on standard error, then say what came of it."""
+    from ..agents.training.runs import Run
+
+    known = Run(folder).result_file.exists()
+    silent = quiet or as_json or not err.is_terminal
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[mean]}"))
+    try:
+        if silent:
+            result = run(None if as_json else _Account(None))
+        else:
+            with Progress(*columns, *clocks, console=err) as progress:
+                result = run(_Account(progress))
+    except KeyboardInterrupt:
+        err.print(f"stopped; the same command goes on from the last checkpoint in {folder}")
+        raise typer.Exit(130) from None
     if as_json:
         typer.echo(json.dumps({**asdict(result), "folder": str(folder)}))
         return
@@ -126,15 +150,20 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
 
-def _train_command() -> Any:
-    """``train`` with one option for each field of :class:`TrainArguments`: there is one list of arguments."""
-    hints = get_type_hints(TrainArguments)
+def _command(
+    name: str, arguments: type[Any], positional: str, about: str, folder_help: str, act: Callable[..., None]
+) -> None:
+    """Add a command with one option for each field of a dataclass: there is one list of arguments.
+
+    ``act`` is called with the config file, the folder, whether to be quiet, whether to print JSON, and the flags given.
+    """
+    hints = get_type_hints(arguments)
     parameters: list[tuple[str, Any, Any]] = []
-    for f in fields(TrainArguments):
+    for f in fields(arguments):
         kinds = [kind for kind in (get_args(hints[f.name]) or (hints[f.name],)) if kind is not type(None)]
         kind: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
         text = f.metadata["help"]
-        if f.name == "env_id":
+        if f.name == positional:
             parameters.append((f.name, Annotated[kind, typer.Argument(help=text)], inspect.Parameter.empty))
             continue
         # No flag is None, so that what was given wins over file and preset, which win over the field's default.
@@ -142,32 +171,50 @@ def _train_command() -> Any:
         option = typer.Option(f"--{f.name.replace('_', '-')}", help=shown, show_default=False)
         parameters.append((f.name, Annotated[Optional[kind], option], None))  # noqa: UP045 - made at run time
     config = typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False)
-    folder = typer.Option("--out", help="The run's folder. Default: runs/BENCH/ALGO/seed-SEED.", show_default=False)
+    folder = typer.Option("--out", help=folder_help, show_default=False)
     quiet = typer.Option("--quiet", help="No progress bar; a line for each evaluation.")
     parameters.append(("config", Annotated[Optional[Path], config], None))  # noqa: UP045
     parameters.append(("out", Annotated[Optional[Path], folder], None))  # noqa: UP045
     parameters.append(("quiet", Annotated[bool, quiet], False))
     parameters.append(("as_json", JsonOption, False))
 
-    def train(**given: Any) -> None:
+    def run(**given: Any) -> None:
         own = [given.pop(name) for name in ("config", "out", "quiet", "as_json")]
         flags = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-        _train(own[0], own[1], own[2], own[3], {name: value for name, value in flags.items() if value != ()})
+        act(*own, {name: value for name, value in flags.items() if value is not None and value != ()})
 
-    train.__doc__ = """Train a bench's agent; a run that was interrupted goes on where it was.
+    run.__doc__ = about
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, keyword, default=default, annotation=hint) for name, hint, default in parameters]
+    )
+    run.__annotations__ = {name: hint for name, hint, _ in parameters}
+    app.command(name)(run)
+
+
+_command(
+    "train",
+    TrainArguments,
+    "env_id",
+    """Train a bench's agent, or one role of a laboratory; a run that was interrupted goes on where it was.
 
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
     scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
-    """
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    train.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, keyword, default=default, annotation=hint) for name, hint, default in parameters]
-    )
-    train.__annotations__ = {name: hint for name, hint, _ in parameters}
-    return train
+    """,
+    "The run's folder. Default: runs/BENCH/ALGO/seed-SEED.",
+    _train,
+)
+_command(
+    "train-together",
+    JointArguments,
+    "scenario",
+    """Train several roles of a laboratory together, a learner for each; an interrupted run goes on where it was.
 
-
-app.command("train")(_train_command())
+    Returns are the laboratory's scores. The run's folder is like that of train, with a model for each role.
+    """,
+    "The run's folder. Default: runs/SCENARIO-joint/REGIME/seed-SEED.",
+    _train_together,
+)
 
 
 # -- sweep ------------------------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ from .manager import (
 )
 from .view import manager_channels, manager_observe
 
-__all__ = ["MANAGER_AGENT", "Laboratories"]
+__all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
 
 MANAGER_AGENT = "manager_0"
 
