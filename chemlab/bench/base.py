@@ -312,6 +312,9 @@ class Bench(ABC):
         )
         self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
         weights = scenario.safety.weights
+        # Looked up once: reading a field of a scenario takes as long as a small kernel.
+        self._prices = scenario.safety.reward_price, scenario.costs.illegal_action
+        self.step_limit = self.spec.step_limit
         self._event_weights = np.array([weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
@@ -410,8 +413,7 @@ class Bench(ABC):
     def consequences(self, station: Station, members: IntArray, cost: FloatArray, reward: FloatArray) -> None:
         """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
         a lost turn take off."""
-        prices = self.scenario.safety.reward_price, self.scenario.costs.illegal_action
-        _consequences(members, station.events, station.illegal, self._event_weights, *prices, cost, reward)
+        _consequences(members, station.events, station.illegal, self._event_weights, *self._prices, cost, reward)
 
     def separate_scratch(self) -> Bench:
         """The same bench with scratch arrays of its own, for use in another thread."""

@@ -430,9 +430,9 @@ class OperationBench(Bench):
             s.illegal,
         )
         if self.separation_model is None:
-            _step(*args, s.stream, s.image, self.spec.step_limit, self.chemistry, self.work)
+            _step(*args, s.stream, s.image, self.step_limit, self.chemistry, self.work)
         else:
-            _operations(*args, self.spec.step_limit, self.chemistry, self.work)
+            _operations(*args, self.step_limit, self.chemistry, self.work)
             self._show(shelf, station, members)
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:

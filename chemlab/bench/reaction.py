@@ -360,7 +360,7 @@ class ReactionBench(Bench):
         return check_box(agent, action, self.reagents + 2)[None]
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        s, chem, limit = station, self.chemistry, self.spec.step_limit
+        s, chem, limit = station, self.chemistry, self.step_limit
         args = (s.places, shelf.rows, self._knobs, self._reagent_index, s.supply, shelf.stock, shelf.waste, s.events)
         if self.reaction_model is None:
             act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch, self.work)

@@ -137,13 +137,14 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         labs.act(number, self._members, checked)
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
         self.infos[agent] = labs.info(number)
-        if number == 0 and labs.cost.any():  # an experiment that begins with an accident
+        if number == 0 and labs.desk.begun.item(0) >= 0:  # an experiment may begin with an accident
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
                     self.infos[self.possible_agents[other]] = labs.info(other)
-        for name, score in zip(self.possible_agents, labs.scores[0].tolist(), strict=True):
-            if score == score:  # an experiment has ended
-                self.infos[name]["score"] = score
+        if labs.experiment_ended:
+            for name, score in zip(self.possible_agents, labs.scores[0].tolist(), strict=True):
+                if score == score:  # NaN where none of its own has ended
+                    self.infos[name]["score"] = score
         status = labs.desk.status.item(0)
         if status == RUNNING:
             self._give_turn()

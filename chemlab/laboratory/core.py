@@ -40,6 +40,8 @@ from .manager import (
     RECALLED,
     RUNNING,
     Desk,
+    MaskDesk,
+    MaskRules,
     Rules,
     advance,
     book,
@@ -51,7 +53,7 @@ from .manager import (
     return_vessels,
     turns,
 )
-from .view import manager_channels, manager_observe
+from .view import Sight, manager_channels, manager_observe
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
 
@@ -137,6 +139,9 @@ class Laboratories:
         self._cost: FloatArray = np.zeros((len(self.agents), n))
         self._scores: FloatArray = np.full((len(self.agents), n), np.nan)
         self._ended: IntArray = np.zeros(n, dtype=np.int64)
+        self._one_action: IntArray = np.zeros(1, dtype=np.int64)
+        self.experiment_ended = False
+        """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
         numbers = range(len(self.agents))
         self.observation_sizes = [int(self.observation_space(agent).shape[0]) for agent in numbers]
         self.action_counts = [self._count_actions(agent) for agent in numbers]
@@ -151,6 +156,9 @@ class Laboratories:
         self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
         self.members: IntArray = np.arange(n)
+        # Looked up once: reading a field of a scenario takes as long as a small kernel.
+        self._manager_share = spec.rewards.manager_local + spec.rewards.manager_team
+        self._event_price = spec.safety.reward_price
         self._share_arrays()
 
     def _share_arrays(self) -> None:
@@ -159,6 +167,12 @@ class Laboratories:
         for b, station in enumerate(self.stations):
             station.busy, station.goal, station.steps = self.busy[b], self._goals[b], self._steps[b]
         self._reward_rows, self._cost_rows = list(self._rewards), list(self._cost)
+        desk, rules = self.desk, self.rules
+        self._sight = Sight.of(desk, rules, self.shelf.chemistry)
+        self._legality = (
+            MaskDesk(desk.reserved, desk.charges, desk.filled),
+            MaskRules(rules.table, rules.slots, rules.positions, rules.price, rules.budget),
+        )
 
     @property
     def rewards(self) -> FloatArray:
@@ -298,7 +312,11 @@ class Laboratories:
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
-        """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
+        """The action as an array of one member, good until the next call; ``ValueError`` if it is outside the agent's
+        action space."""
+        if type(action) is int and 0 <= action < self.action_counts[agent]:
+            self._one_action[0] = action
+            return self._one_action
         if agent == 0:
             return np.array([check_discrete(MANAGER_AGENT, action, len(self.actions))])
         return self.benches[agent - 1].checked(self.agents[agent], action)
@@ -312,6 +330,7 @@ class Laboratories:
             actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
         """
         open_turn(members, self._rewards, self._cost, self._scores)
+        self.experiment_ended = False
         if agent == 0:
             self._act_manager(members, actions)
         else:
@@ -328,6 +347,7 @@ class Laboratories:
             actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
         """
         open_turn(members, self._rewards, self._cost, self._scores)
+        self.experiment_ended = False
         cursor = self.desk.cursor
         waiting = cursor[members] == MANAGER
         managed, ticking = members[waiting], members[~waiting]
@@ -354,7 +374,7 @@ class Laboratories:
             self._layers,
             self._shares,
             self._maximum,
-            self.scenario.rewards.manager_local + self.scenario.rewards.manager_team,
+            self._manager_share,
             self._reward_rows[0],
             self._work,
         )
@@ -394,7 +414,7 @@ class Laboratories:
             members,
             station.events,
             cost,
-            self.scenario.safety.reward_price,
+            self._event_price,
             self.safety_totals,
             self.desk.charges,
             station.ended,
@@ -407,6 +427,7 @@ class Laboratories:
         station, shelf = self.stations[b], self.shelf
         score = self.benches[b].finish(shelf, station, members)
         self._scores[b + 1, members] = score
+        self.experiment_ended = True
         self._rewards[b + 1, members] += self.scenario.rewards.bench_local * score
         return_vessels(
             members,
@@ -489,13 +510,11 @@ class Laboratories:
                 self.busy,
                 self._goals,
                 self._steps,
-                self.desk,
-                self.rules,
+                self._sight,
                 shelf.rows,
                 self.vessels_per_laboratory,
                 shelf.stock,
                 self.roles,
-                shelf.chemistry,
                 out,
             )
         else:
@@ -520,7 +539,7 @@ class Laboratories:
         if out is None:
             out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
         if agent == 0:
-            manager_mask(members, self.busy, self.desk, self.rules, self.shelf.rows, self.vessels_per_laboratory, out)
+            manager_mask(members, self.busy, *self._legality, self.shelf.rows, self.vessels_per_laboratory, out)
         else:
             self.benches[agent - 1].mask(self.shelf, self.stations[agent - 1], members, out)
         return out

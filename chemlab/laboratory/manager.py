@@ -31,6 +31,8 @@ __all__ = [
     "OVER",
     "RECALLED",
     "Desk",
+    "MaskDesk",
+    "MaskRules",
     "Rules",
     "advance",
     "book",
@@ -172,8 +174,28 @@ class Rules(NamedTuple):
     largest_capacity: float
 
 
+class MaskDesk(NamedTuple):
+    """What of a :class:`Desk` decides what is legal: handing over all of it takes longer than finding out."""
+
+    reserved: IntArray
+    charges: FloatArray
+    filled: BoolArray
+
+
+class MaskRules(NamedTuple):
+    """What of the :class:`Rules` decides what is legal."""
+
+    table: IntArray
+    slots: int
+    positions: IntArray
+    price: FloatArray
+    budget: float
+
+
 @helper
-def _count_slots(n: int, base: int, desk: Desk, rules: Rules, rows: FloatArray) -> tuple[int, int]:
+def _count_slots(
+    n: int, base: int, desk: Desk | MaskDesk, rules: Rules | MaskRules, rows: FloatArray
+) -> tuple[int, int]:
     """(free slots, occupied slots); a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
     for s in range(rules.slots):
@@ -192,8 +214,8 @@ def _allowed(
     slots: tuple[int, int],
     any_busy: bool,
     busy: BoolArray,
-    desk: Desk,
-    rules: Rules,
+    desk: Desk | MaskDesk,
+    rules: Rules | MaskRules,
     rows: FloatArray,
 ) -> bool:
     kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
@@ -221,7 +243,7 @@ def _any_busy(n: int, busy: BoolArray) -> bool:
 
 @kernel
 def manager_mask(
-    members: IntArray, busy: BoolArray, desk: Desk, rules: Rules, rows: FloatArray, per_lab: int, out: MaskArray
+    members: IntArray, busy: BoolArray, desk: MaskDesk, rules: MaskRules, rows: FloatArray, per_lab: int, out: MaskArray
 ) -> None:
     """Write the manager's legal actions into ``out`` [B, A]."""
     for i in range(members.shape[0]):

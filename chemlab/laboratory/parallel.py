@@ -114,17 +114,18 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         for number in acting:
             if names[number] not in actions:
                 raise ValueError(f"{names[number]}: has the turn, so step() needs its action; given {list(actions)}")
-            checked.append(labs.checked(number, actions[names[number]]))
+            checked.append(labs.checked(number, actions[names[number]])[0].copy())
         for number, action in zip(acting, checked, strict=True):
-            self._actions[number][0] = action[0]
+            self._actions[number][0] = action
         labs.act_round(self._members, self._actions)
         infos = [
             labs.info(number) if number in acting or cost else {"cost": 0.0, "events": {}, "illegal_action": False}
             for number, cost in enumerate(labs.cost[0].tolist())
         ]
-        for number, score in enumerate(labs.scores[0].tolist()):
-            if score == score:  # an experiment has ended
-                infos[number]["score"] = score
+        if labs.experiment_ended:
+            for number, score in enumerate(labs.scores[0].tolist()):
+                if score == score:  # NaN where none of its own has ended
+                    infos[number]["score"] = score
         rewards = dict(zip(names, labs.rewards[0].tolist(), strict=True))
         status = labs.desk.status.item(0)
         observations, found = self._seen(infos)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from ..bench.base import BoolArray, Channel, ObservationArray
 from ..bench.instruments import InstrumentTable
 from ..physics.jit import kernel
@@ -10,7 +12,7 @@ from ..scenario import Scenario
 from ..shelf import CAPACITY, PRESENT, TEMPERATURE, Chemistry, FloatArray, IntArray
 from .manager import Desk, Rules
 
-__all__ = ["manager_channels", "manager_observe", "order_channels"]
+__all__ = ["Sight", "manager_channels", "manager_observe", "order_channels"]
 
 _COLDEST_K, _HOTTEST_K = 200.0, 800.0
 
@@ -69,60 +71,94 @@ def manager_channels(
     return [channel for channel in channels if channel.size > 0]
 
 
+class Sight(NamedTuple):
+    """What of the desk, the rules and the chemistry the manager sees; handing over all of them takes longer than
+    looking. Fields are those of :class:`~chemlab.laboratory.manager.Desk`,
+    :class:`~chemlab.laboratory.manager.Rules` and :class:`~chemlab.shelf.Chemistry`."""
+
+    last_bench: IntArray
+    last_role: IntArray
+    reading: FloatArray
+    age: IntArray
+    goal: IntArray
+    filled: BoolArray
+    charges: FloatArray
+    actions: IntArray
+    ticks: IntArray
+    reading_start: IntArray
+    limit: IntArray
+    stocked: IntArray
+    first_stock: FloatArray
+    role: IntArray
+    molar_volume: FloatArray
+    slots: int
+    benches: int
+    goals: int
+    tick_limit: int
+    action_limit: int
+    budget: float
+    largest_capacity: float
+
+    @classmethod
+    def of(cls, desk: Desk, rules: Rules, chemistry: Chemistry) -> Sight:
+        """Views of the arrays, and the numbers."""
+        own = {"goals": rules.parts.shape[0], "role": chemistry.role, "molar_volume": chemistry.molar_volume}
+        known = {**rules._asdict(), **desk._asdict(), **own}
+        return cls(**{name: known[name] for name in cls._fields})
+
+
 @kernel
 def manager_observe(
     members: IntArray,
     busy: BoolArray,
     goals: IntArray,
     steps: IntArray,
-    desk: Desk,
-    rules: Rules,
+    sight: Sight,
     rows: FloatArray,
     per_lab: int,
     stock: FloatArray,
     roles: int,
-    chem: Chemistry,
     out: ObservationArray,
 ) -> None:
     """Write what the manager sees into ``out`` [B, observation size]: outsides of vessels, readings, benches, stock."""
-    n_goals, n_instruments = rules.parts.shape[0], desk.age.shape[2]
+    n_goals, n_instruments = sight.goals, sight.age.shape[2]
     for i in range(members.shape[0]):
         n = members[i]
         out[i, :] = 0.0
         at = 0
-        for s in range(rules.slots):
+        for s in range(sight.slots):
             row = rows[n * per_lab + s]
             if row[PRESENT] > 0.0:
                 out[i, at] = 1.0
-                out[i, at + 1] = min(volume(row, chem) / row[CAPACITY], 1.0)
+                out[i, at + 1] = min(volume(row, sight) / row[CAPACITY], 1.0)
                 out[i, at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
-                out[i, at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
-                out[i, at + 4 + desk.last_bench[n, s]] = 1.0
-                if desk.last_bench[n, s] > 0:
-                    out[i, at + 5 + rules.benches + desk.last_role[n, s]] = 1.0
-            at += 5 + rules.benches + roles
+                out[i, at + 3] = min(row[CAPACITY] / sight.largest_capacity, 1.0)
+                out[i, at + 4 + sight.last_bench[n, s]] = 1.0
+                if sight.last_bench[n, s] > 0:
+                    out[i, at + 5 + sight.benches + sight.last_role[n, s]] = 1.0
+            at += 5 + sight.benches + roles
             for k in range(n_instruments):
-                start, stop = rules.reading_start[k], rules.reading_start[k + 1]
-                age = desk.age[n, s, k]
+                start, stop = sight.reading_start[k], sight.reading_start[k + 1]
+                age = sight.age[n, s, k]
                 if age >= 0:
                     for r in range(start, stop):
-                        out[i, at + r - start] = desk.reading[n, s, r]
+                        out[i, at + r - start] = sight.reading[n, s, r]
                 at += stop - start
-                out[i, at] = 1.0 if age < 0 else min(age / rules.tick_limit, 1.0)
+                out[i, at] = 1.0 if age < 0 else min(age / sight.tick_limit, 1.0)
                 at += 1
         for b in range(busy.shape[0]):
             if busy[b, n]:
                 out[i, at] = 1.0
                 out[i, at + 1 + goals[b, n]] = 1.0
-                out[i, at + 1 + n_goals] = 1.0 - steps[b, n] / rules.limit[b]
+                out[i, at + 1 + n_goals] = 1.0 - steps[b, n] / sight.limit[b]
             at += 2 + n_goals
-        for k in range(rules.stocked.shape[0]):
-            m = rules.stocked[k]
-            out[i, at] = min(max(stock[n, m] / rules.first_stock[m], 0.0), 1.0) if rules.first_stock[m] > 0.0 else 0.0
+        for k in range(sight.stocked.shape[0]):
+            m = sight.stocked[k]
+            out[i, at] = min(max(stock[n, m] / sight.first_stock[m], 0.0), 1.0) if sight.first_stock[m] > 0.0 else 0.0
             at += 1
-        for o in range(desk.goal.shape[1]):
-            out[i, at + desk.goal[n, o]] = 0.0 if desk.filled[n, o] else 1.0
+        for o in range(sight.goal.shape[1]):
+            out[i, at + sight.goal[n, o]] = 0.0 if sight.filled[n, o] else 1.0
             at += n_goals
-        out[i, at] = max(1.0 - desk.charges[n, 0] / rules.budget, 0.0)
-        out[i, at + 1] = max(1.0 - desk.actions[n] / rules.action_limit, 0.0)
-        out[i, at + 2] = max(1.0 - desk.ticks[n] / rules.tick_limit, 0.0)
+        out[i, at] = max(1.0 - sight.charges[n, 0] / sight.budget, 0.0)
+        out[i, at + 1] = max(1.0 - sight.actions[n] / sight.action_limit, 0.0)
+        out[i, at + 2] = max(1.0 - sight.ticks[n] / sight.tick_limit, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -49,7 +50,20 @@ def kernel(function: F, **options: Any) -> F:
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _fingerprint(function.__code__.co_filename)
+        cache_file._load_index = functools.partial(_index_or_nothing, cache_file._load_index)
     return cast(F, compiled)  # numba's dispatcher stands in for the function
+
+
+def _index_or_nothing(load: Callable[[], Any]) -> Any:
+    """What a kernel's cache holds; nothing if it is another version's.
+
+    An index names argument types by their classes. One that this version does not have any more must mean compiling
+    again, not an error.
+    """
+    try:
+        return load()
+    except (AttributeError, ImportError, EOFError, TypeError, ValueError, pickle.UnpicklingError):
+        return {}
 
 
 def helper(function: F) -> F:

@@ -7,6 +7,8 @@ caller runs :func:`chemlab.physics.partition.partition`, which brings them to CL
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from ..shelf import (
     AMOUNTS,
     CAPACITY,
@@ -27,6 +29,7 @@ from .jit import helper, kernel
 
 __all__ = [
     "TRACE_MOL",
+    "Volumes",
     "add",
     "clear",
     "drain",
@@ -46,8 +49,22 @@ __all__ = [
 TRACE_MOL = 1e-12
 
 
+class Volumes(Protocol):
+    """What a volume takes to know of the materials: a :class:`~chemlab.shelf.Chemistry` has it."""
+
+    @property
+    def role(self) -> IntArray:
+        """[M] one of the ROLE constants"""
+        ...  # a protocol has no body
+
+    @property
+    def molar_volume(self) -> FloatArray:
+        """[M] L/mol"""
+        ...  # a protocol has no body
+
+
 @helper
-def volume(row: FloatArray, chem: Chemistry) -> float:
+def volume(row: FloatArray, chem: Volumes) -> float:
     """Volume of everything in the vessel but gases, L."""
     total = 0.0
     for i in range(chem.role.shape[0]):
