@@ -83,6 +83,10 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         "is_parallelizable": False,
     }
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._one_action = np.zeros(1, dtype=np.int64)
+
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode.
 
@@ -132,7 +136,11 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             self._was_dead_step(action)
             return
         number, labs = self._number[agent], self.laboratories
-        checked = labs.checked(number, action)
+        if type(action) is int and 0 <= action < labs.action_counts[number]:
+            checked = self._one_action  # most turns: no array has to be made
+            checked[0] = action
+        else:
+            checked = labs.checked(number, action)
         self._cumulative_rewards[agent] = 0.0
         labs.act(number, self._members, checked)
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))

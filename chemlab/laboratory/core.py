@@ -139,7 +139,6 @@ class Laboratories:
         self._cost: FloatArray = np.zeros((len(self.agents), n))
         self._scores: FloatArray = np.full((len(self.agents), n), np.nan)
         self._ended: IntArray = np.zeros(n, dtype=np.int64)
-        self._one_action: IntArray = np.zeros(1, dtype=np.int64)
         self.experiment_ended = False
         """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
         numbers = range(len(self.agents))
@@ -312,11 +311,7 @@ class Laboratories:
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
-        """The action as an array of one member, good until the next call; ``ValueError`` if it is outside the agent's
-        action space."""
-        if type(action) is int and 0 <= action < self.action_counts[agent]:
-            self._one_action[0] = action
-            return self._one_action
+        """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
         if agent == 0:
             return np.array([check_discrete(MANAGER_AGENT, action, len(self.actions))])
         return self.benches[agent - 1].checked(self.agents[agent], action)

@@ -114,7 +114,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         for number in acting:
             if names[number] not in actions:
                 raise ValueError(f"{names[number]}: has the turn, so step() needs its action; given {list(actions)}")
-            checked.append(labs.checked(number, actions[names[number]])[0].copy())
+            checked.append(labs.checked(number, actions[names[number]])[0])
         for number, action in zip(acting, checked, strict=True):
             self._actions[number][0] = action
         labs.act_round(self._members, self._actions)

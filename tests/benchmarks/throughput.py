@@ -260,7 +260,7 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
         "`env`, agent steps": laboratory(laboratory_env, seconds),
         "`raw_env`, agent steps": laboratory(raw_env, seconds),
         "`parallel_env`, agent steps": parallel(seconds),
-        "256 at once, all roles random, turns": batched_laboratory(256, seconds),
+        "256 at once, all roles random, turns": batched_laboratory(256, 4.0 * seconds),
         "manager's view, 64 at once, benches scripted, decisions": manager_view(64, seconds),
     }
     for name in IDS[::2]:
