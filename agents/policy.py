@@ -88,7 +88,7 @@ class RandomPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "random")
+    return ("heuristic", "hasty", "random", "pretrained")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -96,7 +96,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
 
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
-            safety and measuring are for) or ``random``.
+            safety and measuring are for), ``random``, or ``pretrained`` (benches by shipped policies, the manager
+            scripted).
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -116,14 +117,18 @@ def agent_policy(
     """A policy by name for agent ``number`` of a laboratory (0 is the manager).
 
     Raises:
-        ValueError: unknown name.
+        ValueError: unknown name, or no pretrained policy fits.
     """
     if name not in policy_names():
         raise ValueError(f"policy: known: {', '.join(policy_names())}; given {name!r}")
     if name == "random":
         shape = laboratories.action_space(number).shape
         return RandomPolicy(int(shape[0]) if shape else 0, seed)
-    careful = name == "heuristic"
+    if name == "pretrained" and number > 0:
+        from .pretrained import pretrained_for
+
+        return pretrained_for(laboratories.benches[number - 1])
+    careful = name != "hasty"
     return (
         manager_heuristic(laboratories, careful)
         if number == 0

@@ -43,7 +43,7 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
 ]
-PolicyOption = Annotated[str, typer.Option(help="Who plays every role: heuristic, hasty or random.")]
+PolicyOption = Annotated[str, typer.Option(help="Who plays every role: heuristic, hasty, random or pretrained.")]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
