@@ -14,10 +14,10 @@ from chemlab.bench.base import Bench
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
-from chemlab.laboratory.policy import play_on
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import FloatArray, IntArray
+from chemlab.shelf import FloatArray
 
+from ..evaluation.play import play_laboratory
 from ..evaluation.trials import Trials
 from ..policy import Policy, agent_policy, bench_heuristic
 from ..pretrained import Role, fingerprint
@@ -150,23 +150,10 @@ class LaboratoryTask(Task):
         """See :class:`Task`."""
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
         others = background_policies(self._background)
-        players = dict(others(labs) if callable(others) else others)
-        policies: list[Policy | None] = [players[name] for name in labs.agents]
-        policies[self._number] = policy
-        found = np.zeros((len(self.goals), episodes))
-
-        for row, goal in zip(found, self.goals, strict=True):
-            for member in labs.members:
-                labs.seed(int(member), seed + int(member))
-            labs.reset(labs.members, goal)
-
-            def add(number: int, members: IntArray, row: FloatArray = row) -> None:
-                row[members] += labs.rewards[members, self._number]
-
-            play_on(labs, policies, labs.members, add)
-            if self._number == 0:
-                row[:] = labs.result(labs.members)
-        return found
+        policies = {**(others(labs) if callable(others) else others), self.bench: policy}
+        played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
+        own = (one.returns if self._number == 0 else one.measures[f"reward {self.bench}"] for one in played)
+        return np.array(list(own))
 
     def scripted(self) -> Policy:
         """See :class:`Task`."""

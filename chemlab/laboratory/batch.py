@@ -1,4 +1,4 @@
-"""Many laboratories at once, every agent present: arrays in, arrays out. What training all roles together stands on."""
+"""Many laboratories at once, every agent present: arrays in, arrays out."""
 
 from __future__ import annotations
 

@@ -19,7 +19,8 @@ from typer.testing import CliRunner
 pytest.importorskip("stable_baselines3")
 
 from chemlab.agents.evaluation.trials import Trials
-from chemlab.agents.policy import bench_heuristic
+from chemlab.agents.policy import bench_heuristic, make_policies
+from chemlab.agents.run import play_episode
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
@@ -33,7 +34,9 @@ from chemlab.agents.training.arguments import (
 )
 from chemlab.agents.training.learn import load_learner, train
 from chemlab.agents.training.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.agents.training.tasks import LaboratoryTask
 from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
 
 SMALL: dict[str, Any] = {
@@ -398,3 +401,16 @@ def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
     run.truncate(20)
     assert run.curve() == points[:2]
     assert os.path.getsize(run.evaluations_file) == 0
+
+
+def test_a_role_of_a_laboratory_is_a_task() -> None:
+    """What the scripted manager and a scripted bench come to is what whole episodes say."""
+    env = raw_env("wurtz_dodecane")
+    results = [play_episode(env, make_policies("heuristic", env.laboratories), seed) for seed in (4, 5)]
+    manager = LaboratoryTask("wurtz_dodecane")
+    assert manager.returns(manager.scripted(), 2, 4).tolist() == [[result.score for result in results]]
+    bench = LaboratoryTask("wurtz_dodecane", "ext_0")
+    expected = [result.rewards["ext_0"] for result in results]
+    assert bench.returns(bench.scripted(), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
+        LaboratoryTask("wurtz_dodecane", goals=("gold",))
