@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,10 @@ from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.physics.jit import kernel
 from chemlab.physics.layers import uniform
 from chemlab.shelf import FloatArray, IntArray, StreamArray
+
+from .pretrained import pretrained_for
+from .roles import role_of
+from .saved import find_saved, is_saved
 
 __all__ = ["Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
 
@@ -88,7 +93,7 @@ class RandomPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "random", "pretrained")
+    return ("heuristic", "hasty", "random", "pretrained", "trained")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -96,13 +101,15 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
 
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
-            safety and measuring are for), ``random``, or ``pretrained`` (benches by shipped policies, the manager
-            scripted).
+            safety and measuring are for), ``random``, ``pretrained`` (benches by shipped policies, the manager
+            scripted) or ``trained`` (the manager by a shipped policy, too); or the path of a training run, a checkpoint
+            or exported weights, for the roles that learned (the others are played by its background). Exceptions
+            follow after commas, by role or agent: ``pretrained,manager=random,ext_1=runs/my-ext``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
     Raises:
-        ValueError: unknown name.
+        ValueError: unknown name, or nothing that fits.
     """
     seeds = np.random.SeedSequence(seed).spawn(len(laboratories.agents))
     return {
@@ -111,24 +118,42 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     }
 
 
+def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
+    """The part of a policy's name that is about an agent."""
+    general, *exceptions = name.split(",")
+    known = {*agents, *map(role_of, agents)}
+    for exception in exceptions:
+        whose, _, other = exception.partition("=")
+        if whose not in known or not other:
+            raise ValueError(f"policy: {exception!r}: must be ROLE=POLICY; roles: {', '.join(sorted(known))}")
+        if whose in (agent, role_of(agent)):
+            general = other
+    return general
+
+
 def agent_policy(
     name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None
 ) -> Policy:
-    """A policy by name for agent ``number`` of a laboratory (0 is the manager).
+    """A policy by name (see :func:`make_policies`) for agent ``number`` of a laboratory (0 is the manager).
 
     Raises:
         ValueError: unknown name, or no pretrained policy fits.
     """
-    if name not in policy_names():
-        raise ValueError(f"policy: known: {', '.join(policy_names())}; given {name!r}")
-    if name == "random":
+    agent, role = laboratories.agents[number], laboratories.role(number)
+    own = _name_for(name, agent, laboratories.agents)
+    if own not in policy_names():
+        if not is_saved(own):
+            raise ValueError(f"policy: known: {', '.join(policy_names())}, or a path that exists; given {own!r}")
+        saved = find_saved(own)
+        if role_of(agent) in saved.load:
+            return saved.load[role_of(agent)](role)
+        return agent_policy(saved.background, laboratories, number, seed)
+    if own == "random":
         shape = laboratories.action_space(number).shape
         return RandomPolicy(int(shape[0]) if shape else 0, seed)
-    if name == "pretrained" and number > 0:
-        from .pretrained import pretrained_for
-
-        return pretrained_for(laboratories.benches[number - 1])
-    careful = name != "hasty"
+    if own == "trained" or (own == "pretrained" and number > 0):
+        return pretrained_for(role, laboratory=True)
+    careful = own != "hasty"
     return (
         manager_heuristic(laboratories, careful)
         if number == 0
@@ -159,11 +184,11 @@ def bench_heuristic(bench: Bench, careful: bool = True) -> Policy:
     return policy
 
 
-def manager_heuristic(laboratories: Laboratories, careful: bool = True) -> Policy:
+def manager_heuristic(laboratories: Laboratories, careful: bool = True, skip: Collection[str] = ()) -> Policy:
     """The scripted manager for some laboratories; ``careful`` False leaves out what only safety and measuring are
-    for."""
+    for, ``skip`` are benches it does without."""
     from .heuristics.manager import ManagerHeuristic
 
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
-    return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful)
+    return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)

@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save
 
 from chemlab.bench.base import Bench, MaskArray, ObservationArray
+from chemlab.files import write_text
 from chemlab.laboratory.core import ManagerRole
 from chemlab.shelf import IntArray
 
@@ -34,6 +35,7 @@ __all__ = [
     "load_pretrained",
     "pretrained_for",
     "pretrained_names",
+    "save_policy",
 ]
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
@@ -261,8 +263,33 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     return PretrainedPolicy(card, weights)
 
 
-def pretrained_for(bench: Role) -> PretrainedPolicy:
+def save_policy(path: Path, card: Card, weights: Weights) -> None:
+    """Write ``PATH.safetensors`` and ``PATH.json``, each whole or not at all, and read them again.
+
+    Args:
+        path: of both files, without suffix.
+        card: its card.
+        weights: as :class:`PretrainedPolicy` takes them.
+
+    Raises:
+        ValueError: weights and card do not agree.
+    """
+    PretrainedPolicy(card, weights)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(save(dict(weights)))
+    temporary.replace(path.with_name(f"{path.name}.safetensors"))
+    write_text(path.with_name(f"{path.name}.json"), json.dumps(card.as_dict(), indent=1) + "\n")
+    load_pretrained(path)
+
+
+def pretrained_for(bench: Role, laboratory: bool = False) -> PretrainedPolicy:
     """The shipped policy for a bench: one trained on it, else one that fits because all it sees and does is the same.
+
+    Args:
+        bench: what it is to operate.
+        laboratory: whether in a laboratory. Where several fit as well, those that have met a laboratory's vessels are
+            for that, and the others for single benches.
 
     Raises:
         ValueError: there is none; the message says why each does not fit.
@@ -274,12 +301,13 @@ def pretrained_for(bench: Role) -> PretrainedPolicy:
         if difference:
             reasons.append(f"{name}: {difference}")
         else:
-            fitting.append(((card.scenario, card.bench) != (bench.scenario.name, bench.key), name))
+            elsewhere = (card.scenario, card.bench) != (bench.scenario.name, bench.key)
+            fitting.append((elsewhere, (card.starts == "paper") == laboratory, name))
     if not fitting:
         raise ValueError(
             f"no pretrained policy fits bench {bench.key!r} of {bench.scenario.name} "
             f"({'; '.join(reasons) or 'none come with this version'}); train one: {_advice(bench)}"
         )
-    policy = load_pretrained(min(fitting)[1])
+    policy = load_pretrained(min(fitting)[-1])
     policy.check(bench)
     return policy

@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from chemlab.bench.base import MaskArray, ObservationArray
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.starts import Start
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import SUBMIT, Start
 from chemlab.scenario import Scenario
 from chemlab.shelf import IntArray
 
-from .policy import Policy, make_policies
-from .run import Turn, play_episode
+from .policy import Policy, make_policies, manager_heuristic
+from .run import play_episode
 
 __all__ = ["record_starts"]
 
@@ -37,12 +38,43 @@ class _Exploring:
         return self._explorer.act(observation, mask, step, members) if self._rng.random() < _EXPLORE else actions
 
 
+class _Recording:
+    """A manager's policy whose vessels are kept as they are when it starts an experiment on them or submits them."""
+
+    def __init__(self, policy: Policy, labs: Laboratories, found: dict[str, list[Start]]) -> None:
+        self._policy, self._labs, self._found = policy, labs, found
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policy.Policy`."""
+        actions = self._policy.act(observation, mask, step, members)
+        kind, *arguments = self._labs.actions.decode(int(actions[0]))
+        if kind == "start":
+            station = self._labs.bench_agents.index(str(arguments[0]))
+            self._keep(self._labs.benches[station].key, int(arguments[1]), str(arguments[2]))
+        elif kind == "submit":
+            order = int(arguments[1]) if len(arguments) > 1 else 0
+            goal = self._labs.scenario.goals[self._labs.desk.goal[0, order]]
+            self._keep(SUBMIT, int(arguments[0]), goal)
+        return actions
+
+    def _keep(self, stage: str, slot: int, goal: str) -> None:
+        labs = self._labs
+        vessel, last = labs.shelf.vessel(0, slot), int(labs.desk.last_bench[0, slot])
+        contents = {n: mol for n, mol in vessel.amounts(_LEAST_MOL).items() if n in labs.shelf.layout.materials}
+        bench = list(labs.scenario.benches)[last - 1] if last else None
+        start = Start(goal, 1.0, vessel.capacity_l, contents, bench, int(labs.desk.last_role[0, slot]))
+        self._found[stage].append(start)
+
+
 def record_starts(
     scenario: Scenario, episodes: int, seed: int, progress: Callable[[], None] | None = None
 ) -> dict[str, list[Start]]:
-    """Play the scripted laboratory and keep every vessel that is put on a bench.
+    """Play the scripted laboratory and keep every vessel that is put on a bench or submitted.
 
-    One action in ten of the reaction bench is random, so that what arrives is not always the same.
+    One action in ten of the reaction bench is random, so that what arrives is not always the same; and the manager goes
+    more than one way: in one episode of three it does without extraction, in one it does not decant metal.
 
     Args:
         scenario: the laboratory; every goal its benches know is played, whether or not it is a laboratory goal.
@@ -51,37 +83,30 @@ def record_starts(
         progress: called after each episode.
 
     Returns:
-        {bench key: starting states}.
+        {bench key, or ``submit``: starting states}.
     """
     every_goal = scenario.model_copy(
         update={"lab_goals": scenario.goals, "theoretical_maximum_mol": dict.fromkeys(scenario.goals, 1.0)}
     )
     env = raw_env(every_goal)
-    labs = env.laboratories
-    found: dict[str, list[Start]] = {key: [] for key in scenario.benches}
-    names = labs.shelf.layout.materials
-
-    def watch(turn: Turn) -> None:
-        station = int(labs.desk.begun[0])
-        if turn.agent != env.possible_agents[0] or station < 0:
-            return
-        bench = labs.benches[station]
-        vessel = labs.shelf.vessel(0, int(labs.rules.first[station]))
-        contents = {name: mol for name, mol in vessel.amounts(_LEAST_MOL).items() if name in names}
-        goal = scenario.goals[labs.stations[station].goal[0]]
-        found[bench.key].append((goal, 1.0, vessel.capacity_l, contents))
-
+    labs, manager = env.laboratories, env.possible_agents[0]
+    found: dict[str, list[Start]] = {key: [] for key in (*scenario.benches, SUBMIT)}
+    washing = {key for key, bench in scenario.benches.items() if bench.kind == "extraction"}
+    ways = [manager_heuristic(labs), manager_heuristic(labs, skip=washing), manager_heuristic(labs, careful=False)]
+    if set(scenario.benches) == washing:
+        ways = ways[::2]
     for g, goal in enumerate(scenario.goals):
         for episode in range(episodes):
             number = seed + g * episodes + episode
             policies = make_policies("heuristic", labs, number)
+            policies[manager] = _Recording(ways[episode % len(ways)], labs, found)
             explorers = make_policies("random", labs, number)
             for b, bench in enumerate(labs.benches):
                 if bench.spec.kind == "reaction":
                     agent = labs.bench_agents[b]
                     rng = np.random.default_rng(number)
                     policies[agent] = _Exploring(policies[agent], explorers[agent], rng)
-            play_episode(env, policies, number, watch=watch, options={"goal": goal})
+            play_episode(env, policies, number, options={"goal": goal})
             if progress is not None:
                 progress()
     return found

@@ -27,8 +27,14 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(path.parts)]
 COMMAND: Any = typer.main.get_command(app)
-OPTIONAL = ("stable_baselines3", "sb3_contrib", "torch", "torchrl", "PIL", "matplotlib", "pygame", "minari")
-NEEDS = {"train": "stable_baselines3", "export": "stable_baselines3", "figures": "matplotlib", "plot": "matplotlib"}
+OPTIONAL = ("stable_baselines3", "sb3_contrib", "torch", "torchrl", "ray", "PIL", "matplotlib", "pygame", "minari")
+NEEDS = {
+    "train": "stable_baselines3",
+    "train-rllib": "ray",
+    "export": "stable_baselines3",
+    "figures": "matplotlib",
+    "plot": "matplotlib",
+}
 """What a command needs beyond the core."""
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not a checkout")

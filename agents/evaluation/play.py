@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -22,7 +21,8 @@ from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import FloatArray, IntArray
 
 from ..policy import Policy, RandomPolicy, bench_heuristic, make_policies
-from ..training.runs import Run
+from ..pretrained import pretrained_for
+from ..saved import find_saved, is_saved
 from . import statistics
 from .statistics import Estimate
 
@@ -165,7 +165,7 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper") -> T
     Args:
         name: id of a registered single-bench environment, or a scenario.
         bench: bench of the scenario; without one the whole laboratory.
-        starts: starting states of a single bench, ``paper`` or ``lab``.
+        starts: starting states of a single bench, ``paper``, ``lab`` or ``both``.
 
     Raises:
         ValueError: ``name`` is an id that is not registered or not a bench's.
@@ -206,45 +206,15 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
         shape = bench.action_space.shape or (0,)
         return RandomPolicy(int(shape[0]), seed)
     if name == "pretrained":
-        from ..pretrained import pretrained_for
-
         return pretrained_for(bench)
-    path = Path(name)
-    if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
-        from ..pretrained import load_pretrained
-
-        policy = load_pretrained(path)
-        policy.check(bench)
-        return policy
-    if not path.exists():
+    if not is_saved(name):
         raise ValueError(f"policy: known: heuristic, random, pretrained, or a path that exists; given {name!r}")
-    return _trained_policy(path, bench)
-
-
-def _trained_policy(path: Path, bench: Bench) -> Policy:
-    """The best checkpoint of a training run, or a given one; not masked unless it was trained with masks.
-
-    Raises:
-        ValueError: there is none, or it was trained for other spaces.
-    """
-    folder: Path | None = path.parent if path.suffix == ".zip" else path
-    assert folder is not None
-    run = Run(folder.parents[1] if folder.parent.name == "checkpoints" else folder)
-    if folder == run.path:
-        folder = run.checkpoint("best") or run.checkpoint("last")
-    config = run.config()
-    if config is None or folder is None:
-        what = run.config_file if config is None else run.checkpoints
-        raise ValueError(f"policy: {path}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
-    from ..training.learn import LearnerPolicy, load_learner
-
-    model = load_learner(folder, str(config["algo"]))
-    if (model.observation_space, model.action_space) != (bench.observation_space, bench.action_space):
-        raise ValueError(
-            f"policy: {path}: was trained for {model.observation_space} and {model.action_space}; "
-            f"bench {bench.key!r} has {bench.observation_space} and {bench.action_space}"
-        )
-    return LearnerPolicy(model)
+    saved = find_saved(name).load
+    # A run of one role may be tried on any bench that it fits; which of several it is has to be clear.
+    role = next(iter(saved)) if len(saved) == 1 else bench.key
+    if role not in saved:
+        raise ValueError(f"policy: {name} is for {', '.join(saved)}; given bench {bench.key!r}")
+    return saved[role](bench)
 
 
 # -- playing --------------------------------------------------------------------------------------------------------

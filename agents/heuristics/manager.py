@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,6 +57,7 @@ class ManagerHeuristic:
         instruments: the scenario's instruments.
         positions: how many vessels each bench works on.
         careful: False skips what only safety and measuring are for: metal is not decanted, nothing is analysed.
+        skip: benches it does without.
     """
 
     def __init__(
@@ -67,13 +68,14 @@ class ManagerHeuristic:
         instruments: InstrumentTable,
         positions: Mapping[str, int],
         careful: bool = True,
+        skip: Collection[str] = (),
     ) -> None:
         self._scenario, self._actions, self._careful = scenario, actions, careful
         self._positions = positions
         self._slices = channel_slices(channels)
         self._keys = list(scenario.benches)
         self._orders = [name for name, _ in order_channels(scenario)]
-        kinds = {bench.kind: key for key, bench in scenario.benches.items()}
+        kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
         self._rxn, self._ext, self._dit = (kinds.get(kind) for kind in ("reaction", "extraction", "distillation"))
         self._salts = {salt.solid for salt in scenario.family.salt}
         self._balance = next((n for n, spec in scenario.instruments.items() if spec.kind == "balance"), None)

@@ -12,10 +12,10 @@ how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 3
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from chemlab.materials import read_toml
 
@@ -23,13 +23,16 @@ __all__ = [
     "ALGORITHMS",
     "PRESETS",
     "JointArguments",
+    "Stage",
     "TrainArguments",
     "arguments_of",
+    "curriculum_of",
     "flags_of",
     "folder_of",
     "label_of",
     "load_arguments",
     "load_joint_arguments",
+    "merged",
     "resolved",
 ]
 
@@ -41,7 +44,16 @@ ON_POLICY = ("ppo", "a2c", "maskable-ppo")
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
-    "manager": {"algo": "maskable-ppo", "envs": 64, "rollout": 64, "ent_coef": 0.01, "gamma": 1.0},
+    "manager": {
+        "algo": "maskable-ppo",
+        "envs": 256,
+        "rollout": 16,
+        "batch_size": 256,
+        "learning_rate": 1e-3,
+        "ent_coef": 0.01,
+        "gamma": 1.0,
+        "curriculum": ("backward",),
+    },
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
 }
 """Presets: the fields that differ from the defaults, which are the paper's protocol."""
@@ -76,7 +88,19 @@ class TrainArguments:
         None, "Who plays the other roles of a laboratory, by name. Default: heuristic, for the laboratory's views."
     )
     goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option. Default: all.")
-    starts: str = _argument("paper", "Starting states: paper, or lab (as vessels reach the bench in a laboratory).")
+    starts: str = _argument(
+        "paper", "Starting states: paper, lab (as vessels reach the bench in a laboratory), or both."
+    )
+    curriculum: tuple[str, ...] | None = _argument(
+        None,
+        "Curriculum of a laboratory's role: backward (from the last bench to the first), or stages 'STEP: BENCH=SHARE "
+        "...': until that step such shares of the episodes begin with a vessel on its way to the bench, or to submit, "
+        "the rest with the scenario's shelf; repeat the option. Default: none.",
+    )
+    imitate: str | None = _argument(
+        None, "Policy to imitate before learning, by name (heuristic, hasty, ...). Default: none."
+    )
+    imitate_steps: int | None = _argument(None, "About how many of its turns. Default: 20000.")
     envs: int = _argument(10, "Environments side by side.")
     rollout: int = _argument(256, "Steps gathered in each environment before each update.")
     learning_rate: float | None = _argument(None, "Learning rate. Default: the algorithm's in SB3.")
@@ -141,6 +165,7 @@ class JointArguments:
 
 _LIMITS: dict[str, float] = {
     "steps": 1,
+    "imitate_steps": 1,
     "seed": 0,
     "envs": 1,
     "rollout": 1,
@@ -159,6 +184,8 @@ _LIMITS: dict[str, float] = {
 }
 
 _ONLY: dict[str, tuple[str, ...]] = {
+    "imitate": ON_POLICY,
+    "imitate_steps": ON_POLICY,
     "gae_lambda": ON_POLICY,
     "ent_coef": (*ON_POLICY, "sac"),
     "batch_size": ("ppo", "maskable-ppo", "dqn", "sac", "td3"),
@@ -183,6 +210,9 @@ _DEFAULTS: dict[str, Any] = {
     "epochs": 10,
     "clip_range": 0.2,
 }
+
+
+Arguments = TypeVar("Arguments")
 
 
 def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
@@ -253,8 +283,58 @@ def _check(arguments: TrainArguments, where: str) -> None:
     for name, algorithms in _ONLY.items():
         if getattr(arguments, name) is not None and algo not in algorithms:
             raise ValueError(f"{where}: {name}: is for {', '.join(algorithms)}, not for {algo}")
+    curriculum_of(arguments, ())
     if arguments.learning_rate is not None and arguments.learning_rate <= 0.0:
         raise ValueError(f"{where}: learning_rate: must be above 0, given {arguments.learning_rate}")
+
+
+class Stage(NamedTuple):
+    """A stage of a curriculum."""
+
+    until: int
+    """The step at which it is over."""
+    shares: dict[str, float]
+    """Of the episodes, by what the vessel they begin with is on its way to."""
+
+
+BACKWARD = "backward"
+_WHOLE = 0.6
+"""Share of a run after which every episode is a whole one, by ``backward``."""
+
+
+def curriculum_of(arguments: TrainArguments, benches: Sequence[str]) -> list[Stage]:
+    """The stages of a run, in order; after the last all episodes begin with the scenario's own shelf.
+
+    ``backward`` has a stage for each bench, from the last to the first: whatever is known already and what is new begin
+    equally often.
+
+    Args:
+        arguments: the run.
+        benches: of the scenario, in the order of a workflow.
+
+    Raises:
+        ValueError: a stage that is not understood, or stages out of order.
+    """
+    stages = []
+    for text in arguments.curriculum or ():
+        if text == BACKWARD:
+            for new in range(1, len(benches) + 1):
+                begun = ["submit", *reversed(benches)][: new + 1]
+                end = int(arguments.steps * _WHOLE * new / len(benches))
+                stages.append(Stage(end, dict.fromkeys(begun, 1.0 / (new + 1))))
+            continue
+        until, colon, shares = text.partition(":")
+        pairs = [pair.partition("=") for pair in shares.split()]
+        try:
+            stage = Stage(int(until.replace("_", "")), {name: float(share) for name, _, share in pairs})
+        except ValueError:
+            stage = Stage(0, {})
+        if not colon or not stage.shares or stage.until <= (stages[-1].until if stages else 0):
+            raise ValueError(
+                f"curriculum: stages are 'STEP: BENCH=SHARE ...' with growing steps, or {BACKWARD}; given {text!r}"
+            )
+        stages.append(stage)
+    return stages
 
 
 def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> TrainArguments:
@@ -270,6 +350,17 @@ def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> TrainArgument
     return arguments_of({**values, **{k: v for k, v in flags.items() if v is not None}}, "train")
 
 
+def merged(kind: type[Arguments], path: Path | None, flags: Mapping[str, Any], command: str) -> Arguments:
+    """A dataclass of arguments from a TOML file and a command's flags, which win.
+
+    Raises:
+        DataError: the file is missing or not TOML.
+        ValueError: unknown field, or a value of the wrong type.
+    """
+    values = {} if path is None else _given(kind, read_toml(path), str(path))
+    return kind(**{**values, **_given(kind, flags, command)})
+
+
 def load_joint_arguments(path: Path | None, flags: Mapping[str, Any]) -> JointArguments:
     """Arguments of joint training from a TOML file and flags, which win.
 
@@ -277,8 +368,7 @@ def load_joint_arguments(path: Path | None, flags: Mapping[str, Any]) -> JointAr
         DataError: the file is missing or not TOML.
         ValueError: unknown field, or a value of the wrong type or out of bounds.
     """
-    values = {} if path is None else _given(JointArguments, read_toml(path), str(path))
-    arguments = JointArguments(**{**values, **_given(JointArguments, flags, "train-together")})
+    arguments = merged(JointArguments, path, flags, "train-together")
     for name in ("steps", "envs", "rollout", "period", "batch_size", "epochs", "evaluations", "eval_episodes"):
         if getattr(arguments, name) < 1:
             raise ValueError(f"train-together: {name}: must be at least 1, given {getattr(arguments, name)}")

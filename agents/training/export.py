@@ -14,16 +14,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from safetensors.numpy import save
 
 from chemlab.bench.base import ObservationArray
-from chemlab.files import write_text
 
 from ..policy import RandomPolicy
-from ..pretrained import Card, PretrainedPolicy, interface, load_pretrained
+from ..pretrained import Card, PretrainedPolicy, interface, save_policy
 from .arguments import TrainArguments, arguments_of, flags_of, resolved
 from .learn import RESULT_SEED, load_learner
-from .runs import Run, to_text
+from .runs import Run
 from .tasks import Task, find_task
 
 try:
@@ -180,13 +178,7 @@ def export_run(folder: Path, out: Path) -> Card:
         "heuristic_by_goal": heuristic,
     }
     card = Card(**draft, evaluation=evaluation)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    file = path.with_name(f"{path.name}.safetensors")
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_bytes(save(weights))
-    temporary.replace(file)
-    write_text(path.with_name(f"{path.name}.json"), to_text(card.as_dict()))
-    load_pretrained(path)  # what has been written can be read
+    save_policy(path, card, weights)
     return card
 
 

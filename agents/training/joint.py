@@ -13,7 +13,6 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 from __future__ import annotations
 
 import pickle
-import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.bench.base import MaskArray, ObservationArray
-from chemlab.files import write_text
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.manager import RUNNING
 from chemlab.laboratory.policy import play_pass
@@ -34,9 +32,10 @@ from chemlab.shelf import IntArray
 from ..evaluation.play import play_laboratory
 from ..policy import Policy, agent_policy
 from ..pretrained import fingerprint
+from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from .arguments import JointArguments
 from .experience import Experience
-from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
+from .runs import Evaluation, Run, RunConfig, RunResult
 
 try:
     import torch
@@ -47,15 +46,13 @@ try:
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv
 
-    from .checkpoints import commit_checkpoint, random_state, restore_random_state, tidy
-    from .learn import RESULT_SEED, LearnerPolicy, Watcher, open_run, versions
+    from .checkpoints import random_state, restore_random_state
+    from .learn import LearnerPolicy, Watcher, open_run, versions
+    from .rounds import fresh_memory, train_in_rounds
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
 __all__ = ["JointArguments", "load_team", "train_together"]
-
-_EVALUATION_SEED = 1_000_000
-MANAGER_ROLE = "manager"
 
 
 class _Spaces(VecEnv):
@@ -157,24 +154,18 @@ class _Acting:
         return played
 
 
-def role_of(agent: str) -> str:
-    """The role of an agent's id: ``manager``, or its bench's key."""
-    return agent.rpartition("_")[0]
-
-
 class _Team:
     """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
+
+    models = "*.zip"
 
     def __init__(self, arguments: JointArguments) -> None:
         a = self.arguments = arguments
         scenario = load_scenario(a.scenario)
         self.scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
         self.labs = labs = Laboratories(self.scenario, a.envs)
-        self.roles = list(dict.fromkeys(role_of(agent) for agent in labs.agents))
-        self.learning = self.roles if a.roles is None else list(a.roles)
-        unknown = [role for role in self.learning if role not in self.roles]
-        if unknown or not self.learning:
-            raise ValueError(f"roles: {scenario.name} has {', '.join(self.roles)}; given {', '.join(self.learning)}")
+        self.roles = chosen_roles(labs, None)
+        self.learning = chosen_roles(labs, a.roles)
         self.learners: dict[str, _Learner] = {}
         for role in self.learning:
             number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
@@ -255,20 +246,42 @@ class _Team:
                 learner.experience.forget()
         return turns
 
-    def scores(self, episodes: int, seed: int, background: str | None = None) -> dict[str, float]:
-        """Mean score of the laboratory for each goal, learners playing deterministically; or all by ``background``."""
+    def learn(self, memory: dict[str, Any]) -> tuple[int, list[float]]:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
+        a = self.arguments
+        self.collect()
+        at = memory["updates"] // a.period % len(self.learning)
+        learning = self.learning if a.regime == "together" else [self.learning[at]]
+        turns = max(self.update(learning, 1.0 - memory["step"] / a.steps), 1)
+        returns, self.returns = self.returns, []
+        return turns, returns
+
+    def scores(self, episodes: int, seed: int, scripted: bool = False) -> dict[str, float]:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
         labs = Laboratories(self.scenario, episodes)
         policies: dict[str, Policy] = {}
         for number, agent in enumerate(labs.agents):
-            learner = self.learners.get(role_of(agent))
+            learner = None if scripted else self.learners.get(role_of(agent))
             policies[agent] = (
-                LearnerPolicy(learner.model)
-                if learner is not None and background is None
-                else agent_policy(background or self.arguments.background, labs, number, seed)
+                agent_policy(self.arguments.background, labs, number, seed)
+                if learner is None
+                else LearnerPolicy(learner.model)
             )
         return {
             goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self.scenario.lab_goals
         }
+
+    def save(self, folder: Path, memory: dict[str, Any], evaluation: Evaluation) -> None:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
+        for role, learner in self.learners.items():
+            learner.model.save(_file_of(folder, role, learner.model))
+        state = {"team": self.get_state(), **random_state(), "progress": memory}
+        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+
+    def take_best(self, folder: Path) -> None:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
+        for role, model in load_team(folder).items():
+            self.learners[role].model.policy.load_state_dict(model.policy.state_dict())
 
     def get_state(self) -> dict[str, Any]:
         """Everything that changes but the learners' networks."""
@@ -288,10 +301,6 @@ class _Team:
             remind = getattr(policy, "set_memory", None)
             if remind is not None:
                 remind(memory)
-
-
-def _mean(by_goal: dict[str, float]) -> float:
-    return sum(by_goal.values()) / len(by_goal)
 
 
 def load_team(folder: Path) -> dict[str, Any]:
@@ -337,58 +346,12 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
 
 
 def _train(run: Run, arguments: JointArguments, team: _Team, watcher: Watcher | None) -> RunResult:
-    a = arguments
-    memory: dict[str, Any] = {"seconds": 0.0, "best_mean": None, "best_step": None, "step": 0, "updates": 0}
-    last = run.checkpoint("last")
+    memory, last = fresh_memory(), run.checkpoint("last")
     if last is not None:
         memory = _load(last, team)
-        tidy(run, memory["step"], memory["best_step"])
-    elif a.begin_from is not None:
-        _begin_from(Path(a.begin_from), team)
-    run.truncate(memory["step"])
-    scripted = team.scores(a.eval_episodes, _EVALUATION_SEED, a.background)
-    begun, before = time.perf_counter(), memory["seconds"]
-    if watcher is not None:
-        watcher.begun(memory["step"], a.steps)
-    due = a.steps / a.evaluations
-    while memory["step"] < a.steps:
-        team.collect()
-        at = memory["updates"] // a.period % len(team.learning)
-        learning = team.learning if a.regime == "together" else [team.learning[at]]
-        was = memory["step"]
-        memory["step"] += max(team.update(learning, 1.0 - was / a.steps), 1)
-        memory["updates"] += 1
-        memory["seconds"] = before + time.perf_counter() - begun
-        returns, team.returns = np.array(team.returns), []
-        mean, std = (float(returns.mean()), float(returns.std())) if len(returns) else (None, None)
-        run.append(CurvePoint(memory["step"], mean, std, len(returns), round(memory["seconds"], 3)))
-        if memory["step"] >= a.steps or memory["step"] // due > was // due:
-            found = team.scores(a.eval_episodes, _EVALUATION_SEED)
-            evaluation = Evaluation(memory["step"], _mean(found), found, _mean(scripted), scripted)
-            run.append(evaluation)
-            best = memory["best_mean"] is None or evaluation.mean > memory["best_mean"]
-            if best:
-                memory |= {"best_mean": evaluation.mean, "best_step": memory["step"]}
-            _save(run, team, memory, best)
-            if watcher is not None:
-                watcher.evaluated(evaluation, best)
-        if watcher is not None:
-            watcher.advanced(memory["step"], mean)
-    if watcher is not None:
-        watcher.finishing()
-    result = _result(run, arguments, team, memory)
-    write_text(run.result_file, to_text(asdict(result)))
-    return result
-
-
-def _save(run: Run, team: _Team, memory: dict[str, Any], best: bool) -> None:
-    def write(folder: Path) -> None:
-        for role, learner in team.learners.items():
-            learner.model.save(_file_of(folder, role, learner.model))
-        state = {"team": team.get_state(), **random_state(), "progress": memory}
-        (folder / "state.pkl").write_bytes(pickle.dumps(state))
-
-    commit_checkpoint(run, memory["step"], write, "*.zip", best, memory["best_step"])
+    elif arguments.begin_from is not None:
+        _begin_from(Path(arguments.begin_from), team)
+    return train_in_rounds(run, team, arguments, memory, (f"joint-{arguments.regime}", "joint"), watcher)
 
 
 def _load(folder: Path, team: _Team) -> dict[str, Any]:
@@ -427,31 +390,3 @@ def _begin_from(folder: Path, team: _Team) -> None:
         learner.model.policy.load_state_dict(model.policy.state_dict())
     if not found:
         raise ValueError(f"begin_from: {folder}: holds neither a joint run nor runs of {', '.join(team.learners)}")
-
-
-def _result(run: Run, arguments: JointArguments, team: _Team, memory: dict[str, Any]) -> RunResult:
-    episodes, found = arguments.final_episodes, {}
-    last = team.scores(episodes, RESULT_SEED)
-    best = run.checkpoint("best")
-    assert best is not None, "the last update is followed by an evaluation and a checkpoint"
-    for role, model in load_team(best).items():
-        team.learners[role].model.policy.load_state_dict(model.policy.state_dict())
-    found = team.scores(episodes, RESULT_SEED)
-    scripted = team.scores(episodes, RESULT_SEED, arguments.background)
-    return RunResult(
-        env_id="chemlab/Laboratory-v0",
-        label=f"joint-{arguments.regime}",
-        algo="joint",
-        seed=arguments.seed,
-        steps=memory["step"],
-        seconds=round(memory["seconds"], 3),
-        frames_per_second=round(memory["step"] / memory["seconds"], 1),
-        best_step=memory["best_step"],
-        episodes_per_goal=episodes,
-        mean=_mean(found),
-        by_goal=found,
-        heuristic_mean=_mean(scripted),
-        heuristic_by_goal=scripted,
-        last_mean=_mean(last),
-        last_by_goal=last,
-    )

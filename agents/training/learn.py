@@ -32,7 +32,7 @@ from chemlab.bench.base import MaskArray, ObservationArray
 from chemlab.files import write_text
 from chemlab.shelf import IntArray
 
-from .arguments import ALGORITHMS, TrainArguments, label_of, resolved
+from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
 from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
 from .tasks import Task, find_task
 
@@ -50,12 +50,14 @@ try:
 
     from ..sb3 import ChemlabVecEnv
     from .checkpoints import load_checkpoint, save_checkpoint, tidy
+    from .imitate import imitate
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
 __all__ = ["RESULT_SEED", "LearnerPolicy", "Watcher", "load_learner", "open_run", "train", "versions"]
 
 _CLASSES: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "sac": SAC, "td3": TD3, "maskable-ppo": MaskablePPO}
+_IMITATED = 20_000
 _EVALUATION_SEED = 1_000_000
 """Training episodes have small seeds; the evaluations that choose the best checkpoint and the one that reports it do
 not share any either."""
@@ -147,6 +149,7 @@ class _Rounds(BaseCallback):
         task: Task,
         total: int,
         memory: dict[str, Any],
+        begin: int,
         watcher: Watcher | None,
     ) -> None:
         super().__init__()
@@ -155,6 +158,9 @@ class _Rounds(BaseCallback):
         self.heuristic = _scripted(task, arguments.eval_episodes, _EVALUATION_SEED)
         self._returns: list[float] = []
         self._done = -1
+        self._stages = curriculum_of(arguments, tuple(task.scenario.benches))
+        self._stage: Stage | None = None
+        self._begin_stage(begin)
         self._before = float(memory["seconds"])
         self._begun = time.perf_counter()
 
@@ -172,6 +178,14 @@ class _Rounds(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._round_over()
+        self._begin_stage(self.model.num_timesteps)
+
+    def _begin_stage(self, step: int) -> None:
+        """Let episodes begin as the curriculum says for this step."""
+        stage = next((stage for stage in self._stages if step < stage.until), None)
+        if stage != self._stage:
+            self.task.prepare(self.venv.batch, None if stage is None else stage.shares)
+            self._stage = stage
 
     def _on_training_end(self) -> None:
         self._round_over()
@@ -334,12 +348,15 @@ def _train(run: Run, arguments: TrainArguments, task: Task, watcher: Watcher | N
     if last is None:
         shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
         model = _learner(arguments, venv, total)
+        if arguments.imitate is not None:
+            example = task.policy(arguments.imitate)
+            imitate(model, task.batch(arguments.envs), example, arguments.imitate_steps or _IMITATED, arguments.seed)
     else:
         model, memory = load_checkpoint(run, last, _CLASSES[arguments.algo], venv)
         tidy(run, model.num_timesteps, memory["best_step"])
     begin = model.num_timesteps
     run.truncate(begin)
-    rounds = _Rounds(run, arguments, venv, task, total, memory, watcher)
+    rounds = _Rounds(run, arguments, venv, task, total, memory, begin, watcher)
     if watcher is not None:
         watcher.begun(begin, total)
     if begin < total:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +18,9 @@ from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import FloatArray
 
-from ..evaluation.play import play_laboratory
+from ..evaluation.play import bench_policy, play_laboratory
 from ..evaluation.trials import Trials
-from ..policy import Policy, agent_policy, bench_heuristic
+from ..policy import Policy, agent_policy
 from ..pretrained import Role, fingerprint
 from ..views import background_policies, focal_vector_env
 from .arguments import TrainArguments
@@ -45,13 +46,35 @@ class Task(ABC):
     def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
         """A batch to train in, which resets its members in the same step."""
 
+    def prepare(self, batch: Any, shares: Mapping[str, float] | None) -> None:
+        """Let a share of the episodes of a :meth:`batch` begin half way (see
+        :meth:`~chemlab.laboratory.core.Laboratories.prepare`).
+
+        Raises:
+            ValueError: a bench on its own has no half way, or a bench or share is wrong.
+            DataError: no such vessels have been recorded for the scenario.
+        """
+        if shares is not None:
+            raise ValueError("curriculum: is for a laboratory; a bench on its own has goals and starts")
+
     @abstractmethod
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """[G, episodes] what a policy comes to, for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
 
     @abstractmethod
+    def policy(self, name: str) -> Policy:
+        """A policy for this task by name.
+
+        Raises:
+            ValueError: unknown name, or nothing that fits.
+        """
+
     def scripted(self) -> Policy | None:
         """The scripted policy, or None where there is none."""
+        try:
+            return self.policy("heuristic")
+        except ValueError:
+            return None
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
         """A policy's mean for each goal."""
@@ -101,12 +124,9 @@ class BenchTask(Task):
         trials.seed = seed
         return trials.returns(policy)
 
-    def scripted(self) -> Policy | None:
+    def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
-        try:
-            return bench_heuristic(self.role)
-        except ValueError:
-            return None
+        return bench_policy(name, self.role)
 
 
 class LaboratoryTask(Task):
@@ -146,6 +166,10 @@ class LaboratoryTask(Task):
             members, self.scenario, self.bench, self._background, autoreset_mode=AutoresetMode.SAME_STEP
         )
 
+    def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
+        """See :class:`Task`."""
+        batch.laboratories.prepare(shares)
+
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
@@ -155,9 +179,9 @@ class LaboratoryTask(Task):
         own = (one.returns if self._number == 0 else one.measures[f"reward {self.bench}"] for one in played)
         return np.array(list(own))
 
-    def scripted(self) -> Policy:
+    def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
-        return agent_policy("heuristic", Laboratories(self.scenario), self._number)
+        return agent_policy(name, Laboratories(self.scenario), self._number)
 
 
 def find_task(arguments: TrainArguments) -> Task:

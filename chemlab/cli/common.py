@@ -43,7 +43,13 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
 ]
-PolicyOption = Annotated[str, typer.Option(help="Who plays every role: heuristic, hasty, random or pretrained.")]
+PolicyOption = Annotated[
+    str,
+    typer.Option(
+        help="Who plays: heuristic, hasty, random, pretrained (benches), trained (manager and benches), or the path of "
+        "what training left; exceptions by role or agent after commas: pretrained,manager=random."
+    ),
+]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]

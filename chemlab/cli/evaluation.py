@@ -41,7 +41,7 @@ def evaluate(
     ] = None,
     bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
     goal: Annotated[list[str] | None, typer.Option(help="A goal; repeat the option. Default: all.")] = None,
-    starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper or lab.")] = "paper",
+    starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper, lab or both.")] = "paper",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
     seed: SeedOption = 0,
     baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "heuristic",

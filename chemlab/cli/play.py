@@ -47,7 +47,7 @@ def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int)
         from ..agents.pretrained import pretrained_for
 
         try:
-            chosen[agent] = (name, pretrained_for(labs.role(labs.agents.index(agent))))
+            chosen[agent] = (name, pretrained_for(labs.role(labs.agents.index(agent)), laboratory=True))
         except ValueError as error:
             err.print(f"{agent} is played by the scripted policy: {escape(str(error))}")
     return chosen

@@ -241,7 +241,7 @@ def sweep(
             from ..agents.training import learn as training  # noqa: F401 - without the extra, say so once and not in every log
 
             # A sweep that is told to stop takes its runs along, as one that is interrupted does.
-            signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
             count = jobs or os.cpu_count() or 1
             try:
                 found = run_sweep(runs, count, lambda _: None) if as_json else _live(runs, count)

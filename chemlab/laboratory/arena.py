@@ -5,10 +5,9 @@ This is what the single-bench environments are views of.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,20 +19,9 @@ from ..physics.jit import announce_compiling, kernel
 from ..physics.layers import uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import FloatArray, IntArray, Shelf, StreamArray, build_chemistry
-from .starts import lab_starts
+from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 
-__all__ = ["BenchArena", "StartPool"]
-
-
-class StartPool(NamedTuple):
-    """Starting states to draw from: T vessels, grouped by the goal they are for; G goals."""
-
-    rows: FloatArray
-    """[T, W] vessel rows"""
-    first: IntArray
-    """[G + 1] where each goal's vessels begin"""
-    reached: FloatArray
-    """[T] cumulative probability within the goal"""
+__all__ = ["BenchArena"]
 
 
 @kernel
@@ -53,10 +41,7 @@ def _draw_starts(
     for b in range(members.shape[0]):
         m = members[b]
         goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
-        draw = uniform(stream[m])
-        t = pool.first[goal[m]]
-        while t < pool.first[goal[m] + 1] - 1 and draw >= pool.reached[t]:
-            t += 1
+        t = draw_start(pool, goal[m], stream[m])
         for p in range(places.shape[1]):
             rows[places[m, p], :] = 0.0
         for i in range(rows.shape[1]):
@@ -75,7 +60,7 @@ class BenchArena:
         members: N.
         goals: goals an experiment may be run for (default: all of the scenario's).
         starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
-            laboratory runs (see :mod:`chemlab.laboratory.starts`).
+            laboratory runs (see :mod:`chemlab.laboratory.starts`), ``both`` for either as often.
         reaction_model, separation_model: physics of your own.
 
     Raises:
@@ -109,31 +94,27 @@ class BenchArena:
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in layout.materials])
-        self.pool = self._paper_pool() if starts == "paper" else self._lab_pool(starts)
+        self.pool = start_pool(self.scenario, self._starts(starts))
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
         missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.first)[g] == 0]
         if missing:
             raise DataError(f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}")
 
-    def _pool(self, vessels: Sequence[tuple[str, float, float, dict[str, float]]]) -> StartPool:
-        """A pool of (goal, weight, capacity in L, contents in mol)."""
-        draft = Shelf.empty(self.scenario, 1, 1)
-        rows, weights, owner = [], [], []
-        for g, goal in enumerate(self.scenario.goals):
-            for name, weight, capacity, contents in vessels:
-                if name == goal:
-                    rows.append(draft.fill(0, 0, capacity, contents).row.copy())
-                    weights.append(weight)
-                    owner.append(g)
-        table = np.array(rows).reshape(len(rows), draft.layout.width)
-        first = np.searchsorted(np.array(owner, dtype=np.int64), np.arange(len(self.scenario.goals) + 1))
-        reached = np.zeros(len(rows))
-        for start, stop in itertools.pairwise(first):
-            shares = np.array(weights[start:stop])
-            reached[start:stop] = np.cumsum(shares) / shares.sum() if stop > start else 0.0
-        return StartPool(table, first.astype(np.int64), reached)
+    def _starts(self, kind: str) -> list[Start]:
+        """The starting states of a kind; with ``both``, either kind is drawn as often."""
+        if kind == "paper":
+            return self._paper_starts()
+        if kind == "lab":
+            return lab_starts(self.scenario, self.bench.key)
+        if kind != "both":
+            raise DataError(f"starts: must be 'paper', 'lab' or 'both', given {kind!r}")
+        found = []
+        for group in (self._paper_starts(), self._starts("lab")):
+            total = {goal: sum(start.weight for start in group if start.goal == goal) for goal in self.scenario.goals}
+            found += [start._replace(weight=start.weight / total[start.goal]) for start in group]
+        return found
 
-    def _paper_pool(self) -> StartPool:
+    def _paper_starts(self) -> list[Start]:
         start = self.bench.spec.start
         vessels = []
         for goal in self.scenario.goals:
@@ -145,15 +126,10 @@ class BenchArena:
             if companion is not None and chance > 0.0:
                 other = companion.if_goal if goal == companion.material else companion.material
                 together = {**contents, other: contents.get(other, 0.0) + companion.mol}
-                vessels.append((goal, chance, start.capacity_l, together))
+                vessels.append(Start(goal, chance, start.capacity_l, together))
             if chance < 1.0:
-                vessels.append((goal, 1.0 - chance, start.capacity_l, contents))
-        return self._pool(vessels)
-
-    def _lab_pool(self, starts: str) -> StartPool:
-        if starts != "lab":
-            raise DataError(f"starts: must be 'paper' or 'lab', given {starts!r}")
-        return self._pool(lab_starts(self.scenario, self.bench.key))
+                vessels.append(Start(goal, 1.0 - chance, start.capacity_l, contents))
+        return vessels
 
     def seed(self, member: int, seed: int) -> None:
         """Start the member's random streams afresh."""

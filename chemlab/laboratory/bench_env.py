@@ -11,7 +11,7 @@
 
 ### Arguments
 `scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
-`starts` (`paper` or `lab`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
+`starts` (`paper`, `lab` or `both`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
 `reaction_model` and `separation_model`. Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
 ### Episodes

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -26,6 +26,7 @@ from ..bench.base import (
 )
 from ..bench.instruments import InstrumentTable
 from ..bench.models import ReactionModel, SeparationModel
+from ..materials import DataError
 from ..physics.events import EVENT_KINDS
 from ..physics.jit import announce_compiling, kernel
 from ..physics.layers import uniform
@@ -53,6 +54,7 @@ from .manager import (
     return_vessels,
     turns,
 )
+from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 from .view import Sight, manager_channels, manager_observe
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
@@ -71,6 +73,16 @@ class ManagerRole:
     action_meanings: list[str]
     action_count: int
     observation_space: gymnasium.spaces.Box
+    action_space: gymnasium.spaces.Discrete
+
+
+class _StartDesk(NamedTuple):
+    """Fields of :class:`~chemlab.laboratory.manager.Desk` that the beginning of an episode needs."""
+
+    goal: IntArray
+    stream: StreamArray
+    last_bench: IntArray
+    last_role: IntArray
 
 
 @kernel
@@ -81,6 +93,29 @@ def _draw_goals(members: IntArray, choices: IntArray, stream: StreamArray, goal:
         n = members[i]
         for o in range(goal.shape[1]):
             goal[n, o] = choices[int(uniform(stream[n]) * choices.shape[0])]
+
+
+@kernel
+def _draw_stages(members: IntArray, reached: FloatArray, stream: StreamArray, out: IntArray) -> None:
+    """Which way each episode begins: ``reached`` [K] is cumulative, K stands for the scenario's own shelf."""
+    for i in range(members.shape[0]):
+        draw = uniform(stream[members[i]])
+        k = 0
+        while k < reached.shape[0] and draw >= reached[k]:
+            k += 1
+        out[i] = k
+
+
+@kernel
+def _put_starts(members: IntArray, pool: StartPool, desk: _StartDesk, rows: FloatArray, per_lab: int) -> None:
+    """Replace the first vessel on the shelf by one of the pool's for the first order's goal."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        t = draw_start(pool, desk.goal[n, 0], desk.stream[n])
+        for column in range(rows.shape[1]):
+            rows[n * per_lab, column] = pool.rows[t, column]
+        desk.last_bench[n, 0] = pool.last_bench[t]
+        desk.last_role[n, 0] = pool.last_role[t]
 
 
 class Laboratories:
@@ -154,6 +189,7 @@ class Laboratories:
         self._shares = np.zeros((columns, CAMERA_PIXELS))
         self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
+        self._prepared: tuple[FloatArray, list[StartPool]] | None = None
         self.members: IntArray = np.arange(n)
         # Looked up once: reading a field of a scenario takes as long as a small kernel.
         self._manager_share = spec.rewards.manager_local + spec.rewards.manager_team
@@ -273,12 +309,59 @@ class Laboratories:
             array[members] = value
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         _draw_goals(members, wanted, desk.stream, desk.goal)
+        if self._prepared is not None:
+            self._begin_half_way(members, *self._prepared)
         self.busy[:, members] = False
         for station in self.stations:
             station.events[members] = 0.0
             station.illegal[members] = False
         open_turn(members, self._rewards, self._cost, self._scores)
         self.safety_totals[members] = 0.0
+
+    def prepare(self, shares: Mapping[str, float] | None) -> None:
+        """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
+        way to a bench, for the episode's goal, instead of the scenario's first vessel.
+
+        Args:
+            shares: of all episodes, by the bench the vessel is on its way to, or ``submit`` for one that is finished;
+                the rest begins with the scenario's own shelf. None or nothing: all of them.
+
+        Raises:
+            DataError: no vessels of that kind have been recorded for this scenario, or not for every goal.
+            ValueError: unknown bench, or shares that are negative or more than 1 together.
+        """
+        if not shares:
+            self._prepared = None
+            return
+        known = [*self.scenario.benches, SUBMIT]
+        unknown = [stage for stage in shares if stage not in known]
+        if unknown or min(shares.values()) < 0.0 or sum(shares.values()) > 1.0 + 1e-9:
+            raise ValueError(f"prepare: shares of {', '.join(known)} that sum to 1 at most; given {dict(shares)}")
+        pools = []
+        for stage in shares:
+            pool = start_pool(self.scenario, lab_starts(self.scenario, stage))
+            lacking = [g for g in self._lab_goals if pool.first[g] == pool.first[g + 1]]
+            if lacking:
+                goal = self.scenario.goals[lacking[0]]
+                raise DataError(
+                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.name}"
+                )
+            work = np.zeros((2, max(len(self.shelf.layout.solvents), 1)))
+            for row in pool.rows:
+                rest_on_shelf(
+                    row, self.shelf.chemistry, np.zeros_like(self.shelf.waste[0]), np.zeros(EVENT_KINDS), work
+                )
+            pools.append(pool)
+        self._prepared = np.cumsum(list(shares.values())), pools
+
+    def _begin_half_way(self, members: IntArray, reached: FloatArray, pools: list[StartPool]) -> None:
+        desk, stages = self.desk, np.empty(len(members), dtype=np.int64)
+        _draw_stages(members, reached, desk.stream, stages)
+        own = _StartDesk(desk.goal, desk.stream, desk.last_bench, desk.last_role)
+        for k, pool in enumerate(pools):
+            some = members[stages == k]
+            if len(some):
+                _put_starts(some, pool, own, self.shelf.rows, self.vessels_per_laboratory)
 
     def goal_index(self, goal: str) -> int:
         """Index of a laboratory goal; ``ValueError`` names the goals there are."""
@@ -482,6 +565,7 @@ class Laboratories:
             self.actions.action_meanings,
             len(self.actions),
             self.manager_observation_space,
+            self.manager_action_space,
         )
 
     # -- what agents see --------------------------------------------------------------------------------------

@@ -684,7 +684,7 @@ def test_the_generic_id_is_the_named_one() -> None:
         ({"bench": "lathe"}, r"rxn.*given 'lathe'"),
         ({"goals": "gold"}, r"goals: .*given 'gold'"),
         ({"goals": []}, r"goals"),
-        ({"starts": "moon"}, r"'paper' or 'lab', given 'moon'"),
+        ({"starts": "moon"}, r"'paper', 'lab' or 'both', given 'moon'"),
     ],
 )
 def test_unknown_arguments(arguments: dict[str, Any], message: str) -> None:
@@ -752,8 +752,9 @@ def test_laboratory_starts(name: str) -> None:
         amounts = shelf.vessel(0, 0).amounts()
         matches = [
             i
-            for i, (for_goal, _, _, contents) in enumerate(recorded)
-            if for_goal == goal and all(abs(amounts.get(m, 0.0) - contents.get(m, 0.0)) < 1e-9 for m in materials)
+            for i, start in enumerate(recorded)
+            if start.goal == goal
+            and all(abs(amounts.get(m, 0.0) - start.contents_mol.get(m, 0.0)) < 1e-9 for m in materials)
         ]
         assert matches
         seen.add(matches[0])

@@ -1,0 +1,201 @@
+"""The laboratory as an RLlib environment (new API stack): :func:`chemlab.laboratory.raw_env`, turn by turn.
+
+| | |
+|---|---|
+| Agents | the agents of the roles that learn, by their ids; the others are played inside, by background policies |
+| Steps | one turn: the observations hold the agent that has it and nobody else |
+| Observations | rxn: as in AEC; discrete roles: `{"observations": as in AEC, "action_mask": int8}` |
+| Actions | as in AEC |
+| Rewards | with an agent's observation comes all it has earned since its last one, as `last()` has it in AEC |
+| End | `__all__`; everybody who has had a turn gets a last observation |
+
+Nothing is computed here: `reset` with a seed and the same actions give the AEC environment's observations and rewards,
+number by number. Rewards of an agent before its first turn (an accident at an experiment's start, where that is priced)
+come with its first observation; RLlib ascribes them to none of its actions.
+
+>>> from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv                          # doctest: +SKIP
+>>> env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": ["manager"]})   # doctest: +SKIP
+
+Needs the extra: ``pip install "chemlab-marl[rllib]"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.manager import RUNNING
+
+from ..policy import Policy, agent_policy
+from ..roles import chosen_roles, role_of
+
+try:
+    from ray.rllib.env.multi_agent_env import MultiAgentEnv
+except ImportError as error:
+    raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
+
+__all__ = ["LaboratoryMultiAgentEnv"]
+
+_SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model")
+_MOST_TRIES = 1000
+
+
+class LaboratoryMultiAgentEnv(MultiAgentEnv):
+    """One laboratory for RLlib; see this module's documentation.
+
+    Args:
+        config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
+            (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
+            default ``heuristic``), and ``rewards``, ``reaction_model``, ``separation_model`` as for
+            :class:`~chemlab.laboratory.aec.raw_env`.
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown setting, role, background or reward mix.
+    """
+
+    def __init__(self, config: Mapping[str, Any] | None = None) -> None:
+        super().__init__()
+        given = dict(config or {})
+        unknown = sorted(set(given) - set(_SETTINGS))
+        if unknown:
+            raise ValueError(f"env_config: known: {', '.join(_SETTINGS)}; given {', '.join(unknown)}")
+        roles, background = given.pop("roles", None), given.pop("background", "heuristic")
+        self.laboratory = raw_env(given.pop("scenario", "wurtz_dodecane"), **given)
+        labs = self.laboratory.laboratories
+        learning = chosen_roles(labs, roles)
+        self.possible_agents = [agent for agent in labs.agents if role_of(agent) in learning]
+        self.agents = list(self.possible_agents)
+        self._background: dict[str, Policy] = {
+            agent: agent_policy(background, labs, number)
+            for number, agent in enumerate(labs.agents)
+            if agent not in self.possible_agents
+        }
+        self.observation_spaces = {agent: self._seen_space(agent) for agent in self.possible_agents}
+        self.action_spaces = {agent: self.laboratory.action_space(agent) for agent in self.possible_agents}
+        self._had_turn: set[str] = set()
+        # RLlib seeds runners one apart and a runner's laboratories one apart: some would play with the same dice.
+        self._seed_offset = 1000 * int(getattr(config, "worker_index", 0))
+
+    def _seen_space(self, agent: str) -> gymnasium.Space[Any]:
+        seen, actions = self.laboratory.observation_space(agent), self.laboratory.action_space(agent)
+        if not isinstance(actions, gymnasium.spaces.Discrete):
+            return seen
+        mask = gymnasium.spaces.Box(0, 1, (int(actions.n),), np.int8)
+        return gymnasium.spaces.Dict({"observations": seen, "action_mask": mask})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode, played on to the first turn of an agent that learns.
+
+        Episodes in which none of them has a turn are played over; they happen where a background manager never starts
+        their bench.
+
+        Args:
+            seed: starts the random streams afresh, background policies' too; without one they go on. In RLlib's env
+                runner i, 1000 i is added.
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+
+        Raises:
+            ValueError: unknown goal.
+            RuntimeError: the background policies never start these agents.
+        """
+        super().reset(seed=seed, options=options)
+        if seed is not None:
+            seed += self._seed_offset
+            self._seed_background(seed)
+        for _ in range(_MOST_TRIES):
+            self.laboratory.reset(seed=seed, options=options or None)
+            self._play_background()
+            if self._running():
+                break
+            seed = None
+        else:
+            raise RuntimeError(
+                f"{', '.join(self.possible_agents)}: had no turn in {_MOST_TRIES} episodes: the other policies never "
+                "start it"
+            )
+        self._had_turn = set()
+        observations, _, infos = self._at_turn()
+        return observations, infos
+
+    def _seed_background(self, seed: int) -> None:
+        sequences = np.random.SeedSequence(seed).spawn(len(self._background))
+        for policy, sequence in zip(self._background.values(), sequences, strict=True):
+            start = getattr(policy, "seed", None)
+            if start is not None:
+                start(0, sequence)
+
+    def _running(self) -> bool:
+        return bool(self.laboratory.laboratories.desk.status[0] == RUNNING)
+
+    def _play_background(self) -> None:
+        """Let the others play until an agent that learns has the turn, or the episode is over."""
+        laboratory, labs = self.laboratory, self.laboratory.laboratories
+        while self._running() and (agent := laboratory.agent_selection) in self._background:
+            mask: Any = laboratory.infos[agent].get("action_mask")
+            turns = labs.turns_had(labs.agents.index(agent))
+            seen = laboratory.observe(agent)[None]
+            action = self._background[agent].act(seen, None if mask is None else mask[None], turns, labs.members)[0]
+            laboratory.step(action)
+
+    def step(
+        self, action_dict: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Any]]:
+        """One turn of the agent that has it; the others then play on to the next turn of one that learns.
+
+        Args:
+            action_dict: the action of the agent that has the turn.
+
+        Raises:
+            ValueError: the episode is over, the action is missing or of an agent that does not have the turn, or it is
+                outside the agent's space; nothing has changed.
+        """
+        if not self._had_turn or not self._running():
+            raise ValueError("step: the episode is over (or has not begun): call reset()")
+        agent = self.laboratory.agent_selection
+        if set(action_dict) != {agent}:
+            raise ValueError(f"{agent}: has the turn, so step() needs its action alone; given {list(action_dict)}")
+        self.laboratory.step(action_dict[agent])
+        self._play_background()
+        running = self._running()
+        observations, rewards, infos = self._at_turn() if running else self._at_end()
+        terminated = not running and self.laboratory.terminations[agent]
+        truncated = not running and self.laboratory.truncations[agent]
+        return observations, rewards, {"__all__": terminated}, {"__all__": truncated}, infos
+
+    def _at_turn(self) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
+        agent = self.laboratory.agent_selection
+        self._had_turn.add(agent)
+        return self._of([agent])
+
+    def _at_end(self) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
+        return self._of([agent for agent in self.possible_agents if agent in self._had_turn])
+
+    def _of(self, agents: list[str]) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
+        """What some agents see, have earned and are told; the mask of one without the turn allows everything."""
+        laboratory = self.laboratory
+        infos = {agent: dict(laboratory.infos[agent]) for agent in agents}  # RLlib keeps them
+        observations: dict[str, Any] = {}
+        for agent in agents:
+            seen, space = laboratory.observe(agent), self.action_spaces[agent]
+            if isinstance(space, gymnasium.spaces.Discrete):
+                mask = infos[agent].get("action_mask")
+                mask = np.ones(int(space.n), dtype=np.int8) if mask is None else mask
+                observations[agent] = {"observations": seen, "action_mask": mask}
+            else:
+                observations[agent] = seen
+        # What PettingZoo's last() returns: all that the agent has earned since its own last turn.
+        rewards = {agent: float(laboratory._cumulative_rewards[agent]) for agent in agents}
+        return observations, rewards, infos
+
+    @property
+    def score(self) -> float:
+        """The laboratory's score so far: what the manager has delivered, minus all costs (at the end: the result)."""
+        labs = self.laboratory.laboratories
+        return float(labs.result(labs.members)[0])

@@ -1,0 +1,376 @@
+"""Train roles of a laboratory with RLlib's PPO, on a Ray of its own or on a cluster.
+
+>>> from pathlib import Path
+>>> from chemlab.agents.rllib.arguments import RllibArguments
+>>> from chemlab.agents.rllib.train import train_rllib
+>>> train_rllib(RllibArguments("wurtz_dodecane", roles=("manager",)), Path("runs/manager"))   # doctest: +SKIP
+
+Env runners play (:mod:`chemlab.agents.rllib.env`), wherever in the cluster Ray puts them; the process that was started
+gathers their turns, updates a policy for each role, evaluates and writes the run's folder
+(:mod:`chemlab.agents.training.runs`). A checkpoint has each role's policy as ``ROLE.safetensors`` and ``ROLE.json``,
+which play without Ray and PyTorch (:mod:`chemlab.agents.pretrained`).
+
+An env runner that dies is started again and gets the current policies; until then the others play its share. A run
+that was stopped goes on from its last checkpoint, with networks and optimizers as they were, in new episodes.
+
+Needs the extra: ``pip install "chemlab-marl[rllib]"``.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import pickle
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import Scenario, load_scenario
+
+from ..evaluation.play import play_laboratory
+from ..policy import Policy, agent_policy
+from ..pretrained import Card, PretrainedPolicy, fingerprint, interface, load_pretrained, save_policy
+from ..roles import MANAGER_ROLE, chosen_roles, role_of
+from ..training.runs import Evaluation, Run, RunConfig, RunResult
+from .arguments import LABEL, PLACE, RllibArguments, check_arguments, command_of
+
+try:
+    import ray
+    import torch
+    from ray.rllib.algorithms.algorithm import Algorithm
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.columns import Columns
+    from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
+    from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+    from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
+
+    from ..training.learn import Watcher, open_run, versions
+    from ..training.rounds import EVALUATION_SEED, fresh_memory, train_in_rounds
+    from .env import LaboratoryMultiAgentEnv
+    from .module import PerRolePPOLearner, RoleModule, policy_weights
+except ImportError as error:
+    raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
+
+__all__ = ["algorithm_config", "connected", "train_rllib"]
+
+ALGORITHM = "ppo"
+_TOLERANCE = 1e-5
+_SCORES = "chemlab_scores"
+_PATIENCE_S = 600.0
+"""How long a runner may take for its share of a batch (kernels compile at first), and a run waits for any runner."""
+_OBJECT_STORE_BYTES = 512 * 1024 * 1024
+"""Of a Ray of our own: a batch of turns is some ten megabytes."""
+
+
+@contextmanager
+def connected(address: str | None, runners: int) -> Iterator[None]:
+    """Ray, for as long as the context lasts; one that this process is connected to already is used and left alone.
+
+    Args:
+        address: of a cluster (``auto``: the one this machine belongs to); None starts a Ray of our own, here.
+        runners: env runners that are to find a CPU there.
+
+    Raises:
+        ValueError: no cluster answers there, or it has fewer CPUs.
+    """
+    logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level RLlib sets once it is running
+    ours = not ray.is_initialized()
+    if ours:
+        # Unless told otherwise Ray reports its use to its makers.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if address is None:
+            count = max(runners, os.cpu_count() or 1)
+            ray.init("local", num_cpus=count, include_dashboard=False, object_store_memory=_OBJECT_STORE_BYTES, **quiet)
+        else:
+            try:
+                ray.init(address, **quiet)
+            except (ConnectionError, RuntimeError, ValueError) as error:
+                raise ValueError(
+                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head"
+                ) from error
+    try:
+        cpus = int(ray.cluster_resources().get("CPU", 0))
+        if cpus < runners:
+            raise ValueError(
+                f"runners: each takes a CPU, and Ray has {cpus}; given {runners}: ask for fewer or add nodes"
+            )
+        yield
+    finally:
+        if ours:
+            ray.shutdown()
+
+
+def _log_score(*, metrics_logger: Any, env: Any, env_index: int, **_: Any) -> None:
+    """An env runner's episode is over."""
+    metrics_logger.log_value(_SCORES, env.envs[env_index].unwrapped.score, reduce="item_series")
+
+
+def algorithm_config(arguments: RllibArguments, scenario: Scenario, roles: Sequence[str], seed: int) -> PPOConfig:
+    """RLlib's settings of a run; ``.build_algo()`` makes of them an algorithm to be used in RLlib's own ways.
+
+    Args:
+        arguments: the run's.
+        scenario: the laboratory, which goes to env runners as it is: its file need not be there.
+        roles: those that learn.
+        seed: of networks and exploration; runner i adds i, and 1000 i for its laboratories.
+    """
+    a = arguments
+    settings = {"scenario": scenario, "roles": list(roles), "background": a.background}
+    env = LaboratoryMultiAgentEnv(settings)
+    specs, overrides = {}, {}
+    for role in roles:
+        agent = next(agent for agent in env.possible_agents if role_of(agent) == role)
+        space, actions = env.observation_spaces[agent], env.action_spaces[agent]
+        specs[role] = RLModuleSpec(module_class=RoleModule, observation_space=space, action_space=actions)
+        discrete = isinstance(actions, gymnasium.spaces.Discrete)
+        overrides[role] = PPOConfig.overrides(
+            gamma=a.manager_gamma if role == MANAGER_ROLE else a.gamma, entropy_coeff=a.ent_coef if discrete else 0.0
+        )
+    return (
+        PPOConfig()
+        .environment(
+            LaboratoryMultiAgentEnv,
+            env_config=settings,
+            # Continuous actions are drawn where they are played, and clipped, as SB3 has it.
+            normalize_actions=False,
+            clip_actions=True,
+            disable_env_checking=True,  # RLlib's check plays without masks
+        )
+        .env_runners(
+            num_env_runners=a.runners,
+            num_envs_per_env_runner=a.envs,
+            rollout_fragment_length="auto",
+            sample_timeout_s=_PATIENCE_S,
+        )
+        .fault_tolerance(restart_failed_env_runners=True, delay_between_env_runner_restarts_s=1.0)
+        .multi_agent(
+            policies=set(roles),
+            policy_mapping_fn=lambda agent, *_, **__: role_of(agent),
+        )
+        .rl_module(
+            rl_module_spec=MultiRLModuleSpec(rl_module_specs=specs), algorithm_config_overrides_per_module=overrides
+        )
+        .learners(learner_class=PerRolePPOLearner, num_learners=0)
+        .training(
+            lr=a.learning_rate,
+            lambda_=a.gae_lambda,
+            clip_param=a.clip_range,
+            train_batch_size_per_learner=a.batch,
+            minibatch_size=a.batch_size,
+            num_epochs=a.epochs,
+            # The rest as in SB3's PPO.
+            use_kl_loss=False,
+            vf_loss_coeff=0.5,
+            vf_clip_param=float("inf"),
+            grad_clip=0.5,
+            grad_clip_by="global_norm",
+        )
+        .callbacks(on_episode_end=_log_score)
+        .debugging(seed=seed, log_level="ERROR")
+    )
+
+
+class _Team:
+    """The roles that learn, as an RLlib algorithm, and those that are played."""
+
+    models = "*.[js]*"  # ROLE.json and ROLE.safetensors, not state.pkl
+
+    def __init__(self, arguments: RllibArguments, scenario: Scenario, roles: list[str], step: int) -> None:
+        self._arguments, self._scenario, self.roles = arguments, scenario, roles
+        # One that goes on draws other episodes than those it has learned from.
+        seed = arguments.seed if not step else int(np.random.SeedSequence([arguments.seed, step]).generate_state(1)[0])
+        self.config = algorithm_config(arguments, scenario, roles, seed % 2**31)
+        self.algorithm: Algorithm = self.config.build_algo()
+        self._taken: dict[str, PretrainedPolicy] | None = None
+
+    def learn(self, memory: dict[str, Any]) -> tuple[int, list[float]]:
+        """See :class:`chemlab.agents.training.rounds.Team`.
+
+        Raises:
+            RuntimeError: all env runners are lost and none has come back.
+        """
+        waiting = time.monotonic()
+        while True:
+            found = self.algorithm.train()[ENV_RUNNER_RESULTS]
+            turns = int(found.get(NUM_ENV_STEPS_SAMPLED, 0))
+            if turns:
+                scores = found.get(_SCORES)
+                # RLlib has NaN where no episode has ended.
+                return turns, [float(score) for score in scores] if isinstance(scores, list) else []
+            if time.monotonic() - waiting > _PATIENCE_S:
+                raise RuntimeError(
+                    f"no env runner has answered for {_PATIENCE_S:.0f} s; see Ray's logs, and run the command again"
+                )
+            time.sleep(1.0)  # the last runner is lost: Ray is starting it again
+
+    def _states(self) -> dict[str, dict[str, npt.NDArray[Any]]]:
+        states: dict[str, dict[str, npt.NDArray[Any]]] = self.algorithm.learner_group.get_weights()
+        return {role: states[role] for role in self.roles}
+
+    def scores(self, episodes: int, seed: int, scripted: bool = False) -> dict[str, float]:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
+        labs, background = Laboratories(self._scenario, episodes), self._arguments.background
+        learned: dict[str, PretrainedPolicy] = {}
+        if not scripted:
+            learned = self._taken or {role: self._exported(role, state) for role, state in self._states().items()}
+        policies: dict[str, Policy] = {
+            agent: learned.get(role_of(agent)) or agent_policy(background, labs, number, seed)
+            for number, agent in enumerate(labs.agents)
+        }
+        return {
+            goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self._scenario.lab_goals
+        }
+
+    def _exported(
+        self, role: str, state: dict[str, npt.NDArray[Any]], step: int = 0, evaluation: dict[str, Any] | None = None
+    ) -> PretrainedPolicy:
+        """A role's policy without Ray and PyTorch, from its module's weights."""
+        a, labs = self._arguments, Laboratories(self._scenario, 1)
+        number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
+        place = labs.role(number)
+        card = Card(
+            name=role,
+            env_id="chemlab/Laboratory-v0",
+            scenario=self._scenario.name,
+            bench=role,
+            goals=list(self._scenario.goals if number else self._scenario.lab_goals),
+            starts="lab",
+            fingerprint=fingerprint(place),
+            interface=json.loads(json.dumps(interface(place))),
+            observation_size=int(place.observation_space.shape[0]),
+            action_size=place.action_count or len(place.action_meanings),
+            algo=ALGORITHM,
+            label=LABEL,
+            seed=a.seed,
+            step=step,
+            command=command_of(a),
+            versions=_versions(),
+            activation="tanh",
+            output="argmax" if place.action_count else "clip",
+            evaluation=evaluation or {},
+        )
+        return PretrainedPolicy(card, policy_weights(state))
+
+    def _check(self, role: str, policy: PretrainedPolicy, state: dict[str, npt.NDArray[Any]]) -> None:
+        """See that a policy puts out what RLlib's module does.
+
+        Raises:
+            ValueError: it does not.
+        """
+        spec = self.config.rl_module_spec.rl_module_specs[role]
+        module: Any = spec.build()
+        module.set_state(state)
+        size = policy.card.observation_size
+        seen = np.random.default_rng(0).random((256, size), dtype=np.float32)
+        observation: Any = torch.from_numpy(seen)
+        if policy.card.output == "argmax":
+            masks = torch.ones((256, policy.card.action_size), dtype=torch.int8)
+            observation = {"observations": observation, "action_mask": masks}
+        with torch.no_grad():
+            theirs = module.forward_inference({Columns.OBS: observation})[Columns.ACTION_DIST_INPUTS].numpy()
+        theirs, ours = theirs[:, : policy.card.action_size], policy.values(seen)
+        difference = float((np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))).max())
+        if not difference <= _TOLERANCE:
+            raise ValueError(
+                f"{role}: the exported policy differs from RLlib's by {difference:.2g} (allowed: {_TOLERANCE:g})"
+            )
+
+    def save(self, folder: Path, memory: dict[str, Any], evaluation: Evaluation) -> None:
+        """See :class:`chemlab.agents.training.rounds.Team`; with networks and optimizers in ``state.pkl``."""
+        reached = {"episodes_per_goal": self._arguments.eval_episodes, "seed": EVALUATION_SEED, **asdict(evaluation)}
+        step = reached.pop("step")
+        for role, state in self._states().items():
+            policy = self._exported(role, state, step, reached)
+            self._check(role, policy, state)
+            save_policy(folder / role, policy.card, policy_weights(state))
+        learned = {"learner_group": self.algorithm.learner_group.get_state(), "progress": memory}
+        (folder / "state.pkl").write_bytes(pickle.dumps(learned))
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put networks and optimizers back as a checkpoint has them, here and in the env runners."""
+        self.algorithm.set_state(state)
+
+    def take_best(self, folder: Path) -> None:
+        """See :class:`chemlab.agents.training.rounds.Team`."""
+        self._taken = {role: load_pretrained(folder / role) for role in self.roles}
+
+    def stop(self) -> None:
+        """End the env runners."""
+        self.algorithm.stop()
+        shutil.rmtree(self.algorithm.logdir, ignore_errors=True)  # RLlib makes one in the home folder; it is empty
+
+
+def _versions() -> dict[str, str]:
+    return {**versions(), "ray": ray.__version__}
+
+
+def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
+    """Train, or go on training, or return the result of a run that is finished.
+
+    Args:
+        arguments: who learns what, and where.
+        out: the run's folder; what is in it is described in :mod:`chemlab.agents.training.runs`, and a checkpoint has
+            a policy for each role. On a cluster it is this machine's.
+        watcher: is told how it goes.
+
+    Raises:
+        ValueError: the folder holds another run, another process trains it, an argument is wrong, or Ray is not there.
+        DataError: unknown scenario.
+        RuntimeError: all env runners were lost and none came back.
+    """
+    a = arguments
+    check_arguments(a, "train_rllib")
+    scenario = load_scenario(a.scenario)
+    scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
+    labs = Laboratories(scenario, 1)
+    roles = chosen_roles(labs, a.roles)
+    for number, agent in enumerate(labs.agents):
+        if role_of(agent) not in roles:
+            agent_policy(a.background, labs, number)  # what is wrong with it is said here, not by an env runner
+    run = Run(out)
+    described = RunConfig(
+        LABEL,
+        {
+            **{name: value for name, value in asdict(a).items() if name not in PLACE},
+            "algo": ALGORITHM,
+            "env_id": "chemlab/Laboratory-v0",
+        },
+        a.scenario,
+        ",".join(roles),
+        list(scenario.lab_goals),
+        fingerprint(labs.role(0)),
+        _versions(),
+    )
+    defaults = {name: value for name, value in asdict(RllibArguments()).items() if name not in PLACE}
+    return open_run(run, described, defaults, lambda: _train(run, a, scenario, roles, watcher))
+
+
+def _train(
+    run: Run, arguments: RllibArguments, scenario: Scenario, roles: list[str], watcher: Watcher | None
+) -> RunResult:
+    # On this size of network a second thread gains nothing, and env runners want the cores.
+    torch.set_num_threads(1)
+    last, state, memory = run.checkpoint("last"), None, fresh_memory()
+    if last is not None:
+        # Only a run's own files are unpickled.
+        state = pickle.loads((last / "state.pkl").read_bytes())
+        memory = dict(state.pop("progress"))
+    with connected(arguments.address, arguments.runners):
+        team = _Team(arguments, scenario, roles, memory["step"])
+        try:
+            if state is not None:
+                team.restore(state)
+            return train_in_rounds(run, team, arguments, memory, (LABEL, ALGORITHM), watcher)
+        finally:
+            team.stop()

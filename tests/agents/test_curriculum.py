@@ -1,0 +1,299 @@
+"""Easier beginnings: workflows that begin half way, and learners that begin as another policy's clone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.starts import record_starts
+from chemlab.agents.training.arguments import Stage, arguments_of, curriculum_of
+from chemlab.agents.training.learn import LearnerPolicy, load_learner, train
+from chemlab.agents.training.runs import Run
+from chemlab.agents.training.tasks import LaboratoryTask
+from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import SUBMIT, lab_starts
+from chemlab.materials import DataError
+from chemlab.scenario import load_scenario, scenario_names
+
+SMALL: dict[str, Any] = {
+    "env_id": "manager",
+    "preset": "manager",
+    "envs": 8,
+    "rollout": 8,
+    "steps": 256,
+    "evaluations": 2,
+    "checkpoints": 4,
+    "eval_episodes": 2,
+    "final_episodes": 2,
+}
+
+
+# -- beginning half way -----------------------------------------------------------------------------------------------
+
+
+def begun(labs: Laboratories, seed: int = 0) -> Laboratories:
+    for member in labs.members:
+        labs.seed(int(member), seed + int(member))
+    labs.reset(labs.members)
+    return labs
+
+
+def test_a_share_of_the_episodes_begins_half_way() -> None:
+    labs = Laboratories("wurtz_any", 400)
+    labs.prepare({"dit": 0.25, SUBMIT: 0.5})
+    begun(labs)
+    channels = {channel.name: channel for channel in labs.channels}
+    at, first = 0, {}
+    for name, channel in channels.items():
+        first[name] = at
+        at += channel.size
+    last = labs.observe(0, labs.members)[:, first["slot_0_last_bench"] :][:, :4]
+    benches = ["none", *labs.scenario.benches]
+    after = np.array([benches[i] for i in last.argmax(axis=1)])
+    # Vessels on their way to distillation come from one of the two benches before it; finished ones from any.
+    assert 0.15 < (after == "none").mean() < 0.35
+    assert set(after) == {"none", "rxn", "ext", "dit"}
+    recorded = {
+        (start.goal, round(sum(start.contents_mol.values()), 4))
+        for stage in ("dit", SUBMIT)
+        for start in lab_starts(labs.scenario, stage)
+    }
+    for member in np.flatnonzero(after != "none")[:40]:
+        amounts = labs.shelf.vessel(int(member), 0).amounts()
+        goal = labs.scenario.goals[labs.desk.goal[member, 0]]
+        salt = sum(amounts.get(name, 0.0) for name in ("Na+", "Cl-"))  # salt may dissolve or fall out at rest
+        assert any(goal == other and abs(total - sum(amounts.values())) <= salt + 1e-3 for other, total in recorded), (
+            goal,
+            amounts,
+        )
+
+
+def test_each_episode_depends_on_its_seed_alone() -> None:
+    shares = {"rxn": 0.2, "ext": 0.2, "dit": 0.2, SUBMIT: 0.2}
+    many = Laboratories("wurtz_any", 12)
+    many.prepare(shares)
+    begun(many, seed=7)
+    one = Laboratories("wurtz_any", 1)
+    one.prepare(shares)
+    for member in (3, 11):
+        one.seed(0, 7 + member)
+        one.reset(one.members)
+        np.testing.assert_array_equal(one.shelf.vessels[0], many.shelf.vessels[member])
+        np.testing.assert_array_equal(one.observe(0, one.members)[0], many.observe(0, many.members)[member])
+
+
+def test_without_a_share_nothing_is_different() -> None:
+    plain, prepared = Laboratories("wurtz_any", 5), Laboratories("wurtz_any", 5)
+    prepared.prepare({"dit": 1.0})
+    begun(prepared)
+    assert not np.array_equal(prepared.shelf.vessels, begun(plain).shelf.vessels)
+    prepared.prepare(None)
+    for mine, other in zip(begun(prepared).arrays(), begun(plain).arrays(), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+def test_a_prepared_vessel_can_be_submitted_at_once() -> None:
+    labs = Laboratories("wurtz_dodecane", 20)
+    labs.prepare({SUBMIT: 1.0})
+    begun(labs)
+    labs.act(0, labs.members, np.full(20, labs.actions.encode("submit", 0)))
+    assert labs.result(labs.members).mean() > 0.3
+
+
+@pytest.mark.parametrize(
+    ("shares", "message"),
+    [
+        ({"oven": 0.5}, "shares of rxn, ext, dit, submit"),
+        ({"dit": -0.1}, "sum to 1 at most"),
+        ({"dit": 0.7, "ext": 0.7}, "sum to 1 at most"),
+    ],
+)
+def test_wrong_shares(shares: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Laboratories("wurtz_dodecane").prepare(shares)
+
+
+def test_a_scenario_that_nobody_has_played() -> None:
+    scenario = load_scenario("wurtz_dodecane").model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
+    with pytest.raises(DataError, match="run: chemlab starts never_played"):
+        Laboratories(scenario).prepare({"dit": 1.0})
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_shipped_scenario_has_been_played(name: str) -> None:
+    """For every bench and for submitting there are vessels of every laboratory goal."""
+    scenario = load_scenario(name)
+    for stage in (*scenario.benches, SUBMIT):
+        found = {start.goal for start in lab_starts(scenario, stage)}
+        # The salt is what washing takes away: nobody washes for it.
+        washing = stage in scenario.benches and scenario.benches[stage].kind == "extraction"
+        assert found >= set(scenario.lab_goals) - ({"NaCl"} if washing else set())
+
+
+def test_recording_is_repeatable_and_keeps_what_a_vessel_was() -> None:
+    scenario = load_scenario("salt_from_oil")
+    first, again = (record_starts(scenario, 2, 5) for _ in range(2))
+    assert first == again
+    assert {start.last_bench for start in first[SUBMIT]} == {"dit"}
+    assert all(start.last_bench is None for start in first["ext"])
+
+
+def test_either_kind_of_start_is_drawn_as_often() -> None:
+    env = BenchVectorEnv(600, "wurtz_dodecane", "dit", starts="both")
+    env.reset(seed=0, options={"goal": "dodecane"})
+    ether = np.array([env.arena.shelf.vessel(i, 0).amounts().get("diethyl_ether", 0.0) for i in range(600)])
+    paper = np.isclose(ether, 4.0, atol=1e-9)
+    assert 0.42 < paper.mean() < 0.58
+
+
+# -- as configuration -------------------------------------------------------------------------------------------------
+
+
+def test_backward_adds_a_bench_at_a_time() -> None:
+    stages = curriculum_of(arguments_of({"steps": 1000, "curriculum": ["backward"]}), ("rxn", "ext", "dit"))
+    assert [list(stage.shares) for stage in stages] == [
+        ["submit", "dit"],
+        ["submit", "dit", "ext"],
+        ["submit", "dit", "ext", "rxn"],
+    ]
+    assert [stage.until for stage in stages] == [200, 400, 600]
+    assert all(sum(stage.shares.values()) == pytest.approx(1.0) for stage in stages)
+
+
+def test_stages_of_ones_own() -> None:
+    arguments = arguments_of({"curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
+    assert curriculum_of(arguments, ()) == [Stage(1000, {"submit": 1.0}), Stage(3000, {"dit": 0.5, "ext": 0.25})]
+
+
+@pytest.mark.parametrize("text", ["soon: dit=1", "100 dit=1", "100:", "100: dit", "100: dit=many", "forward"])
+def test_stages_that_are_not_understood(text: str) -> None:
+    with pytest.raises(ValueError, match=r"curriculum: stages are .*given"):
+        arguments_of({"curriculum": [text]})
+
+
+def test_stages_have_growing_steps() -> None:
+    with pytest.raises(ValueError, match="growing steps"):
+        arguments_of({"curriculum": ["100: dit=1", "100: ext=1"]})
+
+
+def test_a_bench_on_its_own_has_no_curriculum(tmp_path: Path) -> None:
+    arguments = arguments_of({"env_id": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
+    with pytest.raises(ValueError, match="curriculum: is for a laboratory"):
+        train(arguments, tmp_path / "run")
+
+
+class _Stop:
+    """Stops a run after some rollouts, as a signal would."""
+
+    def __init__(self, rounds: int) -> None:
+        self.rounds = rounds
+
+    def begun(self, step: int, steps: int) -> None: ...
+
+    def advanced(self, step: int, mean: float | None) -> None:
+        self.rounds -= 1
+        if not self.rounds:
+            raise KeyboardInterrupt
+
+    def evaluated(self, evaluation: Any, best: bool) -> None: ...
+
+    def finishing(self) -> None: ...
+
+
+def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
+    arguments = arguments_of({**SMALL, "scenario": "wurtz_any", "imitate": "heuristic", "imitate_steps": 200})
+    train(arguments, tmp_path / "whole")
+    for rounds in (1, 2):
+        with pytest.raises(KeyboardInterrupt):
+            train(arguments, tmp_path / "broken", _Stop(rounds))
+    train(arguments, tmp_path / "broken")
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    assert [(p.step, p.return_mean) for p in whole.curve()] == [(p.step, p.return_mean) for p in broken.curve()]
+    assert whole.evaluations() == broken.evaluations()
+
+
+# -- imitation --------------------------------------------------------------------------------------------------------
+
+
+def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: Path) -> None:
+    """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
+    scores = {}
+    for name, example in (("clone", {"imitate": "heuristic", "imitate_steps": 4000}), ("scratch", {})):
+        arguments = arguments_of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
+        result = train(arguments, tmp_path / name)
+        scores[name] = result.last_mean
+        assert result.heuristic_mean is not None
+    assert scores["clone"] > 0.6 * result.heuristic_mean
+    assert scores["scratch"] < 0.1 * result.heuristic_mean
+
+
+def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
+    arguments = arguments_of(
+        {
+            **{name: value for name, value in SMALL.items() if name not in ("preset", "env_id")},
+            "imitate": "heuristic",
+            "imitate_steps": 3000,
+            "learning_rate": 1e-6,
+        }
+    )
+    result = train(arguments, tmp_path / "run")
+    assert result.heuristic_mean is not None
+    assert result.mean > 0.5 * result.heuristic_mean
+
+
+def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
+    arguments = arguments_of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
+    with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
+        train(arguments, tmp_path / "run")
+
+
+def test_only_learners_with_a_policy_can_imitate() -> None:
+    with pytest.raises(ValueError, match="imitate: is for ppo"):
+        arguments_of({"algo": "dqn", "imitate": "heuristic"})
+
+
+# -- who plays --------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(arguments_of({**SMALL, "background": "hasty"}), run)
+    labs = Laboratories("wurtz_dodecane")
+    policies = make_policies(str(run), labs)
+    assert isinstance(policies["manager_0"], LearnerPolicy)
+    expected = make_policies("hasty", labs)
+    assert vars(policies["dit_0"]).get("_careful") == vars(expected["dit_0"]).get("_careful")
+    best = Run(run).checkpoint("best")
+    assert best is not None
+    learner = LearnerPolicy(load_learner(best, "maskable-ppo"))
+    seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
+    zero = np.zeros(1, dtype=np.int64)
+    assert policies["manager_0"].act(seen, mask, zero, zero) == learner.act(seen, mask, zero, zero)
+    task = LaboratoryTask("wurtz_dodecane", background=f"hasty,manager={run}")
+    assert task.goals == ("dodecane",)
+
+
+def test_exceptions_are_for_roles_and_agents() -> None:
+    labs = Laboratories("wurtz_two_lines")
+    kinds = {name: type(policy).__name__ for name, policy in make_policies("heuristic,ext=random", labs).items()}
+    assert (kinds["ext_0"], kinds["ext_1"], kinds["dit_0"]) == (
+        "RandomPolicy",
+        "RandomPolicy",
+        "DistillationHeuristic",
+    )
+    one = make_policies("heuristic,ext_1=random", labs)
+    assert type(one["ext_0"]).__name__ == "ExtractionHeuristic"
+    assert type(one["ext_1"]).__name__ == "RandomPolicy"
+
+
+@pytest.mark.parametrize("name", ["heuristic,oven=random", "heuristic,ext", "heuristic,ext="])
+def test_exceptions_that_are_nobodys(name: str) -> None:
+    with pytest.raises(ValueError, match="must be ROLE=POLICY; roles: .*manager"):
+        make_policies(name, Laboratories("wurtz_dodecane"))

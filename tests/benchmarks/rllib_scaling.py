@@ -1,0 +1,112 @@
+"""Turns per second of training on RLlib with 1 and 2 env runners.
+
+Run ``python tests/benchmarks/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a look, ``--update PAGE`` to
+write the table between its marks). The runs stand side by side and take turns, a round each, so that whatever else the
+machine does meets them alike. The first round of each does not count. A round is the same work whatever the number of
+runners: a batch of turns is gathered, then learned from. One process learns, so that only gathering can scale.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from chemlab.agents.rllib.arguments import RllibArguments
+from chemlab.agents.rllib.train import _Team, connected
+from chemlab.agents.roles import chosen_roles
+from chemlab.files import replace_between
+from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import load_scenario
+
+
+class Timed:
+    """A team, and how long its rounds took."""
+
+    def __init__(self, arguments: RllibArguments) -> None:
+        scenario = load_scenario(arguments.scenario)
+        roles = chosen_roles(Laboratories(scenario, 1), arguments.roles)
+        self.team = _Team(arguments, scenario, roles, 0)
+        self.turns, self.seconds, self.learning = 0, 0.0, 0.0
+        group: Any = self.team.algorithm.learner_group
+        update = group.update
+
+        def timed(*given: Any, **named: Any) -> Any:
+            begun = time.perf_counter()
+            found = update(*given, **named)
+            self.learning += time.perf_counter() - begun
+            return found
+
+        group.update = timed
+
+    def round(self) -> None:
+        begun = time.perf_counter()
+        self.turns += self.team.learn({})[0]
+        self.seconds += time.perf_counter() - begun
+
+    def forget(self) -> None:
+        self.turns, self.seconds, self.learning = 0, 0.0, 0.0
+
+
+def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
+    """Rates of every number of runners, all in one Ray."""
+    torch.set_num_threads(1)
+    with connected(None, sum(runners)):
+        runs = {n: Timed(RllibArguments(scenario, roles=roles, runners=n, envs=16 // n, batch=batch)) for n in runners}
+        for run in runs.values():
+            run.round()
+            run.forget()
+        for _ in range(rounds):
+            for run in runs.values():
+                run.round()
+        rows = [
+            {
+                "runners": n,
+                "gathered_per_second": run.turns / (run.seconds - run.learning),
+                "all_per_second": run.turns / run.seconds,
+            }
+            for n, run in runs.items()
+        ]
+        for run in runs.values():
+            run.team.stop()
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> list[str]:
+    """Markdown."""
+    first = rows[0]
+    lines = ["| env runners | turns gathered a second | turns a second, learning included |", "|--:|--:|--:|"]
+    for row in rows:
+        cells = [f"{row[key]:,.0f} ({row[key] / first[key]:.2f}x)" for key in ("gathered_per_second", "all_per_second")]
+        lines.append(f"| {row['runners']} | {' | '.join(cells)} |")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="wurtz_dodecane")
+    parser.add_argument("--roles", nargs="*", help="default: all")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--quick", action="store_true", help="3 rounds")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--update", type=Path, help="page with the marks rllib-scaling")
+    given = parser.parse_args()
+    roles = tuple(given.roles) if given.roles else None
+    rows = measure(given.scenario, roles, (1, 2), 3 if given.quick else given.rounds, 4096)
+    load = os.getloadavg()[0]
+    if given.json:
+        print(json.dumps({"rows": rows, "cores": os.cpu_count(), "load": load}))
+        return
+    lines = table(rows)
+    print("\n".join([*lines, "", f"{os.cpu_count()} cores, load {load:.1f} at the end (its own is about 2)"]))
+    if given.update is not None:
+        replace_between(given.update, "rllib-scaling", lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,444 @@
+"""Ray RLlib: the same laboratory turn by turn, masks, lost env runners, checkpoints that play elsewhere."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ray.rllib", reason='needs the extra: pip install "chemlab-marl[rllib]"')
+
+import ray
+import torch
+from ray.rllib.core.columns import Columns
+from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
+
+from chemlab.agents.evaluation.play import play_laboratory
+from chemlab.agents.policy import make_policies
+from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.rllib import train as training
+from chemlab.agents.rllib.arguments import RllibArguments, command_of, load_rllib_arguments
+from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv
+from chemlab.agents.rllib.module import RoleModule, policy_weights
+from chemlab.agents.rllib.train import algorithm_config, train_rllib
+from chemlab.agents.roles import role_of
+from chemlab.agents.training.learn import RESULT_SEED
+from chemlab.agents.training.runs import Evaluation, Run
+from chemlab.laboratory import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import load_scenario
+
+ROLES = ["manager", "rxn", "ext", "dit"]
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::ResourceWarning"
+)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[None]:
+    """A Ray for this module alone, which runs find and leave alone; a short path, as sockets want it."""
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ray.init(
+        "local",
+        num_cpus=2,
+        include_dashboard=False,
+        object_store_memory=100_000_000,
+        log_to_driver=False,
+        _temp_dir=folder,
+    )
+    yield
+    ray.shutdown()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def legal(space: Any, mask: Any, rng: np.random.Generator) -> Any:
+    """A random legal action."""
+    return rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask)))
+
+
+def parts(observation: Any) -> tuple[Any, Any]:
+    """What an agent sees, and its mask."""
+    if isinstance(observation, dict):
+        return observation["observations"], observation["action_mask"]
+    return observation, None
+
+
+# -- the environment ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_two_lines", "fictitious"])
+def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> None:
+    """RLlib's environment beside PettingZoo's, which plays the same script: turns, observations, masks, rewards, ends.
+    The cooperative mix pays everybody for what others do."""
+    ours = LaboratoryMultiAgentEnv({"scenario": scenario, "rewards": "cooperative"})
+    theirs, rng = raw_env(scenario, rewards="cooperative"), np.random.default_rng(1)
+    for seed in range(3):
+        theirs.reset(seed=seed)
+        observations, infos = ours.reset(seed=seed)
+        earned, paid = dict.fromkeys(theirs.agents, 0.0), dict.fromkeys(theirs.agents, 0.0)
+        acted, over = set(), False
+        while not over:
+            agent = theirs.agent_selection
+            assert list(observations) == list(infos) == [agent]
+            assert ours.observation_spaces[agent].contains(observations[agent])
+            seen, mask = parts(observations[agent])
+            observation, _, _, _, info = theirs.last()
+            np.testing.assert_array_equal(seen, observation)
+            np.testing.assert_equal(infos[agent], info)
+            if mask is not None:
+                np.testing.assert_array_equal(mask, info["action_mask"])
+            action = legal(theirs.action_space(agent), mask, rng)
+            acted.add(agent)
+            theirs.step(action)
+            for name, reward in theirs.rewards.items():
+                paid[name] += reward
+            observations, rewards, terminated, truncated, infos = ours.step({agent: action})
+            for name, reward in rewards.items():
+                assert reward == theirs._cumulative_rewards[name]
+                earned[name] += reward
+            over = terminated["__all__"] or truncated["__all__"]
+            assert terminated["__all__"] == all(theirs.terminations.values())
+            assert truncated["__all__"] == all(theirs.truncations.values())
+        assert set(observations) == acted, "everybody who has had a turn gets a last observation"
+        for name in acted:
+            assert earned[name] == pytest.approx(paid[name], rel=1e-12, abs=1e-15), "nothing is lost between turns"
+        assert ours.score == theirs.laboratories.result(theirs.laboratories.members)[0]
+
+
+@pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])
+def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
+    """With the scripted policy of the learning roles the episode is the one that scripted policies play alone."""
+    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": roles, "background": "heuristic"})
+    alone = raw_env("wurtz_dodecane")
+    alone.reset(seed=7)
+    everybody = make_policies("heuristic", alone.laboratories)
+    labs = alone.laboratories
+    while labs.desk.status[0] == 0:
+        agent = alone.agent_selection
+        mask: Any = alone.infos[agent].get("action_mask")
+        turns = labs.turns_had(labs.agents.index(agent))
+        seen = alone.observe(agent)[None]
+        alone.step(everybody[agent].act(seen, None if mask is None else mask[None], turns, labs.members)[0])
+    observations, _ = env.reset(seed=7)
+    learners, labs, over = make_policies("heuristic", env.laboratory.laboratories), env.laboratory.laboratories, False
+    while not over:
+        (agent,) = observations
+        assert role_of(agent) in roles
+        seen, mask = parts(observations[agent])
+        turns = labs.turns_had(labs.agents.index(agent))
+        action = learners[agent].act(seen[None], None if mask is None else mask[None], turns, labs.members)[0]
+        observations, _, terminated, truncated, _ = env.step({agent: action})
+        over = terminated["__all__"] or truncated["__all__"]
+    assert env.score == alone.laboratories.result(alone.laboratories.members)[0]
+    assert set(env.agents) == {agent for agent in labs.agents if role_of(agent) in roles}
+
+
+def test_seeds_begin_the_same_episodes() -> None:
+    """Background policies' streams included; without a seed the streams go on; RLlib's runners get others."""
+    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_any", "roles": ["manager"], "background": "random"})
+
+    def episode(seed: int | None, env: LaboratoryMultiAgentEnv) -> list[float]:
+        observations, rng, rewards, over = env.reset(seed=seed)[0], np.random.default_rng(0), [], False
+        seen = [float(observations["manager_0"]["observations"].sum())]
+        while not over:
+            action = legal(None, observations["manager_0"]["action_mask"], rng)
+            observations, reward, terminated, truncated, _ = env.step({"manager_0": action})
+            rewards.append(reward["manager_0"])
+            over = terminated["__all__"] or truncated["__all__"]
+        return [*seen, *rewards]
+
+    first, second = episode(3, env), episode(None, env)
+    assert first == episode(3, env)
+    assert second == episode(None, env)
+    assert first != second
+
+    class Context(dict[str, Any]):
+        worker_index = 2
+
+    elsewhere = LaboratoryMultiAgentEnv(
+        Context({"scenario": "wurtz_any", "roles": ["manager"], "background": "random"})
+    )
+    assert episode(3, elsewhere) == episode(2003, env)
+
+
+def test_wrong_settings_and_steps_are_named() -> None:
+    with pytest.raises(ValueError, match=r"env_config: known: scenario, .*; given scenery"):
+        LaboratoryMultiAgentEnv({"scenery": "wurtz_dodecane"})
+    with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
+        LaboratoryMultiAgentEnv({"roles": ["cook"]})
+    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane"})
+    with pytest.raises(ValueError, match="call reset"):
+        env.step({"manager_0": 0})
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="manager_0: has the turn"):
+        env.step({"rxn_0": np.zeros(4)})
+    with pytest.raises(ValueError, match=r"manager_0: .*given -1"):
+        env.step({"manager_0": -1})
+
+
+# -- what RLlib makes of it -----------------------------------------------------------------------------------------
+
+TAPES: list[_Taped] = []
+
+
+class _Taped(LaboratoryMultiAgentEnv):
+    """Keeps what it was asked to do and what it paid for it, agent by agent."""
+
+    def __init__(self, config: Any = None) -> None:
+        super().__init__(config)
+        self.episodes: list[dict[str, list[tuple[Any, Any, float]]]] = []
+        self.illegal = 0
+        TAPES.append(self)
+
+    def reset(self, **arguments: Any) -> Any:
+        observations, infos = super().reset(**arguments)
+        self.episodes.append(defaultdict(list))
+        self._open = {agent: parts(seen)[0] for agent, seen in observations.items()}
+        self._played: dict[str, Any] = {}
+        return observations, infos
+
+    def step(self, action_dict: dict[str, Any]) -> Any:
+        (agent,) = action_dict
+        self._played[agent] = action_dict[agent]
+        found = super().step(action_dict)
+        self.illegal += bool(self.laboratory.infos[agent]["illegal_action"])
+        for name, seen in found[0].items():
+            if name in self._played:
+                self.episodes[-1][name].append((self._open[name], self._played.pop(name), found[1][name]))
+            self._open[name] = parts(seen)[0]
+        return found
+
+
+def test_rllib_collects_what_was_played(cluster: None) -> None:
+    """Through RLlib's env runner, which cuts episodes wherever a batch is full: every agent's observations, actions and
+    rewards, in order, are those of the environment; no illegal action in 2000 turns; continuous ones are clipped."""
+    TAPES.clear()
+    scenario = load_scenario("wurtz_dodecane")
+    config = algorithm_config(RllibArguments(envs=3), scenario, ROLES, 11).environment(_Taped)
+    runner = MultiAgentEnvRunner(config=config, worker_index=1)
+    chunks = [chunk for _ in range(60) for chunk in runner.sample(num_timesteps=37)]
+    collected: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
+    ended = []
+    for chunk in chunks:
+        for agent, part in chunk.agent_episodes.items():
+            seen = part.get_observations()
+            seen = seen["observations"] if isinstance(seen, dict) else seen
+            collected[chunk.id_][agent] += list(zip(seen[:-1], part.get_actions(), part.get_rewards(), strict=True))
+        if chunk.is_done:
+            ended.append(chunk.id_)
+    assert len(ended) >= 10
+    assert sum(tape.illegal for tape in TAPES) == 0
+    tapes = [episode for tape in TAPES for episode in tape.episodes]
+    found = 0
+    for one in ended:
+        own = collected[one]
+        same = [
+            tape
+            for tape in tapes
+            if {name: len(rows) for name, rows in tape.items()} == {n: len(r) for n, r in own.items()}
+        ]
+        found += any(alike(tape, own) for tape in same)
+    assert found == len(ended)
+
+
+def alike(tape: dict[str, list[Any]], collected: dict[str, list[Any]]) -> bool:
+    for agent, rows in tape.items():
+        for (seen, action, reward), (their_seen, their_action, their_reward) in zip(
+            rows, collected[agent], strict=True
+        ):
+            drawn = np.clip(their_action, 0.0, 1.0) if role_of(agent) == "rxn" else their_action
+            if not (np.array_equal(seen, their_seen) and np.allclose(action, drawn, atol=1e-7)):
+                return False
+            if not np.isclose(reward, their_reward, rtol=1e-6, atol=1e-9):
+                return False
+    return True
+
+
+def test_illegal_actions_have_no_probability() -> None:
+    labs = Laboratories("wurtz_dodecane", 1)
+    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane"})
+    for number, agent in enumerate(labs.agents):
+        space, actions = env.observation_spaces[agent], env.action_spaces[agent]
+        module = RoleModule(observation_space=space, action_space=actions)
+        seen = torch.rand(64, labs.observation_sizes[number])
+        if not labs.action_counts[number]:
+            batch = {Columns.OBS: seen}
+            means, log_std = module.forward_train(batch)[Columns.ACTION_DIST_INPUTS].chunk(2, dim=-1)
+            assert means.shape == log_std.shape == (64, actions.shape[0])
+            continue
+        mask = (torch.rand(64, labs.action_counts[number]) < 0.2).to(torch.int8)
+        mask[:, 0] = 1
+        batch = {Columns.OBS: {"observations": seen, "action_mask": mask}}
+        logits = module.forward_train(batch)[Columns.ACTION_DIST_INPUTS]
+        chances = module.get_train_action_dist_cls().from_logits(logits)
+        assert (torch.softmax(logits, -1)[mask == 0] == 0.0).all()
+        assert all(mask[torch.arange(64), chances.sample()].all() for _ in range(50))
+        assert torch.isfinite(chances.entropy()).all()
+        assert module.compute_values(batch).shape == (64,)
+
+
+def test_every_role_has_its_own_discount(cluster: None) -> None:
+    """RLlib's own learner has one for all; here the manager's returns are plain sums, and the benches' discounted."""
+    arguments = RllibArguments(envs=2, gamma=0.5, manager_gamma=1.0, gae_lambda=1.0)
+    config = algorithm_config(arguments, load_scenario("wurtz_dodecane"), ROLES, 0)
+    runner = MultiAgentEnvRunner(config=config, worker_index=1)
+    learner = config.build_learner(spaces=runner.get_spaces())
+    # lambda 1 makes the targets discounted sums of rewards, whatever the value network says, where episodes are whole.
+    episodes = runner.sample(num_episodes=4)
+    own = {
+        role: [part.get_rewards() for e in episodes for name, part in e.agent_episodes.items() if role_of(name) == role]
+        for role in ROLES
+    }
+    batch = learner._learner_connector(
+        rl_module=learner.module, batch={}, episodes=episodes, shared_data={}, metrics=learner.metrics
+    )
+    for role, rewards in own.items():
+        gamma, expected = (1.0 if role == "manager" else 0.5), []
+        for row in rewards:
+            sums, total = [], 0.0
+            for reward in row[::-1]:
+                total = float(reward) + gamma * total
+                sums.append(total)
+            expected += sums[::-1]
+        real = batch[role]["loss_mask"]
+        np.testing.assert_allclose(batch[role]["value_targets"][real].numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
+# -- runs -----------------------------------------------------------------------------------------------------------
+
+
+class _Stop(Exception):
+    pass
+
+
+class _Killing:
+    """Kills an env runner's process after the first round, and stops the run when another has taken its place."""
+
+    def __init__(self) -> None:
+        self.team: Any = None
+        self.killed: int | None = None
+        self.rounds_without = 0
+
+    def pids(self) -> list[int]:
+        found: list[int] = self.team.algorithm.env_runner_group.foreach_env_runner(
+            lambda _: os.getpid(), local_env_runner=False
+        )
+        return found
+
+    def begun(self, step: int, steps: int) -> None:
+        pass
+
+    def advanced(self, step: int, mean: float | None) -> None:
+        group = self.team.algorithm.env_runner_group
+        if self.killed is None:
+            self.killed = self.pids()[0]
+            os.kill(self.killed, signal.SIGKILL)
+        elif group.num_healthy_remote_workers() < 2:
+            self.rounds_without += 1
+            time.sleep(0.5)  # a process needs its time to start
+        elif self.rounds_without:
+            assert len(self.pids()) == 2
+            assert self.killed not in self.pids()
+            raise _Stop
+
+    def evaluated(self, evaluation: Evaluation, best: bool) -> None:
+        pass
+
+    def finishing(self) -> None:
+        raise AssertionError("the lost env runner was not replaced")
+
+
+def test_a_killed_env_runner_is_replaced_and_a_stopped_run_goes_on(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = RllibArguments(
+        steps=40_000, runners=2, envs=2, batch=200, batch_size=100, epochs=1, evaluations=200, eval_episodes=1
+    )
+    watcher, make = _Killing(), training._Team
+
+    def watched(*given: Any) -> Any:
+        watcher.team = make(*given)
+        return watcher.team
+
+    monkeypatch.setattr(training, "_Team", watched)
+    with pytest.raises(_Stop):
+        train_rllib(arguments, tmp_path, watcher)
+    assert watcher.rounds_without >= 1, "training went on while an env runner was missing"
+    run = Run(tmp_path)
+    points, last = run.curve(), run.checkpoint("last")
+    assert last is not None
+    assert len(points) >= 3
+    assert all(after.step >= before.step + 200 for before, after in itertools.pairwise(points))
+    # What it had learned is there: the policies in the checkpoint are those of RLlib's networks.
+    weights = training.pickle.loads((last / "state.pkl").read_bytes())["learner_group"]["learner"]["rl_module"]
+    for role in ROLES:
+        policy = load_pretrained(last / role)
+        for name, array in policy_weights(weights[role]).items():
+            layer, _, part = name.partition(".")
+            ours = policy._layers[int(layer)][0].T if part == "weight" else policy._layers[int(layer)][1]
+            np.testing.assert_array_equal(ours, array)
+
+    class Stopping(_Killing):
+        def begun(self, step: int, steps: int) -> None:
+            assert step == int(last.name.rpartition("-")[2])
+            states = self.team._states()
+            for role in ROLES:
+                for name, array in states[role].items():
+                    np.testing.assert_array_equal(array, weights[role][name])
+            self.killed = 0
+
+        def advanced(self, step: int, mean: float | None) -> None:
+            raise _Stop
+
+    watcher = Stopping()
+    with pytest.raises(_Stop):
+        train_rllib(arguments, tmp_path, watcher)
+    assert run.curve()[-1].step > int(last.name.rpartition("-")[2])
+    with pytest.raises(ValueError, match="holds a run with other arguments: gamma"):
+        train_rllib(RllibArguments(**{**vars(arguments), "gamma": 0.5}), tmp_path)
+
+
+def test_a_run_learns_and_its_policies_play_without_ray(cluster: None, tmp_path: Path) -> None:
+    """A manager of scripted benches, from random play to better than the scripted manager."""
+    arguments = RllibArguments(
+        "salt_from_oil", roles=("manager",), steps=5000, batch=500, batch_size=125, learning_rate=1e-3, evaluations=2
+    )
+    result = train_rllib(arguments, tmp_path)
+    curve = [point.return_mean for point in Run(tmp_path).curve() if point.return_mean is not None]
+    assert curve[0] < 0.4
+    assert min(curve[-3:]) > 0.8
+    assert result.mean > 0.8
+    assert result.steps >= 5000
+    labs = Laboratories("salt_from_oil", 100)
+    policies = make_policies(str(tmp_path), labs)
+    scores = [play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean() for goal in labs.scenario.lab_goals]
+    assert np.mean(scores) == pytest.approx(result.mean, rel=1e-9)
+    assert train_rllib(arguments, tmp_path) == result, "what is finished is not run again"
+
+
+def test_a_cluster_that_is_not_there_or_too_small_is_named(cluster: None, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="runners: each takes a CPU, and Ray has 2; given 3"):
+        train_rllib(RllibArguments(runners=3), tmp_path)
+
+
+def test_arguments() -> None:
+    arguments = load_rllib_arguments(None, {"scenario": "fictitious", "roles": ("rxn", "dit"), "address": "auto"})
+    assert command_of(arguments) == "chemlab train-rllib fictitious --roles rxn --roles dit"
+    with pytest.raises(ValueError, match="train-rllib: runners: must be at least 1, given 0"):
+        load_rllib_arguments(None, {"runners": 0})
+    with pytest.raises(ValueError, match="train-rllib: batch: must be at least a turn"):
+        load_rllib_arguments(None, {"batch": 7})
+    with pytest.raises(ValueError, match="train-rllib: runner: no such argument; did you mean runners"):
+        load_rllib_arguments(None, {"runner": 1})
