@@ -19,7 +19,7 @@ from .pretrained import pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
 
-__all__ = ["Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
+__all__ = ["LapsingPolicy", "Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
 
 
 @kernel
@@ -91,6 +91,54 @@ class RandomPolicy:
         self._stream = np.array(memory)
 
 
+class LapsingPolicy:
+    """Another policy that now and then plays a random legal action instead, as people and machines do.
+
+    Args:
+        policy: the other policy.
+        probability: of a lapse at each turn, in [0, 1].
+        size: as for :class:`RandomPolicy`.
+        seed: as for :class:`RandomPolicy`.
+    """
+
+    def __init__(
+        self, policy: Policy, probability: float, size: int, seed: int | np.random.SeedSequence | None = None
+    ) -> None:
+        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        first, second = own.spawn(2)
+        self._policy, self._probability = policy, probability
+        self._lapses, self._random = RandomPolicy(1, first), RandomPolicy(size, second)
+
+    def _parts(self) -> tuple[Any, ...]:
+        return self._policy, self._lapses, self._random
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Start the streams of one member afresh."""
+        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        for part, sequence in zip(self._parts(), own.spawn(3), strict=True):
+            if hasattr(part, "seed"):
+                part.seed(member, sequence)
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`."""
+        meant = self._policy.act(observation, mask, step, members)
+        drawn = self._random.act(observation, mask, step, members)
+        lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
+        return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return [part.get_memory() if hasattr(part, "get_memory") else None for part in self._parts()]
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        for part, kept in zip(self._parts(), memory, strict=True):
+            if hasattr(part, "set_memory"):
+                part.set_memory(kept)
+
+
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
     return ("heuristic", "hasty", "random", "pretrained", "trained")
@@ -103,8 +151,9 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``random``, ``pretrained`` (benches by shipped policies, the manager
             scripted) or ``trained`` (the manager by a shipped policy, too); or the path of a training run, a checkpoint
-            or exported weights, for the roles that learned (the others are played by its background). Exceptions
-            follow after commas, by role or agent: ``pretrained,manager=random,ext_1=runs/my-ext``.
+            or exported weights, for the roles that learned (the others are played by its background). ``@0.1`` after
+            it: at one turn in ten a random legal action instead. Exceptions follow after commas, by role or agent:
+            ``pretrained@0.1,manager=random,ext_1=runs/my-ext``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -131,6 +180,22 @@ def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
     return general
 
 
+def _size(laboratories: Laboratories, number: int) -> int:
+    """Numbers of an agent's action, 0 where it is discrete."""
+    shape = laboratories.action_space(number).shape
+    return int(shape[0]) if shape else 0
+
+
+def _probability(name: str, text: str) -> float:
+    try:
+        share = float(text)
+    except ValueError:
+        share = -1.0
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"policy: {name!r}: what follows @ is the share of random actions, from 0 to 1")
+    return share
+
+
 def agent_policy(
     name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None
 ) -> Policy:
@@ -141,6 +206,15 @@ def agent_policy(
     """
     agent, role = laboratories.agents[number], laboratories.role(number)
     own = _name_for(name, agent, laboratories.agents)
+    steady, at, share = own.rpartition("@")
+    if at and not is_saved(own):
+        shape = laboratories.action_space(number).shape
+        return LapsingPolicy(
+            agent_policy(steady, laboratories, number, seed),
+            _probability(own, share),
+            int(shape[0]) if shape else 0,
+            seed,
+        )
     if own not in policy_names():
         if not is_saved(own):
             raise ValueError(f"policy: known: {', '.join(policy_names())}, or a path that exists; given {own!r}")
@@ -149,8 +223,7 @@ def agent_policy(
             return saved.load[role_of(agent)](role)
         return agent_policy(saved.background, laboratories, number, seed)
     if own == "random":
-        shape = laboratories.action_space(number).shape
-        return RandomPolicy(int(shape[0]) if shape else 0, seed)
+        return RandomPolicy(_size(laboratories, number), seed)
     if own == "trained" or (own == "pretrained" and number > 0):
         return pretrained_for(role, laboratory=True)
     careful = own != "hasty"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from chemlab.bench.base import MaskArray, ObservationArray
@@ -22,20 +21,6 @@ __all__ = ["record_starts"]
 
 _EXPLORE = 0.1
 _LEAST_MOL = 1e-6
-
-
-class _Exploring:
-    """A policy that plays another's actions, and now and then a random legal one."""
-
-    def __init__(self, policy: Policy, explorer: Policy, rng: np.random.Generator) -> None:
-        self._policy, self._explorer, self._rng = policy, explorer, rng
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
-        actions = self._policy.act(observation, mask, step, members)
-        return self._explorer.act(observation, mask, step, members) if self._rng.random() < _EXPLORE else actions
 
 
 class _Recording:
@@ -95,17 +80,13 @@ def record_starts(
     ways = [manager_heuristic(labs), manager_heuristic(labs, skip=washing), manager_heuristic(labs, careful=False)]
     if set(scenario.benches) == washing:
         ways = ways[::2]
+    reacting = [key for key, bench in scenario.benches.items() if bench.kind == "reaction"]
+    lapses = "".join(f",{key}=heuristic@{_EXPLORE}" for key in reacting)
     for g, goal in enumerate(scenario.goals):
         for episode in range(episodes):
             number = seed + g * episodes + episode
-            policies = make_policies("heuristic", labs, number)
+            policies = make_policies(f"heuristic{lapses}", labs, number)
             policies[manager] = _Recording(ways[episode % len(ways)], labs, found)
-            explorers = make_policies("random", labs, number)
-            for b, bench in enumerate(labs.benches):
-                if bench.spec.kind == "reaction":
-                    agent = labs.bench_agents[b]
-                    rng = np.random.default_rng(number)
-                    policies[agent] = _Exploring(policies[agent], explorers[agent], rng)
             play_episode(env, policies, number, options={"goal": goal})
             if progress is not None:
                 progress()

@@ -398,7 +398,48 @@ def _load_file(path: Path) -> Scenario:
     return _resolve(read_toml(path), str(path), path.parent)
 
 
+def _inherited(values: dict[str, Any], where: str, folder: Path, above: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The content of a scenario file with that of its ``base`` under it: tables are merged key by key, everything else
+    replaces what the base has.
+
+    Raises:
+        DataError: the base is unknown, or a base of its own.
+    """
+    if "base" not in values:
+        return values
+    own = dict(values)
+    base = own.pop("base")
+    path = _scenario_folder() / f"{base}.toml" if base in scenario_names() else folder / str(base)
+    if path.suffix != ".toml" or not path.is_file():
+        raise DataError(
+            f"{where}: base: unknown {base!r}; shipped: {', '.join(scenario_names())}; or the path of a .toml file"
+        )
+    if str(path.resolve()) in above:
+        raise DataError(f"{where}: base: {base!r} has this scenario as its own base")
+    under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
+    for key in ("material_files", "reactions"):
+        # Paths are relative to the file that has them.
+        if key not in own and key in under:
+            under[key] = _absolute(under[key], path.parent)
+    return _merge(under, own)
+
+
+def _absolute(files: Any, folder: Path) -> Any:
+    if isinstance(files, list):
+        return [_absolute(file, folder) for file in files]
+    return str(folder / files) if str(files).endswith(".toml") else files
+
+
+def _merge(under: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(under)
+    for key, value in own.items():
+        below = merged.get(key)
+        merged[key] = _merge(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
+
+
 def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
+    values = _inherited(values, where, folder)
     spec: Scenario = validated(Scenario, values, where)
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():

@@ -543,3 +543,43 @@ def test_a_users_scenario_plays_and_conserves(slime: Path, seed: int) -> None:
 def test_the_origin_is_the_users_file(slime: Path) -> None:
     assert load_scenario(slime).origin == str(slime)
     assert re.fullmatch(r"\(.*\)", load_scenario(read_toml(Path(load_scenario("fictitious").origin))).origin)
+
+
+# -- files that say only what is different -----------------------------------------------------------------------------
+
+
+def test_a_file_with_a_base_says_only_what_is_different(tmp_path: Path) -> None:
+    file = tmp_path / "dear.toml"
+    file.write_text(
+        'base = "wurtz_dodecane"\nname = "dear"\n[instruments.balance]\nprice = 0.25\n[limits]\nbudget = 0.5\n'
+    )
+    dear, base = load_scenario(file), load_scenario("wurtz_dodecane")
+    expected = base.model_dump()
+    expected["name"], expected["limits"]["budget"], expected["instruments"]["balance"]["price"] = "dear", 0.5, 0.25
+    assert dear.model_dump() == expected
+    assert list(dear.instruments) == list(base.instruments), "and the order is the base's"
+
+
+def test_a_base_may_have_a_base_and_files_of_its_own(slime: Path) -> None:
+    folder = slime.parent / "further"
+    folder.mkdir()
+    (folder / "one.toml").write_text('base = "../slime.toml"\nname = "one"\n')
+    (folder / "two.toml").write_text('base = "one.toml"\nname = "two"\n')
+    two, first = load_scenario(folder / "two.toml"), load_scenario(slime)
+    assert two.name == "two"
+    assert list(two.materials) == list(first.materials)
+    assert two.family == first.family
+
+
+@pytest.mark.parametrize(
+    ("base", "message"),
+    [
+        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; shipped: .*wurtz_dodecane"),
+        ("nowhere.toml", r"base: unknown 'nowhere.toml'"),
+        ("circle.toml", r"has this scenario as its own base"),
+    ],
+)
+def test_a_base_that_is_none(base: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "circle.toml").write_text(f'base = "{base}"\n')
+    with pytest.raises(DataError, match=message):
+        load_scenario(tmp_path / "circle.toml")

@@ -14,10 +14,10 @@ from ..training.runs import Evaluation, Run, find_runs
 from .figures import algorithm_style, average_curves
 from .results import curve_of, display_name
 
-__all__ = ["draw_curves", "group_runs"]
+__all__ = ["Tasks", "draw_curves", "draw_tasks", "group_runs"]
 
 Tasks = dict[str, dict[str, list[Run]]]
-"""Runs by task and algorithm."""
+"""Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
 
 
 def group_runs(folders: Sequence[Path]) -> Tasks:
@@ -55,7 +55,15 @@ def draw_curves(folders: Sequence[Path]) -> Any:
         ValueError: a folder is not there, or has no run.
         ImportError: matplotlib is not installed.
     """
-    tasks = group_runs(folders)
+    return draw_tasks(group_runs(folders))
+
+
+def draw_tasks(tasks: Tasks) -> Any:
+    """The same of runs that have been grouped already, of which every one has a curve or evaluations.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
     columns = min(len(tasks), 2)
     rows = -(-len(tasks) // columns)
     width, height = 6.6 * columns, 0.4 + 4.1 * rows

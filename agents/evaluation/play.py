@@ -15,6 +15,7 @@ import chemlab
 from chemlab.bench.base import Bench
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.manager import COST_ITEMS
 from chemlab.laboratory.policy import play_on
 from chemlab.materials import DataError
 from chemlab.scenario import Scenario, load_scenario
@@ -284,7 +285,9 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         seed: of laboratory 0.
 
     Returns:
-        N episodes: the manager's scores; measures ``submitted_mol``, ``purity``, and the reward of every bench's agent.
+        N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
+        ``instruments`` (what measuring has cost, in units of the score), ``manager_actions``, and the reward of every
+        bench's agent.
     """
     n = len(labs.members)
     for member in labs.members:
@@ -300,7 +303,12 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
     play_on(labs, [policies[agent] for agent in labs.agents], labs.members, count)
     scores = labs.result(labs.members)
     submitted = labs.desk.submitted
-    measures = {"submitted_mol": submitted[:, :, 0].sum(axis=1), "purity": submitted[:, :, 1].mean(axis=1)}
+    measures = {
+        "submitted_mol": submitted[:, :, 0].sum(axis=1),
+        "purity": submitted[:, :, 1].mean(axis=1),
+        "instruments": labs.desk.charges[:, COST_ITEMS.index("instruments")].copy(),
+        "manager_actions": labs.desk.actions.astype(np.float64),
+    }
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
     return Played(scores, labs.desk.ticks.copy(), cost, illegal, [""] * n, measures)
 

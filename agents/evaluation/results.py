@@ -12,6 +12,7 @@ import numpy as np
 from chemlab.scenario import load_scenario
 from chemlab.shelf import FloatArray
 
+from ..roles import MANAGER_ROLE, role_of
 from ..training.runs import Run, RunResult, find_runs
 
 __all__ = ["EXPERIMENTS", "Cell", "Experiment", "FinishedRun", "Results", "curve_of", "display_name", "read_results"]
@@ -124,12 +125,15 @@ class Results:
     Attributes:
         folder: the folder.
         cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
+        laboratories: finished runs in which a laboratory's manager learned; they are in no cell, and have a page of
+            their own (:mod:`chemlab.agents.evaluation.laboratory`).
         traces: content of ``traces.json``, or None.
-        left_out: runs that are in no cell, and why.
+        left_out: other runs that are in no cell, and why.
     """
 
     folder: Path
     cells: dict[str, dict[str, Cell]] = field(default_factory=dict)
+    laboratories: list[FinishedRun] = field(default_factory=list)
     traces: dict[str, Any] | None = None
     left_out: list[str] = field(default_factory=list)
 
@@ -175,10 +179,13 @@ def read_results(folder: Path) -> Results:
         name = str(run.path.relative_to(folder))
         config, result = run.config() or {}, run.result()
         key = next((k for k, e in EXPERIMENTS.items() if _of(config, e)), None)
-        if key is None:
+        manager = _has_manager(config)
+        if key is None and not manager:
             results.left_out.append(f"{name}: not one of the paper's experiments")
         elif result is None:
             results.left_out.append(f"{name}: not finished")
+        elif key is None:
+            results.laboratories.append(FinishedRun(run, config, result))
         else:
             way = json.dumps({k: v for k, v in config.items() if k not in _PER_RUN}, sort_keys=True)
             ways.setdefault((key, result.label), {}).setdefault(way, []).append(FinishedRun(run, config, result))
@@ -200,6 +207,11 @@ def read_results(folder: Path) -> Results:
         except ValueError as error:
             raise ValueError(f"{traces}: not valid JSON: {error}") from error
     return results
+
+
+def _has_manager(config: dict[str, Any]) -> bool:
+    """Whether a run's learners are a laboratory's agent or roles (``manager_0``; ``manager,rxn``) with its manager."""
+    return any(name == MANAGER_ROLE or role_of(name) == MANAGER_ROLE for name in str(config.get("bench")).split(","))
 
 
 def _of(config: dict[str, Any], experiment: Experiment) -> bool:

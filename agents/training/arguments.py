@@ -41,19 +41,22 @@ ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "sac", "td3", "maskable-ppo"
 
 ON_POLICY = ("ppo", "a2c", "maskable-ppo")
 
+_MANAGER: dict[str, Any] = {
+    "algo": "maskable-ppo",
+    "steps": 400_000,
+    "envs": 256,
+    "rollout": 16,
+    "batch_size": 256,
+    "ent_coef": 0.01,
+    "gamma": 1.0,
+    "eval_episodes": 50,
+}
+
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
-    "manager": {
-        "algo": "maskable-ppo",
-        "envs": 256,
-        "rollout": 16,
-        "batch_size": 256,
-        "learning_rate": 1e-3,
-        "ent_coef": 0.01,
-        "gamma": 1.0,
-        "curriculum": ("backward",),
-    },
+    "manager": {**_MANAGER, "learning_rate": 3e-4, "imitate": "heuristic"},
+    "manager-curriculum": {**_MANAGER, "learning_rate": 1e-3, "curriculum": ("backward",)},
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
 }
 """Presets: the fields that differ from the defaults, which are the paper's protocol."""

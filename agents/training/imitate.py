@@ -23,6 +23,8 @@ from ..policy import Policy
 __all__ = ["imitate"]
 
 _EPOCHS = 10
+_UPDATES = 800
+"""At least; few examples are gone through more often."""
 _BATCH = 256
 _LEARNING_RATE = 1e-3
 _ENTROPY = 0.03
@@ -49,8 +51,9 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
     network.set_training_mode(True)
     optimizer = torch.optim.Adam(network.parameters(), lr=_LEARNING_RATE)
     masked = masks is not None and hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
-    for _ in range(_EPOCHS):
-        for rows in np.array_split(rng.permutation(len(actions)), max(1, len(actions) // _BATCH)):
+    minibatches = max(1, len(actions) // _BATCH)
+    for _ in range(max(_EPOCHS, -(-_UPDATES // minibatches))):
+        for rows in np.array_split(rng.permutation(len(actions)), minibatches):
             seen, played = torch.as_tensor(observations[rows]), torch.as_tensor(actions[rows])
             legal = {"action_masks": masks[rows]} if masked and masks is not None else {}
             values, log_probability, entropy = network.evaluate_actions(seen, played, **legal)

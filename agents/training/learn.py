@@ -33,7 +33,7 @@ from chemlab.files import write_text
 from chemlab.shelf import IntArray
 
 from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
-from .runs import CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
+from .runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
 from .tasks import Task, find_task
 
 try:
@@ -60,8 +60,7 @@ _CLASSES: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "sac": SAC, "td3
 _IMITATED = 20_000
 _EVALUATION_SEED = 1_000_000
 """Training episodes have small seeds; the evaluations that choose the best checkpoint and the one that reports it do
-not share any either."""
-RESULT_SEED = 2_000_000
+not share any either (:data:`~chemlab.agents.training.runs.RESULT_SEED`)."""
 
 
 class Watcher(Protocol):

@@ -27,6 +27,7 @@ from typing import Any, TypeVar
 from chemlab.files import write_text
 
 __all__ = [
+    "RESULT_SEED",
     "CurvePoint",
     "Evaluation",
     "Run",
@@ -36,6 +37,10 @@ __all__ = [
     "find_runs",
     "to_text",
 ]
+
+RESULT_SEED = 2_000_000
+"""Of the first episode of the evaluation that reports a finished run; neither training nor the evaluations that choose
+the best checkpoint have seeds there."""
 
 
 @dataclass(frozen=True)

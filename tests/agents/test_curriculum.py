@@ -148,8 +148,8 @@ def test_recording_is_repeatable_and_keeps_what_a_vessel_was() -> None:
 def test_either_kind_of_start_is_drawn_as_often() -> None:
     env = BenchVectorEnv(600, "wurtz_dodecane", "dit", starts="both")
     env.reset(seed=0, options={"goal": "dodecane"})
-    ether = np.array([env.arena.shelf.vessel(i, 0).amounts().get("diethyl_ether", 0.0) for i in range(600)])
-    paper = np.isclose(ether, 4.0, atol=1e-9)
+    product = np.array([env.arena.shelf.vessel(i, 0).amounts().get("dodecane", 0.0) for i in range(600)])
+    paper = np.isclose(product, 1.0, atol=1e-9)
     assert 0.42 < paper.mean() < 0.58
 
 
@@ -225,7 +225,10 @@ def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
 def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: Path) -> None:
     """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
     scores = {}
-    for name, example in (("clone", {"imitate": "heuristic", "imitate_steps": 4000}), ("scratch", {})):
+    for name, example in (
+        ("clone", {"imitate": "heuristic", "imitate_steps": 4000}),
+        ("scratch", {"preset": "manager-curriculum"}),
+    ):
         arguments = arguments_of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
         result = train(arguments, tmp_path / name)
         scores[name] = result.last_mean
@@ -295,5 +298,34 @@ def test_exceptions_are_for_roles_and_agents() -> None:
 
 @pytest.mark.parametrize("name", ["heuristic,oven=random", "heuristic,ext", "heuristic,ext="])
 def test_exceptions_that_are_nobodys(name: str) -> None:
-    with pytest.raises(ValueError, match="must be ROLE=POLICY; roles: .*manager"):
+    with pytest.raises(ValueError, match=r"must be ROLE=POLICY; roles: .*manager"):
+        make_policies(name, Laboratories("wurtz_dodecane"))
+
+
+def test_a_lapse_is_a_random_legal_action_now_and_then() -> None:
+    labs = Laboratories("wurtz_dodecane", 400)
+    mask = np.zeros((400, labs.action_counts[3]), dtype=np.int8)
+    mask[:, 3:9] = 1
+    seen = np.zeros((400, labs.observation_sizes[3]), dtype=np.float32)
+    zero, members = np.zeros(400, dtype=np.int64), labs.members
+    steady = make_policies("heuristic", labs, 0)["dit_0"].act(seen, mask, zero, members)
+    policy = make_policies("heuristic@0.3", labs, 0)["dit_0"]
+    actions = policy.act(seen, mask, zero, members)
+    differing = (actions != steady).mean()
+    assert 0.15 < differing < 0.35  # one random action in six is what was meant anyway
+    assert set(actions[actions != steady]) <= set(range(3, 9))
+    again = make_policies("heuristic@0.3", Laboratories("wurtz_dodecane", 400), 0)["dit_0"]
+    np.testing.assert_array_equal(again.act(seen, mask, zero, members), actions)
+    memory = policy.get_memory()  # type: ignore[attr-defined]
+    later = policy.act(seen, mask, zero + 1, members)
+    policy.set_memory(memory)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(policy.act(seen, mask, zero + 1, members), later)
+    reagents = make_policies("heuristic@0.5,manager=hasty", labs, 0)["rxn_0"]
+    rxn = np.zeros((400, labs.observation_sizes[1]), dtype=np.float32)
+    assert reagents.act(rxn, None, zero, members).shape == (400, 6)
+
+
+@pytest.mark.parametrize("name", ["heuristic@often", "heuristic@1.5", "random@-1"])
+def test_a_share_of_lapses_is_a_number_from_0_to_1(name: str) -> None:
+    with pytest.raises(ValueError, match="share of random actions, from 0 to 1"):
         make_policies(name, Laboratories("wurtz_dodecane"))
