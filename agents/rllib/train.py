@@ -111,6 +111,11 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             ray.shutdown()
 
 
+def _policy_of(agent: str, *_: Any, **__: Any) -> str:
+    """Which policy an agent follows; by name, for it travels with every episode."""
+    return role_of(agent)
+
+
 def _log_score(*, metrics_logger: Any, env: Any, env_index: int, **_: Any) -> None:
     """An env runner's episode is over."""
     metrics_logger.log_value(_SCORES, env.envs[env_index].unwrapped.score, reduce="item_series")
@@ -156,7 +161,7 @@ def algorithm_config(arguments: RllibArguments, scenario: Scenario, roles: Seque
         .fault_tolerance(restart_failed_env_runners=True, delay_between_env_runner_restarts_s=1.0)
         .multi_agent(
             policies=set(roles),
-            policy_mapping_fn=lambda agent, *_, **__: role_of(agent),
+            policy_mapping_fn=_policy_of,
         )
         .rl_module(
             rl_module_spec=MultiRLModuleSpec(rl_module_specs=specs), algorithm_config_overrides_per_module=overrides

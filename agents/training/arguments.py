@@ -146,7 +146,7 @@ class JointArguments:
     regime: str = _argument("together", "together, or in-turns (round-robin).")
     period: int = _argument(10, "Updates before the next role's turn (in-turns).")
     begin_from: str | None = _argument(
-        None, "Folder of a joint run, or of runs by role, to start from. Default: scratch."
+        None, "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN. Default: scratch."
     )
     rewards: str | None = _argument(None, "Another reward mix than the scenario's.")
     steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.")

@@ -47,7 +47,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 
     from .checkpoints import random_state, restore_random_state
-    from .learn import LearnerPolicy, Watcher, open_run, versions
+    from .learn import LearnerPolicy, Watcher, load_learner, open_run, versions
     from .rounds import fresh_memory, train_in_rounds
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
@@ -350,7 +350,7 @@ def _train(run: Run, arguments: JointArguments, team: _Team, watcher: Watcher | 
     if last is not None:
         memory = _load(last, team)
     elif arguments.begin_from is not None:
-        _begin_from(Path(arguments.begin_from), team)
+        _begin_from(arguments.begin_from, team)
     return train_in_rounds(run, team, arguments, memory, (f"joint-{arguments.regime}", "joint"), watcher)
 
 
@@ -372,21 +372,28 @@ def _take_over(learner: _Learner, model: Any) -> None:
     learner.model.num_timesteps = model.num_timesteps
 
 
-def _begin_from(folder: Path, team: _Team) -> None:
-    """Start from the best models of another joint run, or of single runs in folders of the roles' names."""
-    whole = Run(folder).checkpoint("best")
+def _begin_from(text: str, team: _Team) -> None:
+    """Start from the best models of another joint run, or of single runs: in folders of the roles' names, or given as
+    ``ROLE=FOLDER``, separated by commas."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    named = {role: Path(folder) for role, equals, folder in pairs if equals}
+    unknown = [role for role in named if role not in team.learners]
+    if unknown:
+        raise ValueError(f"begin_from: nobody called {', '.join(unknown)} learns; roles: {', '.join(team.learners)}")
+    whole = None if named else Run(Path(text)).checkpoint("best")
     found = {} if whole is None else load_team(whole)
     for role, learner in team.learners.items():
         if role not in found:
-            single = Run(folder / role).checkpoint("best")
-            if single is None:
+            single = Run(named[role] if role in named else Path(text) / role)
+            best, config = single.checkpoint("best"), single.config()
+            if best is None or config is None:
+                if role in named:
+                    raise ValueError(f"begin_from: {single.path}: holds no training run with a checkpoint")
                 continue
-            kind = type(learner.model)
-            found[role] = kind.load(single / "model.zip", device="cpu")
-        model = found[role]
-        mine = learner.model
+            found[role] = load_learner(best, str(config["algo"]))
+        model, mine = found[role], learner.model
         if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
-            raise ValueError(f"begin_from: {folder}: {role} was trained for other spaces ({model.observation_space})")
-        learner.model.policy.load_state_dict(model.policy.state_dict())
+            raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
+        mine.policy.load_state_dict(model.policy.state_dict())
     if not found:
-        raise ValueError(f"begin_from: {folder}: holds neither a joint run nor runs of {', '.join(team.learners)}")
+        raise ValueError(f"begin_from: {text}: holds neither a joint run nor runs of {', '.join(team.learners)}")

@@ -1,8 +1,8 @@
 """Many training runs as a queue of processes on this machine's cores.
 
-A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``),
-algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each, and may set
-any other argument of ``chemlab train`` for all of them; ``[defaults]`` sets them for the whole file::
+A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``,
+``scenario``), algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each,
+and may set any other argument of ``chemlab train`` for all of them; ``[defaults]`` sets them for the whole file::
 
     [[runs]]
     env_id = ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"]
@@ -17,6 +17,7 @@ from its checkpoint, a failed one is tried again by the next sweep; what runs sa
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -38,6 +39,8 @@ STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed"
 """``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments."""
 
 _OWN = ("name", "seeds")
+_LISTS = ("env_id", "scenario", "preset", "algo")
+"""Keys that may have several values, of which every combination is run."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +87,15 @@ def plan(file: Path, out: Path) -> list[Planned]:
         where = f"{file}: runs {number}"
         values = {**content.get("defaults", {}), **table}
         for seed in _seeds(values.get("seeds", 1), where):
-            for env_id in _several(values, "env_id"):
-                for preset in _several(values, "preset"):
-                    for algo in _several(values, "algo"):
-                        own = {k: v for k, v in values.items() if k not in _OWN}
-                        own |= {"seed": seed, "env_id": env_id, "preset": preset, "algo": algo}
-                        arguments = arguments_of(own, where)
-                        label = str(values.get("name", label_of(arguments)))
-                        path = out / folder_of(arguments, label)
-                        one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
-                        if path in found and found[path].arguments != arguments:
-                            raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
-                        found.setdefault(path, one)
+            for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
+                own = {k: v for k, v in values.items() if k not in _OWN}
+                arguments = arguments_of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
+                label = str(values.get("name", label_of(arguments)))
+                path = out / folder_of(arguments, label)
+                one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
+                if path in found and found[path].arguments != arguments:
+                    raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
+                found.setdefault(path, one)
     return list(found.values())
 
 

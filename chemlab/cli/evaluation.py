@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.box import SIMPLE
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -125,7 +126,11 @@ def figures(
     results: Annotated[Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it.")],
     output: Annotated[Path, typer.Option("--out", "-o", help="Where figures and tables go.")] = Path("figures"),
     collect: Annotated[
-        bool, typer.Option("--collect", help="First play the best policies and store what they do in traces.json.")
+        bool,
+        typer.Option(
+            "--collect",
+            help="First play the best policies and store what they do in traces.json, managers' in laboratory.json.",
+        ),
     ] = False,
     file_format: Annotated[
         list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
@@ -133,10 +138,13 @@ def figures(
 ) -> None:
     """Draw the paper's figures from training runs, and tables of its results beside ours.
 
+    Where managers of laboratories were trained there is a table and a figure of theirs, too (laboratory.md).
+
     Needs nothing but results files (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
         from ..agents.evaluation.figures import FIGURES, write_figures
+        from ..agents.evaluation.laboratory import collect_laboratories, laboratory_count, write_laboratory
         from ..agents.evaluation.results import read_results
         from ..agents.evaluation.summary import write_summary
 
@@ -147,11 +155,15 @@ def figures(
 
                 task = progress.add_task("policies", total=trace_count(found))
                 collect_traces(found, watch=lambda _: progress.advance(task))
+                task = progress.add_task("managers", total=laboratory_count(results))
+                collect_laboratories(results, watch=lambda _: progress.advance(task))
             task = progress.add_task("figures", total=len(FIGURES))
             lacking = write_figures(found, output, file_format or ["png"], lambda _: progress.advance(task))
         page, _ = write_summary(found, output, lacking)
+        laboratory = write_laboratory(results, output, file_format or ["png"])
     for stem, missing in lacking.items():
         out.print(f"{stem}: {'missing: ' + '; '.join(missing) if missing else 'complete'}")
-    for line in found.left_out:
-        out.print(f"[yellow]left out[/yellow] {line}")
-    out.print(f"wrote {page}")
+    for line in (*found.left_out, *(laboratory.left_out if laboratory is not None else ())):
+        out.print(f"[yellow]left out[/yellow] {escape(line)}")
+    for written in (page, *([laboratory.page] if laboratory is not None else [])):
+        out.print(f"wrote {written}")
