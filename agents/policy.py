@@ -141,7 +141,7 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "random", "pretrained", "trained")
+    return ("heuristic", "hasty", "direct", "random", "pretrained", "trained")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -149,11 +149,11 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
 
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
-            safety and measuring are for), ``random``, ``pretrained`` (benches by shipped policies, the manager
-            scripted) or ``trained`` (the manager by a shipped policy, too); or the path of a training run, a checkpoint
-            or exported weights, for the roles that learned (the others are played by its background). ``@0.1`` after
-            it: at one turn in ten a random legal action instead. Exceptions follow after commas, by role or agent:
-            ``pretrained@0.1,manager=random,ext_1=runs/my-ext``.
+            safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``random``,
+            ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
+            policy, too); or the path of a training run, a checkpoint or exported weights, for the roles that learned
+            (the others are played by its background). ``@0.1`` after it: at one turn in ten a random legal action
+            instead. Exceptions follow after commas, by role or agent: ``pretrained@0.1,manager=random``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -227,11 +227,11 @@ def agent_policy(
     if own == "trained" or (own == "pretrained" and number > 0):
         return pretrained_for(role, laboratory=True)
     careful = own != "hasty"
-    return (
-        manager_heuristic(laboratories, careful)
-        if number == 0
-        else bench_heuristic(laboratories.benches[number - 1], careful)
-    )
+    if number > 0:
+        return bench_heuristic(laboratories.benches[number - 1], careful)
+    benches = laboratories.scenario.benches
+    washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
+    return manager_heuristic(laboratories, careful, washing)
 
 
 def bench_heuristic(bench: Bench, careful: bool = True) -> Policy:

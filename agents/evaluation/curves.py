@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ __all__ = ["Tasks", "draw_curves", "draw_tasks", "group_runs"]
 
 Tasks = dict[str, dict[str, list[Run]]]
 """Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
+
+
+_LEGEND_COLUMNS = 3
 
 
 def group_runs(folders: Sequence[Path]) -> Tasks:
@@ -66,18 +70,21 @@ def draw_tasks(tasks: Tasks) -> Any:
     """
     columns = min(len(tasks), 2)
     rows = -(-len(tasks) // columns)
-    width, height = 6.6 * columns, 0.4 + 4.1 * rows
+    # Below each part there is room for a legend of two lines.
+    lines = max(-(-(len(labels) + 1) // _LEGEND_COLUMNS) for labels in tasks.values())
+    deep = 4.1 + 0.2 * max(0, lines - 2)
+    width, height = 6.6 * columns, 0.4 + deep * rows
     figure = new_figure(width, height)
     for i, (task, labels) in enumerate(tasks.items()):
-        left, top = 6.6 * (i % columns), 0.1 + 4.1 * (i // columns)
+        left, top = 6.6 * (i % columns), 0.1 + deep * (i // columns)
         axes = figure.add_axes(((left + 0.8) / width, 1.0 - (top + 3.15) / height, 5.6 / width, 2.75 / height))
         _panel(axes, task, labels)
-    figure.text(
-        0.01, 0.08 / height,
+    text = (
         "Lines: mean return of training episodes, mean over runs; shaded: one standard deviation between runs. "
-        "Thin: runs that have gone on longer. Points: evaluations without exploration.",
-        fontsize=8, color="#333333", va="bottom",
-    )  # fmt: skip
+        "Thin: runs that have gone on longer. Points: evaluations without exploration."
+    )
+    text = textwrap.fill(text, int(14.5 * width))
+    figure.text(0.01, 0.08 / height, text, fontsize=8, color="#333333", va="bottom")
     return figure
 
 
@@ -111,7 +118,7 @@ def _panel(axes: Any, task: str, labels: dict[str, list[Run]]) -> None:
     axes.grid(alpha=0.25)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=_LEGEND_COLUMNS, frameon=False)
 
 
 def _points(axes: Any, evaluations: Sequence[Evaluation], color: str, label: str | None) -> None:

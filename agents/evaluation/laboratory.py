@@ -59,6 +59,7 @@ constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where noth
 
 BASELINES: dict[str, tuple[str, str]] = {
     "scripted": ("heuristic", "scripted"),
+    "direct": ("direct", "scripted, without extraction"),
     "hasty": ("hasty", "fixed plan, nothing measured"),
     "random": ("random", "random legal actions"),
 }
@@ -328,8 +329,9 @@ def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | N
         yield (
             f"Best checkpoint of each run, without exploration: {content['episodes_per_goal']} episodes a goal from "
             f"seed {content['seed']}, the same for everybody, which training has not seen. Means over episodes, goals "
-            f"and seeds; in brackets {statistics.CONFIDENCE:.0%} bootstrap intervals over the seeds of training, where "
-            "there are several. Minus scripted: the score less that of the scripted manager over the same benches. "
+            f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % bootstrap intervals over the seeds of "
+            "training, where there are several (of a few they are too narrow: of two, they are the two values). "
+            "Minus scripted: the score less that of the scripted manager over the same benches. "
             "Safety: weighted safety events. Instruments: what measuring has cost, in units of the score. "
             "Where nothing was submitted, purity is 0. Minutes and steps are those of training, a seed."
         )

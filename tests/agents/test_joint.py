@@ -14,7 +14,9 @@ from chemlab.agents.training.experience import Experience
 pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
 
 from chemlab.agents.training import joint
+from chemlab.agents.training.arguments import arguments_of
 from chemlab.agents.training.joint import JointArguments, load_team, train_together
+from chemlab.agents.training.learn import load_learner, train
 from chemlab.agents.training.runs import Run
 
 BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
@@ -167,6 +169,34 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
     with pytest.raises(ValueError, match="neither a joint run nor runs"):
         train_together(nowhere, tmp_path / "third")
+
+
+def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
+    """A bench's PPO, masked or not, and a reaction bench's become the team's before it has learned anything."""
+    short = {"envs": 2, "rollout": 16, "steps": 32, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
+    for role, env_id, algo in (
+        ("rxn", "chemlab/WurtzReaction-v0", "ppo"),
+        ("dit", "chemlab/WurtzDistillation-v0", "ppo"),
+        ("ext", "chemlab/WurtzExtraction-v0", "maskable-ppo"),
+    ):
+        train(arguments_of({**short, "env_id": env_id, "algo": algo}), tmp_path / role)
+    begin = ",".join(f"{role}={tmp_path / role}" for role in ("rxn", "dit", "ext"))
+    team = joint._Team(JointArguments(**SMALL))
+    joint._begin_from(begin, team)
+    for role in ("rxn", "dit", "ext"):
+        best = Run(tmp_path / role).checkpoint("best")
+        assert best is not None
+        single = load_learner(best, "maskable-ppo" if role == "ext" else "ppo")
+        mine = team.learners[role].model.policy.state_dict()
+        for name, value in single.policy.state_dict().items():
+            np.testing.assert_array_equal(mine[name].numpy(), value.numpy(), err_msg=f"{role} {name}")
+    for wrong, message in (
+        (f"cook={tmp_path / 'rxn'}", "nobody called cook learns; roles: manager, rxn, ext, dit"),
+        (f"rxn={tmp_path / 'nowhere'}", "nowhere: holds no training run"),
+        (f"ext={tmp_path / 'dit'}", "ext was trained for other spaces"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            joint._begin_from(wrong, team)
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
     """Rates of every number of runners, all in one Ray."""
     torch.set_num_threads(1)
     with connected(None, sum(runners)):
-        runs = {n: Timed(RllibArguments(scenario, roles=roles, runners=n, envs=16 // n, batch=batch)) for n in runners}
+        runs = {n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch)) for n in runners}
         for run in runs.values():
             run.round()
             run.forget()
@@ -97,13 +97,13 @@ def main() -> None:
     parser.add_argument("--update", type=Path, help="page with the marks rllib-scaling")
     given = parser.parse_args()
     roles = tuple(given.roles) if given.roles else None
-    rows = measure(given.scenario, roles, (1, 2), 3 if given.quick else given.rounds, 4096)
     load = os.getloadavg()[0]
+    rows = measure(given.scenario, roles, (1, 2), 3 if given.quick else given.rounds, 4096)
     if given.json:
         print(json.dumps({"rows": rows, "cores": os.cpu_count(), "load": load}))
         return
-    lines = table(rows)
-    print("\n".join([*lines, "", f"{os.cpu_count()} cores, load {load:.1f} at the end (its own is about 2)"]))
+    lines = [*table(rows), "", f"{os.cpu_count()} cores; load average {load:.1f} before."]
+    print("\n".join(lines))
     if given.update is not None:
         replace_between(given.update, "rllib-scaling", lines)
 
