@@ -88,7 +88,8 @@ def stored_run(folder: Path, path: Path, score: float, scripted: float = SCRIPTE
 
 def store(folder: Path, runs: Sequence[dict[str, Any]], left_out: Sequence[dict[str, Any]] = ()) -> None:
     how = laboratory._circumstances(10)
-    baselines = {"scripted": means(SCRIPTED), "hasty": means(0.25), "random": means(-0.1)}
+    values = {"scripted": SCRIPTED, "direct": 0.3, "hasty": 0.25, "random": -0.1}
+    baselines = {name: means(value) for name, value in values.items()}
     group = {"scenario": "wurtz_dodecane", "background": "heuristic", "goals": ["dodecane"], "baselines": baselines}
     content = {**how, "groups": [{**group, **how, "runs": list(runs)}], "left_out": list(left_out)}
     (folder / "laboratory.json").write_text(json.dumps(content))
