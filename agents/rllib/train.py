@@ -23,6 +23,7 @@ import logging
 import os
 import pickle
 import shutil
+import socket
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -94,10 +95,12 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             ray.init("local", num_cpus=count, include_dashboard=False, object_store_memory=_OBJECT_STORE_BYTES, **quiet)
         else:
             try:
+                _knock(address)
                 ray.init(address, **quiet)
-            except (ConnectionError, RuntimeError, ValueError) as error:
+            except (OSError, RuntimeError, ValueError) as error:  # a ConnectionError is an OSError
                 raise ValueError(
-                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head"
+                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head (one "
+                    "that asks for a token needs RAY_AUTH_MODE=token here, too)"
                 ) from error
     try:
         cpus = int(ray.cluster_resources().get("CPU", 0))
@@ -109,6 +112,13 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
     finally:
         if ours:
             ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """OSError where nobody listens at HOST:PORT: Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if host and port.isdigit() and "/" not in host:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
 
 
 def _policy_of(agent: str, *_: Any, **__: Any) -> str:

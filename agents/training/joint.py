@@ -116,6 +116,8 @@ class _Learner:
         if len(rows) < 2:  # advantages are normalized, which takes two
             return 0
         advantages = experience.advantages(gamma, gae_lambda, by_ticks)[rows]
+        if len(rows) % model.batch_size == 1:  # and so does that of a minibatch
+            rows, advantages = rows[:-1], advantages[:-1]
         masked = isinstance(model, MaskablePPO)
         kind = MaskableRolloutBuffer if masked else RolloutBuffer
         buffer: Any = kind(len(rows), model.observation_space, model.action_space, "cpu", gae_lambda, gamma, n_envs=1)
@@ -164,6 +166,8 @@ class _Team:
         scenario = load_scenario(a.scenario)
         self.scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
         self.labs = labs = Laboratories(self.scenario, a.envs)
+        # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
+        self._shared = self.scenario.rewards.bench_team > 0.0
         self.roles = chosen_roles(labs, None)
         self.learning = chosen_roles(labs, a.roles)
         self.learners: dict[str, _Learner] = {}
@@ -230,7 +234,7 @@ class _Team:
             streams, experience = self._stream(other)(members), learner.experience
             experience.earn(streams, labs.rewards[members, other])
             ended = status != RUNNING
-            if other > 0:
+            if other > 0 and not self._shared:
                 ended |= np.isfinite(labs.scores[members, other])
             if ended.any():
                 experience.end(streams[ended], labs.desk.ticks[members[ended]])

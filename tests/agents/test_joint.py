@@ -86,16 +86,22 @@ def test_what_is_open_is_kept_for_the_next_rollout() -> None:
         assert copy.elapsed[rows].tolist() == [7, 7, 5]
 
 
+@pytest.mark.parametrize("rewards", [None, "cooperative", "mixed"])
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_two_lines"])
-def test_no_reward_is_lost_or_another_agents(scenario: str) -> None:
-    """What all laboratories paid a role is what its experience holds."""
-    team = joint._Team(JointArguments(scenario, envs=3, rollout=60))
+def test_no_reward_is_lost_or_another_agents(scenario: str, rewards: str | None) -> None:
+    """What all laboratories paid a role is what its experience holds; only shares of a result to which an agent has
+    done nothing are nobody's."""
+    team = joint._Team(JointArguments(scenario, envs=6, rollout=120, rewards=rewards))
     labs, paid = team.labs, dict.fromkeys(team.roles, 0.0)
     after = team._after
 
     def watched(number: int, members: Any) -> None:
         for other, agent in enumerate(labs.agents):
-            paid[joint.role_of(agent)] += float(labs.rewards[members, other].sum())
+            role = joint.role_of(agent)
+            acted = team.learners[role].experience._open[team._stream(other)(members)] >= 0
+            earned = labs.rewards[members, other]
+            assert rewards is not None or not earned[~acted].any()
+            paid[role] += float(earned[acted].sum())
         after(number, members)
 
     team._after = watched  # type: ignore[method-assign]
@@ -169,6 +175,25 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
     with pytest.raises(ValueError, match="neither a joint run nor runs"):
         train_together(nowhere, tmp_path / "third")
+
+
+def test_a_last_minibatch_of_one_does_no_harm() -> None:
+    """The spread of one advantage is not a number, and neither is a network that has learned from it."""
+    team = joint._Team(JointArguments(**{**SMALL, "batch_size": 16}, roles=("dit",)))
+    learner = team.learners["dit"]
+    space = learner.model.observation_space.shape[0]
+    for turn_of in range(33):
+        drawn = np.zeros((1, space), dtype=np.float32)
+        mask = np.ones((1, learner.model.action_space.n), dtype=np.int8)
+        action, _, value, log_probability = learner.sample(drawn, mask)
+        stream, tick = np.array([0]), np.array([turn_of])
+        learner.experience.begin(stream, drawn, mask, action, value, log_probability, tick)
+        learner.experience.earn(stream, np.array([float(turn_of)]))
+        learner.experience.end(stream, tick)
+    assert len(learner.experience.finished()) == 33
+    learner.update(0.99, 0.95, False, 1.0)
+    for name, weights_of in learner.model.policy.state_dict().items():
+        assert np.isfinite(weights_of.numpy()).all(), name
 
 
 def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
