@@ -20,7 +20,7 @@ import numpy as np
 from chemlab.files import write_text
 from chemlab.laboratory.core import Laboratories
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
-from chemlab.scenario import load_scenario
+from chemlab.scenario import load_scenario, scenario_names
 
 from ..policy import make_policies
 from ..pretrained import fingerprint
@@ -37,6 +37,7 @@ __all__ = [
     "EPISODES",
     "MEASURES",
     "LaboratoryPage",
+    "brief_table",
     "collect_laboratories",
     "laboratory_count",
     "write_laboratory",
@@ -344,7 +345,7 @@ def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | N
         yield "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|"
         for group in groups:
             if group["scenario"] == scenario:
-                yield from _rows(group)
+                yield from (_line(*cells) for cells in _rows(group))
     notes = [note for group in groups for run in group["runs"] for note in _notes(run, group)]
     if notes:
         yield from ("", "## Notes", "", *(f"- {note}" for note in notes))
@@ -358,14 +359,38 @@ def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | N
         yield from ("", "## Left out", "", *(f"- {line}" for line in left_out))
 
 
-def _rows(group: dict[str, Any]) -> Iterator[str]:
+def brief_table(folder: Path, shipped: bool) -> list[str]:
+    """The scores of ``laboratory.json`` as the lines of one Markdown table.
+
+    Args:
+        folder: the results.
+        shipped: whether of the scenarios that come with chemlab, or of the others.
+
+    Raises:
+        ValueError: there is no ``laboratory.json``, or it is not what was written.
+    """
+    content = _stored(folder)
+    if content is None:
+        raise ValueError(f"{folder}: has no {_FILE}; chemlab figures {folder} --collect makes it")
+    lines = ["| scenario | benches | manager | score | safety | instruments | seeds | minutes |"]
+    lines.append("|---|---|---|--:|--:|--:|--:|--:|")
+    for group in content["groups"]:
+        if (group["scenario"] in scenario_names()) == shipped:
+            for benches, manager, score, _, safety, _, _, instruments, _, seeds, minutes, _ in _rows(group):
+                lines.append(
+                    _line(f"`{group['scenario']}`", benches, manager, score, safety, instruments, seeds, minutes)
+                )
+    return lines
+
+
+def _rows(group: dict[str, Any]) -> Iterator[list[str]]:
     """A group's lines of the table: every label, then the managers that learned nothing."""
     for label in dict.fromkeys(run["label"] for run in group["runs"]):
         runs = [run for run in group["runs"] if run["label"] == label]
         scores = np.array([_overall(run["by_goal"], "score") for run in runs])
         gains = scores - [_overall(run["scripted"], "score") for run in runs]
         others = [role for role in runs[0]["learned"] if role != MANAGER_ROLE]
-        yield _line(
+        yield _cells(
             f"{group['background']}; learned: {', '.join(others)}" if others else group["background"],
             display_name(label),
             _interval(scores, ""),
@@ -379,18 +404,21 @@ def _rows(group: dict[str, Any]) -> Iterator[str]:
     for name, means in group["baselines"].items():
         score = _overall(means, "score")
         gain = "" if name == "scripted" else _number(score - _overall(scripted, "score"), "+")
-        yield _line(group["background"], BASELINES[name][1], _number(score), gain, [means], "", "", "")
+        yield _cells(group["background"], BASELINES[name][1], _number(score), gain, [means], "", "", "")
 
 
-def _line(benches: str, manager: str, score: str, gain: str, means: Sequence[Means], *last: str) -> str:
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _cells(benches: str, manager: str, score: str, gain: str, means: Sequence[Means], *last: str) -> list[str]:
     """``means`` are those of each seed."""
 
     def over(measure: str) -> float:
         return float(np.mean([_overall(one, measure) for one in means]))
 
     cells = [benches, manager, score, gain, _number(over("safety_cost")), _number(over("submitted_mol"))]
-    cells += [f"{100.0 * over('purity'):.1f}", _number(over("instruments")), f"{over('ticks'):.0f}", *last]
-    return f"| {' | '.join(cells)} |"
+    return [*cells, f"{100.0 * over('purity'):.1f}", _number(over("instruments")), f"{over('ticks'):.0f}", *last]
 
 
 def _overall(means: Means, measure: str) -> float:

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ..files import write_text
+from ..files import replace_between, write_text
 from .common import JsonOption, SeedOption, app, err, out, readable_errors
 
 __all__: list[str] = []
@@ -135,6 +135,10 @@ def figures(
     file_format: Annotated[
         list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
     ] = None,
+    update: Annotated[
+        list[Path] | None,
+        typer.Option(help="Replace the tables of managers in this Markdown file; repeat the option."),
+    ] = None,
 ) -> None:
     """Draw the paper's figures from training runs, and tables of its results beside ours.
 
@@ -144,7 +148,7 @@ def figures(
     """
     with readable_errors():
         from ..agents.evaluation.figures import FIGURES, write_figures
-        from ..agents.evaluation.laboratory import collect_laboratories, laboratory_count, write_laboratory
+        from ..agents.evaluation.laboratory import brief_table, collect_laboratories, laboratory_count, write_laboratory
         from ..agents.evaluation.results import read_results
         from ..agents.evaluation.summary import write_summary
 
@@ -161,6 +165,10 @@ def figures(
             lacking = write_figures(found, output, file_format or ["png"], lambda _: progress.advance(task))
         page, _ = write_summary(found, output, lacking)
         laboratory = write_laboratory(results, output, file_format or ["png"])
+        for file in update or ():
+            marks = [mark for mark in ("managers", "measuring") if f"<!-- {mark}: begin -->" in file.read_text()]
+            for mark in marks or ["managers"]:
+                replace_between(file, mark, brief_table(results, shipped=mark == "managers"))
     for stem, missing in lacking.items():
         out.print(f"{stem}: {'missing: ' + '; '.join(missing) if missing else 'complete'}")
     for line in (*found.left_out, *(laboratory.left_out if laboratory is not None else ())):

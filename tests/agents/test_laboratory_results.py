@@ -19,6 +19,7 @@ from chemlab.agents.evaluation import laboratory, statistics
 from chemlab.agents.evaluation.laboratory import (
     BASELINES,
     MEASURES,
+    brief_table,
     collect_laboratories,
     laboratory_count,
     write_laboratory,
@@ -366,3 +367,16 @@ def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path)
     written = write_laboratory(tmp_path, tmp_path / "out")
     assert written is not None
     assert ("heuristic; learned: dit", "joint") in rows_of(written.page)
+
+
+def test_a_brief_table_is_of_shipped_scenarios_or_of_others(tmp_path: Path) -> None:
+    path = write_run(tmp_path / "manager" / "seed-0")
+    store(tmp_path, [stored_run(tmp_path, path, 0.75)])
+    head, rule, learned, *others = brief_table(tmp_path, shipped=True)
+    cells = [cell.strip() for cell in learned.split("|")[1:-1]]
+    assert cells[:4] == ["`wurtz_dodecane`", "heuristic", "manager", "0.750"]
+    assert len(others) == len(BASELINES)
+    assert {line.count("|") for line in (head, rule, learned, *others)} == {9}
+    assert brief_table(tmp_path, shipped=False) == [head, rule]
+    with pytest.raises(ValueError, match="--collect makes it"):
+        brief_table(tmp_path / "manager", shipped=True)
