@@ -93,6 +93,7 @@ class Card:
         output: ``argmax`` (of the legal), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
             ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
+        background: who played the other roles, where it was trained in a laboratory.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Card:
     activation: str
     output: str
     evaluation: dict[str, Any]
+    background: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as the file has them."""

@@ -22,7 +22,7 @@ from ..pretrained import Card, PretrainedPolicy, interface, save_policy
 from .arguments import TrainArguments, arguments_of, flags_of, resolved
 from .learn import RESULT_SEED, load_learner
 from .runs import Run
-from .tasks import Task, find_task
+from .tasks import LaboratoryTask, Task, find_task
 
 try:
     import torch
@@ -158,6 +158,7 @@ def export_run(folder: Path, out: Path) -> Card:
         "versions": config["versions"],
         "activation": activation,
         "output": output,
+        "background": _background(config, task),
     }
     policy = PretrainedPolicy(Card(**draft, evaluation={}), weights)
     difference = largest_difference(model, policy, _observations(task))
@@ -191,6 +192,10 @@ def _arguments(config: dict[str, Any]) -> TrainArguments:
     if given["env_id"] not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
         given["bench"] = None
     return TrainArguments(**{**given, "goals": tuple(given["goals"]) if given["goals"] else None})
+
+
+def _background(config: dict[str, Any], task: Task) -> str | None:
+    return str(config.get("background") or "heuristic") if isinstance(task, LaboratoryTask) else None
 
 
 def _command(config: dict[str, Any], task: Task) -> str:
