@@ -428,9 +428,14 @@ def test_a_run_learns_and_its_policies_play_without_ray(cluster: None, tmp_path:
     assert train_rllib(arguments, tmp_path) == result, "what is finished is not run again"
 
 
-def test_a_cluster_that_is_not_there_or_too_small_is_named(cluster: None, tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there_or_too_small_is_named(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(ValueError, match="runners: each takes a CPU, and Ray has 2; given 3"):
         train_rllib(RllibArguments(runners=3), tmp_path)
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    with pytest.raises(ValueError, match=r"address: no Ray cluster to join at '127\.0\.0\.1:9' .*ray start --head"):
+        train_rllib(RllibArguments(address="127.0.0.1:9"), tmp_path)
 
 
 def test_arguments() -> None:
