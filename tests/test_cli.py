@@ -123,7 +123,7 @@ def test_starts_can_be_recorded(tmp_path: Path) -> None:
     assert runner.invoke(app, ["starts", "salt_from_oil", "--episodes", "1", "-o", str(path)]).exit_code == 0
     scenario = load_scenario("salt_from_oil")
     benches = json.loads(path.read_text())["benches"]
-    assert set(benches) == {"ext", "dit"}
+    assert set(benches) == {"ext", "dit", "submit"}
     for vessels in benches.values():
         assert vessels
         for vessel in vessels:

@@ -360,7 +360,8 @@ def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | N
 
 
 def brief_table(folder: Path, shipped: bool) -> list[str]:
-    """The scores of ``laboratory.json`` as the lines of one Markdown table.
+    """The scores of ``laboratory.json`` as the lines of one Markdown table: of what has learned, and of the scripted
+    managers.
 
     Args:
         folder: the results.
@@ -376,7 +377,9 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
     lines.append("|---|---|---|--:|--:|--:|--:|--:|")
     for group in content["groups"]:
         if (group["scenario"] in scenario_names()) == shipped:
-            for benches, manager, score, _, safety, _, _, instruments, _, seeds, minutes, _ in _rows(group):
+            kept = {name: means for name, means in group["baselines"].items() if name in ("scripted", "direct")}
+            rows = _rows({**group, "baselines": kept})
+            for benches, manager, score, _, safety, _, _, instruments, _, seeds, minutes, _ in rows:
                 lines.append(
                     _line(f"`{group['scenario']}`", benches, manager, score, safety, instruments, seeds, minutes)
                 )

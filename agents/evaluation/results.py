@@ -13,6 +13,7 @@ from chemlab.scenario import load_scenario
 from chemlab.shelf import FloatArray
 
 from ..roles import MANAGER_ROLE, role_of
+from ..training.arguments import TrainArguments
 from ..training.runs import Run, RunResult, find_runs
 
 __all__ = ["EXPERIMENTS", "Cell", "Experiment", "FinishedRun", "Results", "curve_of", "display_name", "read_results"]
@@ -158,6 +159,7 @@ class Results:
         return policies.get(policy)
 
 
+_DEFAULTS = vars(TrainArguments())
 _PER_RUN = ("seed", "versions", "label")
 """What may differ between the runs of a cell."""
 
@@ -187,7 +189,9 @@ def read_results(folder: Path) -> Results:
         elif key is None:
             results.laboratories.append(FinishedRun(run, config, result))
         else:
-            way = json.dumps({k: v for k, v in config.items() if k not in _PER_RUN}, sort_keys=True)
+            # What an older version did not know yet had its default.
+            own = {k: v for k, v in config.items() if k not in _PER_RUN and v != _DEFAULTS.get(k)}
+            way = json.dumps(own, sort_keys=True)
             ways.setdefault((key, result.label), {}).setdefault(way, []).append(FinishedRun(run, config, result))
     for (key, label), groups in ways.items():
         chosen = max(groups.values(), key=lambda runs: (len(runs), runs[0].result.steps))

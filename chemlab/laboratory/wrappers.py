@@ -87,7 +87,7 @@ class PotentialShaping(
         return observation, shaped, terminated, truncated, {**info, "unshaped_reward": float(reward)}
 
 
-class VectorPotentialShaping(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+class VectorPotentialShaping(gymnasium.vector.VectorWrapper, RecordConstructorArgs):
     """:class:`PotentialShaping` for batches, in every autoreset mode.
 
     With ``NEXT_STEP`` the step that only resets a member has no shaping; with ``SAME_STEP`` the potential of a
@@ -288,7 +288,7 @@ class ObservationNoise(gymnasium.Wrapper[ObservationArray, Any, Any, Any], Recor
         return self._noise.disturb(0, observation), float(reward), terminated, truncated, info
 
 
-class VectorObservationNoise(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+class VectorObservationNoise(gymnasium.vector.VectorWrapper, RecordConstructorArgs):
     """:class:`ObservationNoise` for batches; member i seeded s sees what a single environment seeded s + i sees.
 
     Args:

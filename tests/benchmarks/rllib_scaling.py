@@ -56,6 +56,8 @@ class Timed:
 def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
     """Rates of every number of runners, all in one Ray."""
     torch.set_num_threads(1)
+    # Ray gives its workers a low priority, so that whatever else the machine does would be measured.
+    os.environ.setdefault("RAY_worker_niceness", "0")
     with connected(None, sum(runners)):
         runs = {n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch)) for n in runners}
         for run in runs.values():
