@@ -45,7 +45,16 @@ autodoc_default_options = {
 }
 autodoc_type_aliases = {name: name for name in ("FloatArray", "IntArray", "BoolArray", "StreamArray", "Background")}
 # Optional and large: the pages need only the names.
-autodoc_mock_imports = ["stable_baselines3", "sb3_contrib", "torch", "tensorboard", "matplotlib", "PIL", "pygame"]
+autodoc_mock_imports = [
+    "stable_baselines3",
+    "sb3_contrib",
+    "torch",
+    "tensorboard",
+    "matplotlib",
+    "PIL",
+    "pygame",
+    "ray",
+]
 
 # References that lead nowhere are errors where they are ours; there are no other projects' indexes without a network.
 nitpicky = True
