@@ -2,8 +2,10 @@
 
 Run ``python tests/benchmarks/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a look, ``--update PAGE`` to
 write the table between its marks). The runs stand side by side and take turns, a round each, so that whatever else the
-machine does meets them alike. The first round of each does not count. A round is the same work whatever the number of
-runners: a batch of turns is gathered, then learned from. One process learns, so that only gathering can scale.
+machine does meets them alike; figures are medians of rounds, the first not counted. A round gathers a batch of turns
+and learns from it. The learning rate is so small that policies stay as they begin: those that learn play other episodes
+(a manager that submits at once makes twenty times as many), which is other work. Episodes a round show that it is the
+same. One process learns, so that only gathering can scale.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import statistics
 import time
 from pathlib import Path
 from typing import Any
@@ -25,32 +28,35 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import load_scenario
 
 
+STILL = 1e-9
+"""A learning rate that moves nothing."""
+
+
 class Timed:
-    """A team, and how long its rounds took."""
+    """A team, and what its rounds took: (turns, seconds of gathering, seconds of learning, episodes)."""
 
     def __init__(self, arguments: RllibArguments) -> None:
         scenario = load_scenario(arguments.scenario)
         roles = chosen_roles(Laboratories(scenario, 1), arguments.roles)
         self.team = _Team(arguments, scenario, roles, 0)
-        self.turns, self.seconds, self.learning = 0, 0.0, 0.0
+        self.rounds: list[tuple[int, float, float, int]] = []
+        self._learning = 0.0
         group: Any = self.team.algorithm.learner_group
         update = group.update
 
         def timed(*given: Any, **named: Any) -> Any:
             begun = time.perf_counter()
             found = update(*given, **named)
-            self.learning += time.perf_counter() - begun
+            self._learning += time.perf_counter() - begun
             return found
 
         group.update = timed
 
     def round(self) -> None:
-        begun = time.perf_counter()
-        self.turns += self.team.learn({})[0]
-        self.seconds += time.perf_counter() - begun
-
-    def forget(self) -> None:
-        self.turns, self.seconds, self.learning = 0, 0.0, 0.0
+        self._learning, begun = 0.0, time.perf_counter()
+        turns, scores = self.team.learn({})
+        seconds = time.perf_counter() - begun
+        self.rounds.append((turns, seconds - self._learning, self._learning, len(scores)))
 
 
 def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
@@ -59,18 +65,19 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
     # Ray gives its workers a low priority, so that whatever else the machine does would be measured.
     os.environ.setdefault("RAY_worker_niceness", "0")
     with connected(None, sum(runners)):
-        runs = {n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch)) for n in runners}
-        for run in runs.values():
-            run.round()
-            run.forget()
-        for _ in range(rounds):
+        runs = {
+            n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch, learning_rate=STILL))
+            for n in runners
+        }
+        for _ in range(rounds + 1):
             for run in runs.values():
                 run.round()
         rows = [
             {
                 "runners": n,
-                "gathered_per_second": run.turns / (run.seconds - run.learning),
-                "all_per_second": run.turns / run.seconds,
+                "gathered_per_second": statistics.median(t / gathering for t, gathering, _, _ in run.rounds[1:]),
+                "all_per_second": statistics.median(t / (g + learning) for t, g, learning, _ in run.rounds[1:]),
+                "episodes": statistics.median(episodes for _, _, _, episodes in run.rounds[1:]),
             }
             for n, run in runs.items()
         ]
@@ -82,10 +89,10 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
 def table(rows: list[dict[str, Any]]) -> list[str]:
     """Markdown."""
     first = rows[0]
-    lines = ["| env runners | turns gathered a second | turns a second, learning included |", "|--:|--:|--:|"]
+    lines = ["| env runners | turns gathered a second | learning included | episodes a round |", "|--:|--:|--:|--:|"]
     for row in rows:
         cells = [f"{row[key]:,.0f} ({row[key] / first[key]:.2f}x)" for key in ("gathered_per_second", "all_per_second")]
-        lines.append(f"| {row['runners']} | {' | '.join(cells)} |")
+        lines.append(f"| {row['runners']} | {' | '.join(cells)} | {row['episodes']:.0f} |")
     return lines
 
 
