@@ -27,7 +27,6 @@ from chemlab.files import replace_between
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import load_scenario
 
-
 STILL = 1e-9
 """A learning rate that moves nothing."""
 
