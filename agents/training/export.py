@@ -30,7 +30,7 @@ try:
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
 
-__all__ = ["export_run", "largest_difference", "network_of"]
+__all__ = ["export_run", "largest_difference", "network_of", "training_command"]
 
 _TOLERANCE = 1e-5
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
@@ -154,7 +154,7 @@ def export_run(folder: Path, out: Path) -> Card:
         "label": config["label"],
         "seed": config["seed"],
         "step": int(best.name.rpartition("-")[2]),
-        "command": _command(config, task),
+        "command": training_command(config),
         "versions": config["versions"],
         "activation": activation,
         "output": output,
@@ -198,11 +198,16 @@ def _background(config: dict[str, Any], task: Task) -> str | None:
     return str(config.get("background") or "heuristic") if isinstance(task, LaboratoryTask) else None
 
 
-def _command(config: dict[str, Any], task: Task) -> str:
-    """What trains it again: the arguments that are not what the others imply."""
+def training_command(config: dict[str, Any]) -> str:
+    """What trains a run again: the arguments that are not what the others imply.
+
+    Args:
+        config: a run's ``config.json``.
+    """
     given = vars(_arguments(config))
-    if list(task.goals) == list(find_task(_arguments({**config, "goals": None})).goals):
+    if given["goals"] == tuple(find_task(_arguments({**config, "goals": None})).goals):
         given = {**given, "goals": None}
     implied = vars(resolved(arguments_of({name: given[name] for name in ("env_id", "algo", "preset")})))
     own = {name: value for name, value in given.items() if value != implied[name]}
-    return shlex.join(["chemlab", "train", config["env_id"], *flags_of(arguments_of({**own, "algo": given["algo"]}))])
+    own |= {name: given[name] for name in ("algo", "preset")}
+    return shlex.join(["chemlab", "train", config["env_id"], *flags_of(arguments_of(own))])

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import warnings
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,19 @@ def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
 def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
     nothing = np.zeros(len(seen), dtype=np.int64)
     return policy.act(seen, mask, nothing, nothing)
+
+
+def test_card_says_the_preset() -> None:
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.training.export import training_command
+    from chemlab.agents.training.tasks import find_task
+
+    arguments = arguments_of({"env_id": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
+    config = {**asdict(arguments), "goals": list(find_task(arguments).goals), "label": "ppo-entropy"}
+    assert training_command(config) == (
+        "chemlab train chemlab/WurtzExtraction-v0 --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
+    )
 
 
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
