@@ -151,9 +151,10 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
-            policy, too); or the path of a training run, a checkpoint or exported weights, for the roles that learned
-            (the others are played by its background). ``@0.1`` after it: at one turn in ten a random legal action
-            instead. Exceptions follow after commas, by role or agent: ``pretrained@0.1,manager=random``.
+            policy, too); the name of a policy that comes with chemlab (:func:`~.pretrained.pretrained_names`), or the
+            path of a training run, a checkpoint or exported weights, for the roles that learned (the others are played
+            by its background). ``@0.1`` after it: at one turn in ten a random legal action instead. Exceptions follow
+            after commas, by role or agent: ``pretrained@0.1,manager=random``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -217,7 +218,10 @@ def agent_policy(
         )
     if own not in policy_names():
         if not is_saved(own):
-            raise ValueError(f"policy: known: {', '.join(policy_names())}, or a path that exists; given {own!r}")
+            raise ValueError(
+                f"policy: known: {', '.join(policy_names())}, a shipped one's name, or a path that exists; "
+                f"given {own!r}"
+            )
         saved = find_saved(own)
         if role_of(agent) in saved.load:
             return saved.load[role_of(agent)](role)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from chemlab.laboratory.policy import Policy
 
-from .pretrained import Role, load_pretrained
+from .pretrained import Role, load_pretrained, pretrained_names
 from .roles import role_of
 from .training.runs import Run
 
@@ -30,9 +30,9 @@ class Saved:
     background: str = "heuristic"
 
 
-def _exported(file: Path) -> Callable[[Role], Policy]:
+def _exported(name_or_path: str | Path) -> Callable[[Role], Policy]:
     def load(role: Role) -> Policy:
-        policy = load_pretrained(file)
+        policy = load_pretrained(name_or_path)
         policy.check(role)
         return policy
 
@@ -85,18 +85,25 @@ def _cards(folder: Path) -> dict[str, Callable[[Role], Policy]]:
 
 
 def is_saved(name: str) -> bool:
-    """Whether a policy's name is a path rather than a name."""
+    """Whether a policy's name is a path, or that of one which comes with chemlab."""
     path = Path(name)
-    return path.exists() or path.suffix in (".safetensors", ".json") or Path(f"{name}.safetensors").exists()
+    return (
+        name in pretrained_names()
+        or path.exists()
+        or path.suffix in (".safetensors", ".json")
+        or Path(f"{name}.safetensors").exists()
+    )
 
 
 def find_saved(name: str) -> Saved:
     """What a path holds: a training run (its best checkpoint), a checkpoint (folder or ``model.zip``), exported weights
-    (``.safetensors``, with or without the suffix) or a folder of them.
+    (``.safetensors``, with or without the suffix) or a folder of them; or a policy that comes with chemlab, by name.
 
     Raises:
         ValueError: nothing that plays.
     """
+    if name in pretrained_names():
+        return Saved({load_pretrained(name).card.bench: _exported(name)})
     path = Path(name)
     if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
         return Saved({load_pretrained(path).card.bench: _exported(path)})

@@ -193,8 +193,9 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     """A policy for a bench by name.
 
     Args:
-        name: ``heuristic``, ``random``, ``pretrained``, or a path: a training run's folder, a checkpoint in it (folder
-            or ``model.zip``), or exported weights (``.safetensors``).
+        name: ``heuristic``, ``random``, ``pretrained``, the name of a policy that comes with chemlab
+            (:func:`~chemlab.agents.pretrained.pretrained_names`), or a path: a training run's folder, a checkpoint in
+            it (folder or ``model.zip``), or exported weights (``.safetensors``).
         bench: whose experiments it is to run.
         seed: seed of a random policy.
 
@@ -209,7 +210,9 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     if name == "pretrained":
         return pretrained_for(bench)
     if not is_saved(name):
-        raise ValueError(f"policy: known: heuristic, random, pretrained, or a path that exists; given {name!r}")
+        raise ValueError(
+            f"policy: known: heuristic, random, pretrained, a shipped one's name, or a path that exists; given {name!r}"
+        )
     saved = find_saved(name).load
     # A run of one role may be tried on any bench that it fits; which of several it is has to be clear.
     role = next(iter(saved)) if len(saved) == 1 else bench.key

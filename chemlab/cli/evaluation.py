@@ -36,8 +36,9 @@ def evaluate(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="heuristic, random, pretrained, or (single benches) the path of a training run, of a checkpoint "
-            "or of exported weights; repeat the option. Default: heuristic and random."
+            help="heuristic, random, pretrained, the name of a policy that comes along, or the path of a training run, "
+            "of a checkpoint or of exported weights; repeat the option. Laboratories know more, see `chemlab run`. "
+            "Default: heuristic and random."
         ),
     ] = None,
     bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
@@ -129,7 +130,8 @@ def figures(
         bool,
         typer.Option(
             "--collect",
-            help="First play the best policies and store what they do in traces.json, managers' in laboratory.json.",
+            help="First play the best policies, and store what they do in traces.json, managers' in laboratory.json, "
+            "those of the shipped bench policies in benches.json.",
         ),
     ] = False,
     file_format: Annotated[
@@ -137,7 +139,7 @@ def figures(
     ] = None,
     update: Annotated[
         list[Path] | None,
-        typer.Option(help="Replace the tables of managers in this Markdown file; repeat the option."),
+        typer.Option(help="Replace the tables between their marks in this Markdown file; repeat the option."),
     ] = None,
 ) -> None:
     """Draw the paper's figures from training runs, and tables of its results beside ours.
@@ -147,6 +149,7 @@ def figures(
     Needs nothing but results files (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
+        from ..agents.evaluation.benches import bench_policies, benches_table, collect_benches
         from ..agents.evaluation.figures import FIGURES, write_figures
         from ..agents.evaluation.laboratory import brief_table, collect_laboratories, laboratory_count, write_laboratory
         from ..agents.evaluation.results import read_results
@@ -161,14 +164,21 @@ def figures(
                 collect_traces(found, watch=lambda _: progress.advance(task))
                 task = progress.add_task("managers", total=laboratory_count(results))
                 collect_laboratories(results, watch=lambda _: progress.advance(task))
+                task = progress.add_task("shipped benches", total=len(bench_policies()))
+                collect_benches(results, watch=lambda _: progress.advance(task))
             task = progress.add_task("figures", total=len(FIGURES))
             lacking = write_figures(found, output, file_format or ["png"], lambda _: progress.advance(task))
         page, _ = write_summary(found, output, lacking)
         laboratory = write_laboratory(results, output, file_format or ["png"])
+        tables = {
+            "managers": lambda: brief_table(results, shipped=True),
+            "measuring": lambda: brief_table(results, shipped=False),
+            "benches": lambda: benches_table(results),
+        }
         for file in update or ():
-            marks = [mark for mark in ("managers", "measuring") if f"<!-- {mark}: begin -->" in file.read_text()]
+            marks = [mark for mark in tables if f"<!-- {mark}: begin -->" in file.read_text(encoding="utf-8")]
             for mark in marks or ["managers"]:
-                replace_between(file, mark, brief_table(results, shipped=mark == "managers"))
+                replace_between(file, mark, tables[mark]())
     for stem, missing in lacking.items():
         out.print(f"{stem}: {'missing: ' + '; '.join(missing) if missing else 'complete'}")
     for line in (*found.left_out, *(laboratory.left_out if laboratory is not None else ())):
