@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results
 from chemlab.agents.evaluation.summary import compare_with_paper, describe_cells
-from chemlab.agents.training.runs import CurvePoint, Run, RunConfig, RunResult
+from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
 from chemlab.cli import app
 from chemlab.scenario import load_scenario
 
@@ -315,6 +315,25 @@ def test_statements_follow_the_results(tmp_path: Path) -> None:
     assert found[10, "DQN ends with a negative return"].holds is True
     assert found[10, "PPO outperforms the heuristic"].holds is None
     assert found[13, "without salt, all but DQN end the experiment themselves"].holds is None
+
+
+@pytest.mark.parametrize(
+    ("means", "step", "holds"),
+    [
+        ((0.1, 0.61, 0.63, 0.62), 200, True),
+        ((0.1, 0.2, 0.63, 0.62), 300, False),  # "before" 300k
+        ((0.62, 0.63, 0.3, 0.62), 400, False),  # left again; where it ends it is by definition
+    ],
+)
+def test_convergence_is_that_of_evaluations(tmp_path: Path, means: tuple[float, ...], step: int, holds: bool) -> None:
+    for seed, label in itertools.product((0, 1), EXPERIMENTS["wurtz_rxn"].algorithms):
+        path = write_run(tmp_path, "wurtz_rxn", label, seed)
+        for i, mean in enumerate(means):
+            # Two runs that differ, by less than what counts.
+            Run(path).append(Evaluation(100_000 * (i + 1), mean + 0.001 * seed, {}, None, None))
+    (found,) = (s for s in compare_with_paper(read_results(tmp_path)) if "converges before" in s.says)
+    assert found.ours.startswith(f"PPO: by {step}k of 1k steps; A2C: by {step}k")
+    assert found.holds is holds
 
 
 def test_variants_of_ppo_count_as_ppo(tmp_path: Path) -> None:
