@@ -18,6 +18,7 @@ from ..pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from ..roles import MANAGER_ROLE, role_of
 from ..training.runs import RESULT_SEED, to_text
 from .play import BenchTarget, LaboratoryTarget, versions
+from .statistics import number_text
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]
 
@@ -107,6 +108,9 @@ def benches_table(folder: Path) -> list[str]:
         "|---|---|--:|--:|--:|--:|",
     ]
     for row in rows:
-        numbers = [f"{row['trained'][key]:.3f} ({row['scripted'][key]:.3f})" for key in (*_STARTS, "reward", "score")]
+        numbers = [
+            f"{number_text(row['trained'][key])} ({number_text(row['scripted'][key])})"
+            for key in (*_STARTS, "reward", "score")
+        ]
         lines.append(f"| `{row['name']}` | {row['starts']} | {' | '.join(numbers)} |")
     return lines

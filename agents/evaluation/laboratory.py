@@ -31,6 +31,7 @@ from . import statistics
 from .curves import Tasks, draw_tasks
 from .play import LaboratoryTarget, Played, versions
 from .results import FinishedRun, display_name, read_results
+from .statistics import interval_text, number_text
 
 __all__ = [
     "BASELINES",
@@ -406,8 +407,8 @@ def _rows(group: dict[str, Any]) -> Iterator[list[str]]:
     scripted = group["baselines"].get("scripted")
     for name, means in group["baselines"].items():
         score = _overall(means, "score")
-        gain = "" if name == "scripted" else _number(score - _overall(scripted, "score"), "+")
-        yield _cells(group["background"], BASELINES[name][1], _number(score), gain, [means], "", "", "")
+        gain = "" if name == "scripted" else number_text(score - _overall(scripted, "score"), sign="+")
+        yield _cells(group["background"], BASELINES[name][1], number_text(score), gain, [means], "", "", "")
 
 
 def _line(*cells: str) -> str:
@@ -420,8 +421,8 @@ def _cells(benches: str, manager: str, score: str, gain: str, means: Sequence[Me
     def over(measure: str) -> float:
         return float(np.mean([_overall(one, measure) for one in means]))
 
-    cells = [benches, manager, score, gain, _number(over("safety_cost")), _number(over("submitted_mol"))]
-    return [*cells, f"{100.0 * over('purity'):.1f}", _number(over("instruments")), f"{over('ticks'):.0f}", *last]
+    cells = [benches, manager, score, gain, number_text(over("safety_cost")), number_text(over("submitted_mol"))]
+    return [*cells, f"{100.0 * over('purity'):.1f}", number_text(over("instruments")), f"{over('ticks'):.0f}", *last]
 
 
 def _overall(means: Means, measure: str) -> float:
@@ -429,16 +430,11 @@ def _overall(means: Means, measure: str) -> float:
     return float(np.mean([by_measure[measure] for by_measure in means.values()]))
 
 
-def _number(value: float, sign: str = "") -> str:
-    return f"{round(value, 3) + 0.0:{sign}.3f}"  # what rounds to 0 has no minus
-
-
 def _interval(values: Any, sign: str) -> str:
     """Mean over seeds and its interval; one seed has none."""
     if len(values) < 2:
-        return _number(float(values[0]), sign)
-    found = statistics.mean([values])
-    return f"{_number(found.value, sign)} [{_number(found.low, sign)}, {_number(found.high, sign)}]"
+        return number_text(float(values[0]), sign=sign)
+    return interval_text(statistics.mean([values]).as_dict(), sign=sign)
 
 
 def _minutes(value: float) -> str:

@@ -7,7 +7,7 @@ resample draws anew within each goal and never across goals (the stratified boot
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,9 @@ __all__ = [
     "TIE",
     "Estimate",
     "interquartile_mean",
+    "interval_text",
     "mean",
+    "number_text",
     "paired_improvement",
     "probability_of_improvement",
 ]
@@ -52,7 +54,18 @@ class Estimate:
         return dict(vars(self))
 
     def __str__(self) -> str:
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+        return interval_text(self.as_dict())
+
+
+def number_text(value: float, digits: int = 3, sign: str = "") -> str:
+    """A number of a table; what rounds to 0 has no minus. ``sign``: ``+`` to say it of positive ones, too."""
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
+
+
+def interval_text(estimate: Mapping[str, float], digits: int = 3, sign: str = "") -> str:
+    """``value [low, high]`` of an :class:`Estimate` as a dictionary, see :func:`number_text`."""
+    value, low, high = (number_text(estimate[key], digits, sign) for key in ("value", "low", "high"))
+    return f"{value} [{low}, {high}]"
 
 
 def _checked(strata: Strata) -> list[FloatArray]:

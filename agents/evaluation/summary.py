@@ -16,8 +16,9 @@ from . import statistics
 from .figures import FIGURES
 from .play import versions
 from .results import EXPERIMENTS, Cell, Results, display_name
+from .statistics import interval_text, number_text
 
-__all__ = ["Statement", "compare_with_paper", "describe_cells", "write_summary"]
+__all__ = ["Statement", "compare_with_paper", "describe_cells", "paper_table", "write_summary"]
 
 _CLOSE = 0.9
 """Share of the scripted policy's return that the paper's "nearly match" and "come close" are read as."""
@@ -394,6 +395,23 @@ def describe_cells(results: Results) -> list[dict[str, Any]]:
     return rows
 
 
+def paper_table(results: Results) -> list[str]:
+    """The lines of a Markdown table: the paper's experiments, by algorithm the mean over runs of each one's best policy
+    with its interval, the scripted policy first."""
+    rows = [row for row in describe_cells(results) if row["runs"]]
+    columns = {key: {row["label"]: row for row in rows if row["experiment"] == key} for key in EXPERIMENTS}
+    lines = [f"| | {' | '.join(spec.title for spec in EXPERIMENTS.values())} |", f"|---|{'--:|' * len(EXPERIMENTS)}"]
+    scripted = [
+        next((number_text(row["heuristic"]) for row in own.values() if row["heuristic"] is not None), "")
+        for own in columns.values()
+    ]
+    lines.append(f"| scripted | {' | '.join(scripted)} |")
+    for label in dict.fromkeys(row["label"] for row in rows):
+        cells = [interval_text(own[label]["mean"]) if label in own else "" for own in columns.values()]
+        lines.append(f"| {display_name(label)} | {' | '.join(cells)} |")
+    return lines
+
+
 def write_summary(results: Results, folder: Path, lacking: Mapping[str, Sequence[str]]) -> tuple[Path, Path]:
     """Write ``summary.md`` and ``summary.json``; their paths.
 
@@ -425,10 +443,6 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, list):
         return [_without_nan(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _interval(estimate: dict[str, float], digits: int = 3) -> str:
-    return f"{estimate['value']:.{digits}f} [{estimate['low']:.{digits}f}, {estimate['high']:.{digits}f}]"
 
 
 def _markdown(
@@ -473,10 +487,10 @@ def _markdown(
         if not row["runs"]:
             lines.append(start + "| - | - | - | - | - | - |")
             continue
-        better = _interval(row["improvement"], 2) if "improvement" in row else "-"
-        reference = "-" if row["heuristic"] is None else f"{row['heuristic']:.3f}"
+        better = interval_text(row["improvement"], 2) if "improvement" in row else "-"
+        reference = "-" if row["heuristic"] is None else number_text(row["heuristic"])
         lines.append(
-            f"{start}| {row['steps']:,} | {_interval(row['mean'])} | {_interval(row['interquartile_mean'])} "
+            f"{start}| {row['steps']:,} | {interval_text(row['mean'])} | {interval_text(row['interquartile_mean'])} "
             f"| {row['best']:.3f} | {reference} | {better} |"
         )
     lines += ["", "## Figures", ""]

@@ -80,9 +80,10 @@ def evaluate(
 
 
 def _interval(estimate: dict[str, float], digits: int = 3) -> str:
-    """A statistic and its interval for a table's cell; what rounds to 0 has no sign."""
-    value, low, high = (f"{round(estimate[k], digits) + 0.0:.{digits}f}" for k in ("value", "low", "high"))
-    return f"{value} \\[{low}, {high}]"
+    """A statistic and its interval for a table's cell."""
+    from ..agents.evaluation.statistics import interval_text
+
+    return escape(interval_text(estimate, digits))
 
 
 def _tables(results: dict[str, Any]) -> list[Table]:
@@ -153,7 +154,7 @@ def figures(
         from ..agents.evaluation.figures import FIGURES, write_figures
         from ..agents.evaluation.laboratory import brief_table, collect_laboratories, laboratory_count, write_laboratory
         from ..agents.evaluation.results import read_results
-        from ..agents.evaluation.summary import write_summary
+        from ..agents.evaluation.summary import paper_table, write_summary
 
         found = read_results(results)
         with _progress() as progress:
@@ -174,6 +175,7 @@ def figures(
             "managers": lambda: brief_table(results, shipped=True),
             "measuring": lambda: brief_table(results, shipped=False),
             "benches": lambda: benches_table(results),
+            "paper": lambda: paper_table(found),
         }
         for file in update or ():
             marks = [mark for mark in tables if f"<!-- {mark}: begin -->" in file.read_text(encoding="utf-8")]
