@@ -6,13 +6,17 @@ Numbers that tests compare with come from ``scenario.materials`` (the data files
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+import chemlab.scenarios
 from chemlab.laboratory.actions import SUBMIT, WAIT
+from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
+from chemlab.materials import read_toml
 from chemlab.physics.events import EVENT_KINDS
 from chemlab.physics.layers import SOLIDS, profile
 from chemlab.physics.partition import partition, turn_clock
@@ -27,6 +31,38 @@ FloatArray = npt.NDArray[np.float64]
 PIXELS = 100
 TRACE = 1e-9
 """mol; tests call a solvent present only when there is clearly more or clearly less of it than the kernels' trace."""
+
+
+def mapping(name: str) -> dict[str, Any]:
+    """A shipped scenario's content, to be changed."""
+    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+
+
+def laboratory(values: dict[str, Any] | str, seed: int = 0, **arguments: Any) -> raw_env:
+    """A laboratory at the start of an episode."""
+    env = raw_env(load_scenario(values), **arguments)
+    env.reset(seed=seed)
+    return env
+
+
+def manager(env: raw_env, *action: str | int) -> None:
+    """Let the manager, which must have the turn, do something legal."""
+    assert env.agent_selection == "manager_0"
+    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
+    assert not env.infos["manager_0"]["illegal_action"]
+
+
+def allowed(env: raw_env, *action: str | int) -> bool:
+    """Whether the manager's mask allows an action."""
+    return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
+
+
+def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:
+    """Volume of amounts in mol, from the cited molar masses and densities."""
+    materials = scenario.materials
+    return sum(
+        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
+    )
 
 
 def four_solvents() -> Scenario:

@@ -13,27 +13,22 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import mapping
 from pettingzoo.test import api_test, seed_test
 from pettingzoo.test.save_obs_test import test_save_obs as check_save_obs
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
-import chemlab.scenarios
 from chemlab.agents.policy import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
-from chemlab.materials import DataError, read_toml
+from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
 
 SCENARIOS = scenario_names()
 WURTZ = "wurtz_dodecane"
-
-
-def mapping(name: str = WURTZ) -> dict[str, Any]:
-    """A shipped scenario's content, to be changed."""
-    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
 
 
 def manager(env: raw_env, *action: str | int) -> None:
@@ -200,7 +195,7 @@ def test_the_tick_in_which_an_experiment_ends_is_finished() -> None:
 
 
 def test_one_bench_of_two_of_a_kind_ends_and_the_other_goes_on() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["benches"]["rxn"]["count"] = 2
     values["benches"]["rxn"]["step_limit"] = 3
     env = raw_env(load_scenario(values))
@@ -562,7 +557,7 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
 
 
 def test_a_cooperative_laboratory_shares_the_managers_result() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["rewards"] = {"bench_local": 0.5, "bench_team": 0.25, "manager_local": 0.75, "manager_team": 0.0}
     env = raw_env(load_scenario(values))
     policies = make_policies("heuristic", env.laboratories)
@@ -606,7 +601,7 @@ def test_submitting_terminates_for_all() -> None:
 
 
 def test_the_limit_on_the_managers_actions_truncates() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["limits"]["manager_actions"] = 3
     env = raw_env(load_scenario(values))
     env.reset(seed=0)
@@ -627,7 +622,7 @@ def test_the_limit_on_the_managers_actions_truncates() -> None:
 
 
 def test_submitting_with_the_last_action_is_a_submission() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["limits"]["manager_actions"] = 1
     env = raw_env(load_scenario(values))
     env.reset(seed=0)
@@ -637,7 +632,7 @@ def test_submitting_with_the_last_action_is_a_submission() -> None:
 
 
 def test_the_limit_on_ticks_truncates() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["limits"]["ticks"] = 4
     env = raw_env(load_scenario(values))
     env.reset(seed=0)

@@ -5,63 +5,29 @@ Contents are put into vessels by hand, so that readings, purities and costs have
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers import allowed, laboratory, litres, manager, mapping
 
-import chemlab.scenarios
 from chemlab.bench.base import channel_slices
 from chemlab.bench.instruments import BALANCE_RANGE_KG
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.manager import COST_ITEMS
-from chemlab.materials import read_toml
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import load_scenario, scenario_names
 from chemlab.shelf import AMOUNTS, CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX, Shelf
 
 WURTZ = "wurtz_dodecane"
-
-
-def mapping(name: str = WURTZ) -> dict[str, Any]:
-    """A shipped scenario's content, to be changed."""
-    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
-
-
-def laboratory(values: dict[str, Any] | str = WURTZ, seed: int = 0) -> raw_env:
-    """A laboratory at the start of an episode."""
-    env = raw_env(load_scenario(values))
-    env.reset(seed=seed)
-    return env
-
-
-def manager(env: raw_env, *action: str | int) -> None:
-    """Let the manager, which must have the turn, do something legal."""
-    assert env.agent_selection == "manager_0"
-    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
-    assert not env.infos["manager_0"]["illegal_action"]
-
-
-def allowed(env: raw_env, *action: str | int) -> bool:
-    """Whether the manager's mask allows an action."""
-    return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
 
 
 def do(env: raw_env, meaning: str) -> None:
     """Let the selected bench, which has discrete actions, do what ``meaning`` says."""
     bench = env.laboratories.benches[env.possible_agents.index(env.agent_selection) - 1]
     env.step(bench.action_meanings.index(meaning))
-
-
-def litres(scenario: Scenario, contents: dict[str, float]) -> float:
-    """Volume of amounts in mol, from the cited molar masses and densities."""
-    materials = scenario.materials
-    return sum(
-        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
-    )
 
 
 def seen(env: raw_env, name: str) -> npt.NDArray[np.float32]:
@@ -117,7 +83,7 @@ def test_an_action_that_does_not_exist_is_refused(action: tuple[Any, ...], part:
 
 
 def test_starting_reserves_slots_and_is_masked_without_them() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["shelf"]["slots"] = 4
     env = laboratory(values)
     starts = {bench: ("start", bench, 1, "dodecane") for bench in ("rxn_0", "ext_0", "dit_0")}
@@ -140,7 +106,7 @@ def test_starting_reserves_slots_and_is_masked_without_them() -> None:
 
 
 def test_the_slot_a_vessel_left_is_kept_for_it() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["shelf"]["slots"] = 3
     env = laboratory(values)
     manager(env, "start", "rxn_0", 0, "dodecane")
@@ -149,7 +115,7 @@ def test_the_slot_a_vessel_left_is_kept_for_it() -> None:
 
 
 def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     shelf = env.laboratories.shelf
     shelf.fill(0, 1, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
     manager(env, "start", "ext_0", 1, "dodecane")
@@ -174,7 +140,7 @@ def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None
 
 
 def test_a_vessel_on_the_shelf_rests() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     labs = env.laboratories
     labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0, "NaCl": 1.0})
     manager(env, "start", "dit_0", 0, "dodecane")
@@ -194,7 +160,7 @@ def test_a_vessel_on_the_shelf_rests() -> None:
 
 
 def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     manager(env, "start", "ext_0", 0, "dodecane")
     manager(env, "start", "rxn_0", 1, "dodecane")
     assert occupied(env) == []
@@ -213,7 +179,7 @@ def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
 
 
 def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
     env = laboratory(values)
     env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
@@ -238,7 +204,7 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
 
 
 def test_a_spill_can_be_priced_into_the_rewards() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
     values["safety"]["reward_price"] = 0.125
     values["safety"]["weights"]["spill_l"] = 2.0
@@ -257,7 +223,7 @@ def test_a_spill_can_be_priced_into_the_rewards() -> None:
 
 
 def test_a_reading_arrives_with_age_zero_and_grows_old_with_ticks() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
     env.laboratories.shelf.fill(0, 1, 1.2, contents)
     limit = env.scenario.limits.ticks
@@ -283,7 +249,7 @@ def test_a_reading_arrives_with_age_zero_and_grows_old_with_ticks() -> None:
 
 def test_what_the_instruments_read() -> None:
     contents = {"water": 5.0, "diethyl_ether": 4.0, "dodecane": 1.0}
-    values = mapping()
+    values = mapping(WURTZ)
     values["shelf"]["vessel"] = [{"capacity_l": 1.2, "contents": contents}]
     env = laboratory(values)
     scenario, labs = env.scenario, env.laboratories
@@ -316,7 +282,7 @@ def test_what_the_instruments_read() -> None:
 
 
 def test_a_sample_goes_to_waste() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["instruments"]["gas_chromatograph"]["sample_fraction"] = 0.25
     env = laboratory(values)
     labs = env.laboratories
@@ -333,7 +299,7 @@ def test_a_sample_goes_to_waste() -> None:
 
 
 def test_measuring_ends_with_the_budget() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["limits"]["budget"] = 0.025
     env = laboratory(values)
     manager(env, "measure", 0, "gas_chromatograph")  # 0.01 each
@@ -349,7 +315,7 @@ def test_measuring_ends_with_the_budget() -> None:
 
 
 def test_noise_of_an_instrument_comes_from_the_seed() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["instruments"]["balance"]["noise"] = 0.01
     readings = []
     for seed in (1, 1, 2):
@@ -365,7 +331,7 @@ def test_noise_of_an_instrument_comes_from_the_seed() -> None:
 
 
 def test_stock_is_finite_and_shared() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     values["benches"]["rxn"]["count"] = 2
     env = laboratory(values)
     labs, index = env.laboratories, env.laboratories.shelf.layout.index
@@ -395,7 +361,7 @@ def test_stock_is_finite_and_shared() -> None:
 
 
 def test_an_empty_bottle_is_masked() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     water = {"water": 1.0 / litres(load_scenario(WURTZ), {"water": 1.0}) * 0.5}  # half a litre
     values["stock"].update(water)
     env = laboratory(values)
@@ -413,7 +379,7 @@ def test_an_empty_bottle_is_masked() -> None:
 
 
 def test_discarding_fills_the_waste_and_frees_the_slot() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     labs = env.laboratories
     contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
     labs.shelf.fill(0, 1, 1.2, contents)
@@ -432,7 +398,7 @@ def test_discarding_fills_the_waste_and_frees_the_slot() -> None:
 
 
 def test_costs_are_itemized_and_add_up() -> None:
-    values = mapping()
+    values = mapping(WURTZ)
     env = laboratory(values)
     scenario, labs = env.scenario, env.laboratories
     costs = scenario.costs
@@ -467,7 +433,7 @@ def test_costs_are_itemized_and_add_up() -> None:
 
 
 def test_a_submission_of_nothing_is_worth_nothing() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     env.laboratories.shelf.fill(0, 0, 1.2, {})
     manager(env, "submit", 0)
     assert env.rewards["manager_0"] == 0.0
@@ -552,7 +518,7 @@ def test_no_number_of_a_vessels_inside_is_shown(name: str) -> None:
 
 
 def test_the_outside_of_a_vessel_is_what_it_is() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     labs = env.laboratories
     shelf: Shelf = labs.shelf
     largest = max([v.capacity_l for v in env.scenario.shelf.vessel] + [b.auxiliary_capacity_l for b in labs.benches])
@@ -571,7 +537,7 @@ def test_the_outside_of_a_vessel_is_what_it_is() -> None:
 
 
 def test_the_manager_sees_its_benches() -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     goals = list(env.scenario.goals)
     manager(env, "start", "dit_0", 1, "NaCl")
     manager(env, "wait")

@@ -6,37 +6,22 @@ compared bit for bit.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers import litres
 
-import chemlab.scenarios
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.materials import read_toml
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 from chemlab.shelf import CLOCK, CLOCK_SETTLED, CLOCK_WAS, PRESENT, ROLE_GAS, T_MIX, TEMPERATURE
 
 SCENARIOS = scenario_names()
 WURTZ = "wurtz_dodecane"
-
-
-def mapping(name: str = WURTZ) -> dict[str, Any]:
-    """A shipped scenario's content, to be changed."""
-    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
-
-
-def litres(scenario: Scenario, contents: dict[str, float]) -> float:
-    """Volume of amounts in mol, from the cited molar masses and densities."""
-    materials = scenario.materials
-    return sum(
-        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
-    )
 
 
 def half_full(scenario: Scenario, mixture: dict[str, float]) -> dict[str, float]:

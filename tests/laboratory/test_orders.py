@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import allowed, laboratory, manager, mapping
 
 import chemlab.scenarios
 from chemlab.agents.policy import make_policies
@@ -21,35 +22,11 @@ from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.materials import DataError, read_toml
+from chemlab.materials import DataError
 from chemlab.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
 from chemlab.shelf import PRESENT, element_matrix
 
 LINES = "wurtz_two_lines"
-
-
-def mapping(name: str = LINES) -> dict[str, Any]:
-    """A shipped scenario's content, to be changed."""
-    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
-
-
-def laboratory(values: dict[str, Any] | str = LINES, seed: int = 0, **arguments: Any) -> raw_env:
-    """A laboratory at the start of an episode."""
-    env = raw_env(load_scenario(values), **arguments)
-    env.reset(seed=seed)
-    return env
-
-
-def manager(env: raw_env, *action: str | int) -> None:
-    """Let the manager, which must have the turn, do something legal."""
-    assert env.agent_selection == "manager_0"
-    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
-    assert not env.infos["manager_0"]["illegal_action"]
-
-
-def allowed(env: raw_env, *action: str | int) -> bool:
-    """Whether the manager's mask allows an action."""
-    return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
 
 
 def goals(env: raw_env) -> list[str]:
@@ -72,7 +49,7 @@ def atoms(env: raw_env) -> Any:
 
 
 def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
-    env = laboratory()
+    env = laboratory(LINES)
     labs, scenario = env.laboratories, env.scenario
     first, second = goals(env)
     labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, first: 0.5})
@@ -107,7 +84,7 @@ def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
 
 
 def test_a_filled_order_is_closed() -> None:
-    env = laboratory()
+    env = laboratory(LINES)
     manager(env, "measure", 0, "balance")
     assert all(allowed(env, "submit", 0, order) for order in (0, 1))
     assert sum(shown(env, 0)) == sum(shown(env, 1)) == 1.0
@@ -133,12 +110,12 @@ def test_a_filled_order_is_closed() -> None:
 
 def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
     """The last vessel on the shelf ends the episode, though an order is open; with a bench at work it does not."""
-    env = laboratory()
+    env = laboratory(LINES)
     manager(env, "discard", 1)
     manager(env, "submit", 0, 1)
     assert all(env.terminations.values())
     assert [order["submitted_mol"] for order in env.infos["manager_0"]["orders"]] == [0.0, 0.0]
-    busy = laboratory()
+    busy = laboratory(LINES)
     manager(busy, "start", "rxn_1", 0, goals(busy)[0])
     manager(busy, "submit", 1, 0)
     assert not any(busy.terminations.values())
@@ -151,7 +128,7 @@ def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
 
 
 def test_a_truncated_episode_pays_what_was_submitted() -> None:
-    values = mapping()
+    values = mapping(LINES)
     values["limits"]["manager_actions"] = 2
     env = laboratory(values)
     goal = goals(env)[0]
@@ -169,7 +146,7 @@ def test_a_truncated_episode_pays_what_was_submitted() -> None:
 @pytest.mark.parametrize("orders", [1, 2, 3])
 def test_random_play_with_orders(orders: int) -> None:
     """Rewards add up to the score, atoms to what there was, and the episode ends when the design says."""
-    values = mapping()
+    values = mapping(LINES)
     values["orders"] = orders
     rng = np.random.default_rng(orders)
     filled = []
@@ -207,7 +184,7 @@ def test_random_play_with_orders(orders: int) -> None:
 
 def test_goals_of_orders_are_drawn_apart() -> None:
     """Uniformly and independently, and asked-for goals are all orders'."""
-    env = laboratory()
+    env = laboratory(LINES)
     labs, choices = env.laboratories, env.scenario.lab_goals
     counts = np.zeros((len(choices), len(choices)))
     for _ in range(3600):
@@ -231,7 +208,7 @@ def test_one_order_looks_as_it_always_did() -> None:
 
 @pytest.mark.parametrize("orders", [1, 2, 5])
 def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None:
-    values = mapping()
+    values = mapping(LINES)
     values["orders"] = orders
     scenario = load_scenario(values)
     actions = ManagerActions.of(scenario)
@@ -289,7 +266,7 @@ def test_a_submission_that_does_not_exist_is_refused(action: tuple[Any, ...], pa
     ],
 )
 def test_wrong_scenarios_say_what_is_wrong(key: str, value: Any, parts: list[str]) -> None:
-    values = mapping()
+    values = mapping(LINES)
     values[key] = value
     with pytest.raises(DataError) as caught:
         load_scenario(values)
@@ -445,7 +422,7 @@ def test_mixes_by_name_number_and_file(tmp_path: Path) -> None:
     """The same numbers, however they are given."""
     assert set(REWARD_MIXES) == {"individual", "cooperative", "mixed"}
     for name, mix in REWARD_MIXES.items():
-        values = mapping()
+        values = mapping(LINES)
         values["rewards"] = name
         assert load_scenario(values).rewards == mix
         text = Path(chemlab.scenarios.__path__[0], f"{LINES}.toml").read_text(encoding="utf-8")

@@ -205,8 +205,8 @@ def turn(page: Any) -> int:
     return int(found[1])
 
 
-def test_it_loads_in_a_second(browser: Any, tmp_path: Path) -> None:
-    """A long episode, with everything drawn."""
+def test_a_long_episode_is_drawn(browser: Any, tmp_path: Path) -> None:
+    """How long that takes: ``tests/benchmarks/replay.py``."""
     found = read_record(record(tmp_path / "long.jsonl", "wurtz_any", "random", 5))
     assert found.turns[-1]["tick"] > 100
     path = tmp_path / "long.html"
@@ -214,9 +214,8 @@ def test_it_loads_in_a_second(browser: Any, tmp_path: Path) -> None:
     page = browser.new_page()
     page.goto(path.as_uri())
     page.wait_for_selector("#slots svg")
-    spent = page.evaluate("performance.timing.loadEventEnd - performance.timing.navigationStart")
+    assert int(page.get_attribute("#scrub", "max")) == len(found.turns)
     page.close()
-    assert spent < 1000
 
 
 def test_scrubbing_shows_other_turns(page: Any, episode: Path) -> None:
