@@ -52,6 +52,7 @@ class VesselSpec(BaseModel):
     model_config = _FROZEN
 
     capacity_l: float = Field(gt=0.0, le=100.0)
+    """Volume up to the rim; what is more runs over (a spill)."""
     contents: dict[str, float] = Field(default_factory=dict)
     """Moles of each material."""
 
@@ -62,7 +63,9 @@ class ShelfSpec(BaseModel):
     model_config = _FROZEN
 
     slots: int = Field(ge=1, le=64)
+    """Places for vessels."""
     vessel: tuple[VesselSpec, ...] = ()
+    """What stands in the first slots, in order; the others are empty."""
 
     @model_validator(mode="after")
     def _fits(self) -> ShelfSpec:
@@ -77,9 +80,13 @@ class Companion(BaseModel):
     model_config = _FROZEN
 
     material: str
+    """What may be there besides."""
     mol: float = Field(gt=0.0)
+    """How much of it."""
     probability: float = Field(default=1.0, ge=0.0, le=1.0)
+    """Of its being there, drawn each episode."""
     if_goal: str
+    """What is there instead in experiments for ``material`` itself."""
 
 
 class StartSpec(BaseModel):
@@ -88,9 +95,13 @@ class StartSpec(BaseModel):
     model_config = _FROZEN
 
     capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
+    """Volume of the vessel up to the rim."""
     contents: dict[str, float] = Field(default_factory=dict)
+    """Moles of each material."""
     goal_mol: float = Field(default=0.0, ge=0.0)
+    """Moles of the experiment's goal, besides."""
     companion: Companion | None = None
+    """A further material that may be there."""
 
 
 class BenchSpec(BaseModel):
@@ -104,8 +115,11 @@ class BenchSpec(BaseModel):
     kind: str = Field(min_length=1)
     """``reaction``, ``extraction``, ``distillation``, or ``package.module:ClassName`` for a bench of your own."""
     count: int = Field(default=1, ge=1, le=16)
+    """How many of this kind, each with an agent of its own."""
     step_limit: int = Field(ge=1, le=10_000)
+    """Steps after which an experiment is over."""
     start: StartSpec = StartSpec()
+    """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
 
 class InstrumentSpec(BaseModel):
@@ -129,7 +143,9 @@ class LimitSpec(BaseModel):
     model_config = _FROZEN
 
     manager_actions: int = Field(ge=1, le=100_000)
+    """Actions of the manager."""
     ticks: int = Field(ge=1, le=1_000_000)
+    """Ticks of laboratory time, in which every busy bench makes one step."""
     budget: float = Field(default=1.0, gt=0.0)
     """What the manager may spend on measuring, in units of the score; dearer measurements are masked."""
 
@@ -140,9 +156,13 @@ class CostSpec(BaseModel):
     model_config = _FROZEN
 
     stock_per_mol: dict[str, float] = Field(default_factory=dict)
+    """Price of a mole taken from a bottle, by material."""
     waste_per_l: float = Field(default=0.0, ge=0.0)
+    """Price of a litre of waste; gas costs nothing."""
     tick: float = Field(default=0.0, ge=0.0)
+    """Price of a tick."""
     illegal_action: float = Field(default=0.0, ge=0.0)
+    """Taken off the reward of an agent that plays a masked action, which loses its turn."""
 
 
 class SafetySpec(BaseModel):
@@ -151,7 +171,9 @@ class SafetySpec(BaseModel):
     model_config = _FROZEN
 
     weights: dict[str, float]
+    """Weight of each kind of event in the cost."""
     reward_price: float = Field(default=0.0, ge=0.0)
+    """Taken off the agent's reward for each unit of that cost."""
 
     @model_validator(mode="after")
     def _known(self) -> SafetySpec:
@@ -172,9 +194,13 @@ class RewardSpec(BaseModel):
     model_config = _FROZEN
 
     bench_local: float = 1.0
+    """Share of a bench's agent in what its own experiments come to."""
     bench_team: float = 0.0
+    """Its share in the manager's result."""
     manager_local: float = 1.0
+    """The manager's share in its result."""
     manager_team: float = 0.0
+    """Its share in the same: its own result is the team's, so that the two add up."""
 
 
 REWARD_MIXES: dict[str, RewardSpec] = {
@@ -200,10 +226,15 @@ class Scenario(BaseModel):
     model_config = _FROZEN
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    """By which commands and records call it."""
     title: str
+    """One line for lists."""
     summary: str
+    """A paragraph for its page."""
     reactions: str
+    """Reaction family: a shipped one's name, or the path of a file, from the scenario's folder."""
     material_files: tuple[str, ...] = ()
+    """Files with materials of your own, from the scenario's folder."""
     goals: tuple[str, ...] = Field(min_length=1)
     """Materials an experiment may be run for, in the order of every one-hot goal."""
     lab_goals: tuple[str, ...] = Field(min_length=1)
@@ -213,16 +244,25 @@ class Scenario(BaseModel):
     theoretical_maximum_mol: dict[str, float]
     """Most moles of each laboratory goal that stock and shelf allow, divided among the orders."""
     ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
+    """Temperature at which vessels and bottles stand."""
     ambient_pressure_kpa: float = Field(default=101.325, gt=0.0, le=1000.0)
+    """Pressure outside the vessels."""
     stock: dict[str, float] = Field(default_factory=dict)
     """Moles in the reagent and solvent bottles, shared by all benches."""
     shelf: ShelfSpec
+    """The shared shelf of vessels."""
     benches: dict[str, BenchSpec] = Field(min_length=1)
+    """Kinds of benches by key; a bench's agents are called after it (``rxn_0``)."""
     instruments: dict[str, InstrumentSpec] = Field(default_factory=dict)
+    """The characterization bench, by name."""
     limits: LimitSpec
+    """When an episode is truncated."""
     costs: CostSpec = CostSpec()
+    """What is taken off the score."""
     safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
+    """What events cost."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
+    """How rewards are shared; numbers, or a mix's name."""
 
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
