@@ -1,7 +1,7 @@
 """Trained policies that need numpy alone: a ``NAME.safetensors`` with the weights and a ``NAME.json`` card.
 
 >>> from chemlab.agents.pretrained import load_pretrained, pretrained_names
->>> policy = load_pretrained("wurtz_dodecane_rxn")                                 # doctest: +SKIP
+>>> policy = load_pretrained("wurtz_rxn")                                          # doctest: +SKIP
 
 A policy fits a bench if it would see and do the same there: the same channels, goals and actions, whatever the scenario
 is called. Cards say what it was trained on, how, with what, and what it then reached.

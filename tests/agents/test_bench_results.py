@@ -21,6 +21,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bench_policies_are_no_managers() -> None:
     keys = {policy.card.bench for policy in bench_policies()}
     assert {"rxn", "ext", "dit"} <= keys
+    assert "fictitious" in {policy.card.scenario for policy in bench_policies()}
     assert "manager" not in keys
 
 

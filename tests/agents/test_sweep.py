@@ -79,8 +79,9 @@ def test_the_papers_sweep_is_complete() -> None:
     reactions = [f"{b}Reaction/{a}" for b in ("Wurtz", "Fictitious") for a in ("ppo", "a2c", "sac", "td3")]
     others = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "ppo-xl", "a2c", "dqn")]
     assert {cell: cells[cell] for cell in [*reactions, *others]} == dict.fromkeys([*reactions, *others], 5)
-    steps = {one.arguments.steps for one in runs if one.arguments.preset == "ppo-xl"}
-    assert steps == {2_000_000}
+    wide = [one.arguments for one in runs if one.arguments.preset == "ppo-xl"]
+    # The paper has it for ExT and DiT alone.
+    assert {one.steps for one in wide if "Reaction" not in one.env_id} == {2_000_000}
 
 
 @pytest.mark.parametrize(
