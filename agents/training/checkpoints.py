@@ -73,6 +73,7 @@ def commit_checkpoint(
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)
     write(draft)
+    run.keep_lines(draft)
     for file in draft.iterdir():
         _synced(file)
     if best:

@@ -354,7 +354,7 @@ def _train(run: Run, arguments: TrainArguments, task: Task, watcher: Watcher | N
         model, memory = load_checkpoint(run, last, _CLASSES[arguments.algo], venv)
         tidy(run, model.num_timesteps, memory["best_step"])
     begin = model.num_timesteps
-    run.truncate(begin)
+    run.rewind(begin)
     rounds = _Rounds(run, arguments, venv, task, total, memory, begin, watcher)
     if watcher is not None:
         watcher.begun(begin, total)

@@ -98,7 +98,7 @@ def train_in_rounds(
     s = settings
     if memory["step"]:
         tidy(run, memory["step"], memory["best_step"])
-    run.truncate(memory["step"])
+    run.rewind(memory["step"])
     scripted = team.scores(s.eval_episodes, EVALUATION_SEED, scripted=True)
     begun, before = time.perf_counter(), memory["seconds"]
     if watcher is not None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -167,11 +168,28 @@ class Run:
         with file.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(asdict(line)) + "\n")
 
-    def truncate(self, step: int) -> None:
-        """Forget lines past a step, and one that was being written."""
-        for file, points in ((self.curve_file, self.curve()), (self.evaluations_file, self.evaluations())):
-            kept = [json.dumps(asdict(point)) + "\n" for point in points if point.step <= step]
-            write_text(file, "".join(kept))
+    def keep_lines(self, folder: Path) -> None:
+        """Put copies of the curve and of the evaluations into a checkpoint, so that both go on where it does."""
+        for file in (self.curve_file, self.evaluations_file):
+            if file.exists():
+                shutil.copyfile(file, folder / file.name)
+
+    def rewind(self, step: int) -> None:
+        """Make curve and evaluations what they were at the last checkpoint, which is ``step``'s (0: there is none).
+
+        Lines past it go, and those that have been lost since come back: a crash of the system, or a version control
+        that puts back an earlier file, may spare the checkpoints and not them.
+        """
+        last = self.checkpoint("last")
+
+        def source(file: Path) -> Path:
+            copy = file if last is None else last / file.name
+            return copy if copy.exists() else file
+
+        points = [line for line in _lines(source(self.curve_file), CurvePoint) if line.step <= step]
+        scores = [line for line in _lines(source(self.evaluations_file), Evaluation) if line.step <= step]
+        for file, lines in ((self.curve_file, points), (self.evaluations_file, scores)):
+            write_text(file, "".join(json.dumps(asdict(line)) + "\n" for line in lines))
 
     def checkpoint(self, kind: str) -> Path | None:
         """Folder of the ``last`` or ``best`` checkpoint (the newest complete one), or None."""

@@ -142,6 +142,19 @@ def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
     assert without_times(broken) == without_times(whole)
 
 
+def test_lines_that_were_lost_before_the_checkpoint_come_back(tmp_path: Path) -> None:
+    """As after ``git checkout``, which puts curves back and knows nothing of checkpoints."""
+    arguments = small("ppo", checkpoints=6)
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+    with pytest.raises(Killed):
+        train(arguments, broken.path, Stop(4))
+    for file in (broken.curve_file, broken.evaluations_file):
+        file.write_text("".join(file.read_text().splitlines(keepends=True)[:1]))
+    train(arguments, broken.path)
+    assert without_times(broken) == without_times(whole)
+
+
 COMMAND = [sys.executable, "-c", "from chemlab.cli import main; main()", "train"]
 
 
@@ -398,7 +411,7 @@ def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
     with run.curve_file.open("a") as handle:
         handle.write('{"step": 4')
     assert run.curve() == points
-    run.truncate(20)
+    run.rewind(20)
     assert run.curve() == points[:2]
     assert os.path.getsize(run.evaluations_file) == 0
 
