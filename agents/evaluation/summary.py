@@ -141,7 +141,9 @@ def _converged(cell: Cell) -> Finding:
     away = np.flatnonzero(np.abs(mean - mean[-1]) > 0.05 * abs(mean[-1]))
     first = 0 if not len(away) else int(away[-1]) + 1
     step = runs[0][first].step
-    return f"by {step / 1000:.0f}k of {cell.steps / 1000:.0f}k steps", step < 300_000 and first < count - 1
+    # Runs that end there cannot show that nothing comes after it.
+    holds = step < 300_000 and first < count - 1 if cell.steps >= 600_000 else None
+    return f"by {step / 1000:.0f}k of {cell.steps / 1000:.0f}k steps", holds
 
 
 def _gain(cell: Cell, at_least: float) -> Finding:

@@ -392,8 +392,12 @@ def resolved(arguments: TrainArguments) -> TrainArguments:
 
 
 def label_of(arguments: TrainArguments) -> str:
-    """What figures and tables call it: the preset's name if it is not the paper's, else the algorithm's."""
-    return arguments.algo if arguments.preset == "paper" else arguments.preset
+    """What figures and tables call it: the preset's name if it is not the paper's, else the algorithm's; both where
+    the algorithm is not the preset's."""
+    if arguments.preset == "paper":
+        return arguments.algo
+    own = PRESETS[arguments.preset].get("algo", arguments.algo)
+    return arguments.preset if arguments.algo == own else f"{arguments.preset}-{arguments.algo}"
 
 
 def folder_of(arguments: TrainArguments, label: str | None = None) -> Path:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -330,6 +330,7 @@ def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) ->
     arguments = load_arguments(file, {"seed": 7, "gamma": None})
     assert (arguments.steps, arguments.seed, arguments.envs, arguments.net_arch) == (100_000, 7, 32, (32, 32))
     assert label_of(arguments) == "ppo-xl"
+    assert label_of(replace(arguments, algo="a2c")) == "ppo-xl-a2c"
     assert folder_of(arguments) == Path("WurtzReaction", "ppo-xl", "seed-7")
     assert arguments_of({}) == TrainArguments()
 
