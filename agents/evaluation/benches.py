@@ -17,13 +17,11 @@ from chemlab.scenario import load_scenario
 from ..pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from ..roles import MANAGER_ROLE, role_of
 from ..training.runs import RESULT_SEED, to_text
+from .laboratory import EPISODES
 from .play import BenchTarget, LaboratoryTarget, versions
 from .statistics import number_text
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]
-
-EPISODES = 200
-"""For each goal."""
 
 _FILE = "benches.json"
 _STARTS = ("paper", "lab")
@@ -84,7 +82,8 @@ def _means(scenario: str, bench: str, policy: str, episodes: int) -> dict[str, f
         means[starts] = sum(float(one.returns.mean()) for one in played) / len(played)
     laboratory = LaboratoryTarget(loaded)
     both = [laboratory.play(f"{_SCRIPTED},{bench}={policy}", goal, episodes, RESULT_SEED) for goal in laboratory.goals]
-    rewards = [name for name in both[0].measures if name.startswith("reward ") and role_of(name[7:]) == bench]
+    prefix = "reward "
+    rewards = [n for n in both[0].measures if n.startswith(prefix) and role_of(n.removeprefix(prefix)) == bench]
     means["reward"] = sum(float(one.measures[name].mean()) for one in both for name in rewards) / len(both)
     means["score"] = sum(float(one.returns.mean()) for one in both) / len(both)
     return means

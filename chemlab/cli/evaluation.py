@@ -156,6 +156,9 @@ def figures(
         from ..agents.evaluation.results import read_results
         from ..agents.evaluation.summary import paper_table, write_summary
 
+        for file in update or ():
+            if not file.is_file():
+                raise ValueError(f"--update: {file}: no such file; it needs the marks between which tables stand")
         found = read_results(results)
         with _progress() as progress:
             if collect:

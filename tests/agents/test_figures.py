@@ -448,3 +448,11 @@ def test_traces_are_collected_beside_the_results(tmp_path: Path, monkeypatch: py
     for entry in cases.values():
         assert dit["action_names"][entry["best"]["actions"][-1]] == "end the experiment"
         assert entry["best"]["return"] >= entry["mean_return"] - 1e-12
+
+
+def test_a_page_that_is_not_there_is_refused_before_anything_is_made(full: Path, tmp_path: Path) -> None:
+    arguments = ["figures", str(full), "--out", str(tmp_path / "out"), "--update", str(tmp_path / "missing.md")]
+    said = runner.invoke(app, arguments)
+    assert said.exit_code == 2
+    assert "no such file" in said.output.replace("\n", " ")
+    assert not (tmp_path / "out").exists()
