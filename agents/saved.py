@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,7 +77,7 @@ def _check_spaces(path: Path, model: object, role: Role) -> None:
 def _cards(folder: Path) -> dict[str, Callable[[Role], Policy]]:
     """Exported policies of a folder, by role."""
     return {
-        json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))["bench"]: _exported(file)
+        load_pretrained(file).card.bench: _exported(file)
         for file in sorted(folder.glob("*.safetensors"))
         if file.with_suffix(".json").exists()
     }
@@ -104,7 +103,7 @@ def find_saved(name: str) -> Saved:
     """
     if name in pretrained_names():
         return Saved({load_pretrained(name).card.bench: _exported(name)})
-    path = Path(name)
+    path = Path(name).resolve()  # a checkpoint is known by the folders it stands in, and '.' has no name
     if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
         return Saved({load_pretrained(path).card.bench: _exported(path)})
     folder: Path | None = path.parent if path.suffix == ".zip" else path
@@ -119,7 +118,7 @@ def find_saved(name: str) -> Saved:
             return Saved(cards)
     if config is None or folder is None:
         what = run.config_file if config is None else run.checkpoints
-        raise ValueError(f"policy: {path}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
+        raise ValueError(f"policy: {name}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
     background = str(config.get("background") or "heuristic")
     cards = _cards(folder)
     if cards:

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from chemlab import __version__
 from chemlab.cli import app
 from chemlab.files import replace_between, write_text
+from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
 
 FIELDS = {
@@ -148,5 +149,14 @@ def test_files_survive_a_failed_write(tmp_path: Path) -> None:
 
 
 def test_version() -> None:
-    """The command and the package agree."""
+    """The command and the package agree, however it is called."""
     assert runner.invoke(app, ["--version"]).stdout.strip() == __version__
+    module = subprocess.run([sys.executable, "-m", "chemlab", "--version"], capture_output=True, text=True, check=True)
+    assert module.stdout.strip() == __version__
+
+
+def test_where_an_error_comes_from_is_shown_on_request() -> None:
+    plain = runner.invoke(app, ["evaluate", "no_such"])
+    assert (plain.exit_code, isinstance(plain.exception, SystemExit)) == (2, True)
+    assert isinstance(runner.invoke(app, ["--traceback", "evaluate", "no_such"]).exception, DataError)
+    assert runner.invoke(app, ["evaluate", "no_such"]).exit_code == 2

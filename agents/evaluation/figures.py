@@ -108,16 +108,17 @@ def _radar(results: Results, key: str) -> Drawn:
     cells, missing = results.cells[key], _missing_runs(results, key)
     if not cells:
         return Drawn(None, missing)
-    goals = list(next(iter(cells.values())).best.result.by_goal)
+    goals = next(iter(cells.values())).goals
     angles = np.linspace(0.0, 2.0 * np.pi, len(goals), endpoint=False)
     closed = np.append(angles, angles[0])
     panels = {
-        "(a) best of the runs": {
-            label: [cell.relative(g)[cell.runs.index(cell.best)] for g in goals] for label, cell in cells.items()
-        },
-        "(b) mean over the runs": {label: [cell.relative(g).mean() for g in goals] for label, cell in cells.items()},
+        "(a) best of the runs": {label: cell.best_ratios() for label, cell in cells.items()},
+        "(b) mean over the runs": {label: cell.mean_ratios() for label, cell in cells.items()},
     }
-    clipped = {title: {n: np.maximum(0.0, values) for n, values in drawn.items()} for title, drawn in panels.items()}
+    clipped = {
+        title: {label: np.maximum(0.0, [ratios[goal] for goal in goals]) for label, ratios in drawn.items()}
+        for title, drawn in panels.items()
+    }
     top = 1.05 * max(1.0, *(float(np.nanmax(v, initial=0.0)) for drawn in clipped.values() for v in drawn.values()))
     figure = new_figure(12.0, 5.9)
     handles: list[Any] = []

@@ -432,9 +432,7 @@ def _overall(means: Means, measure: str) -> float:
 
 def _interval(values: Any, sign: str) -> str:
     """Mean over seeds and its interval; one seed has none."""
-    if len(values) < 2:
-        return number_text(float(values[0]), sign=sign)
-    return interval_text(statistics.mean([values]).as_dict(), sign=sign)
+    return interval_text(statistics.mean([values]).as_dict(len(values)), sign=sign)
 
 
 def _minutes(value: float) -> str:

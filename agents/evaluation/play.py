@@ -238,22 +238,33 @@ def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
     return f"{'with' if present else 'without'} {other}"
 
 
-def play_bench(env: BenchVectorEnv, policy: Policy, goal: str, seed: int, record: bool = False) -> Played:
-    """One experiment in every member of a batch; member i plays what a single environment reset with seed + i plays.
+def play_bench(
+    env: BenchVectorEnv,
+    policy: Policy,
+    goal: str | Sequence[str],
+    seed: int | Sequence[int],
+    record: bool = False,
+) -> Played:
+    """One experiment in every member of a batch; a member plays what a single environment reset with its seed plays.
 
     Args:
         env: batch of N with ``autoreset_mode="SameStep"``.
         policy: plays all members.
-        goal: what the experiments are for.
-        seed: of member 0.
+        goal: what the experiments are for, or one for each member.
+        seed: of member 0, the others have the next ones; or one for each member.
         record: whether to keep the actions.
 
     Returns:
         N episodes.
     """
     n, limit = env.num_envs, env.bench.spec.step_limit
-    observations, _ = env.reset(seed=seed, options={"goal": goal})
-    cases = [_case(env, goal, member) for member in range(n)]
+    goals = np.array([goal] * n if isinstance(goal, str) else goal)
+    seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
+    for i, one in enumerate(dict.fromkeys(goals.tolist())):
+        # The first reset has to be of all; each other goal's members are then begun again with the goal that is theirs.
+        only = goals == one if i else np.ones(n, dtype=np.bool_)
+        observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
+    cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
     played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
     running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
     rows: list[npt.NDArray[Any]] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,23 @@ import numpy as np
 from chemlab.scenario import load_scenario
 from chemlab.shelf import FloatArray
 
+from ..pretrained import fingerprint
 from ..roles import MANAGER_ROLE, role_of
 from ..training.arguments import TrainArguments
 from ..training.runs import Run, RunResult, find_runs
+from .play import BenchTarget
 
-__all__ = ["EXPERIMENTS", "Cell", "Experiment", "FinishedRun", "Results", "curve_of", "display_name", "read_results"]
+__all__ = [
+    "EXPERIMENTS",
+    "Cell",
+    "Experiment",
+    "FinishedRun",
+    "Results",
+    "curve_of",
+    "display_name",
+    "read_results",
+    "trace_source",
+]
 
 
 @dataclass(frozen=True)
@@ -100,6 +113,20 @@ class Cell:
             ratios.append(run.result.by_goal[goal] / reference if reference > 0.0 else np.nan)
         return np.array(ratios)
 
+    @property
+    def goals(self) -> list[str]:
+        """Goals of the experiment."""
+        return list(self.best.result.by_goal)
+
+    def best_ratios(self) -> dict[str, float]:
+        """:meth:`relative` of the best run, by goal."""
+        index = self.runs.index(self.best)
+        return {goal: float(self.relative(goal)[index]) for goal in self.goals}
+
+    def mean_ratios(self) -> dict[str, float]:
+        """Mean over runs of :meth:`relative`, by goal."""
+        return {goal: float(self.relative(goal).mean()) for goal in self.goals}
+
     def means(self) -> FloatArray:
         """[runs] mean return over goals of each run's best policy."""
         return np.array([run.result.mean for run in self.runs])
@@ -128,8 +155,8 @@ class Results:
         cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
         laboratories: finished runs in which a laboratory's manager learned; they are in no cell, and have a page of
             their own (:mod:`chemlab.agents.evaluation.laboratory`).
-        traces: content of ``traces.json``, or None.
-        left_out: other runs that are in no cell, and why.
+        traces: content of ``traces.json``, or None; without policies that are not the cells' best any more.
+        left_out: what is in no cell (runs, traces), and why.
     """
 
     folder: Path
@@ -168,7 +195,7 @@ def read_results(folder: Path) -> Results:
     """Read every run below a folder.
 
     An algorithm may have been trained in more than one way (numbers of steps, hyperparameters); a cell takes the way
-    that has most runs, and of several the one with most steps.
+    that has most runs, and of several the one with most steps. Runs of a bench that has changed since are left out.
 
     Raises:
         ValueError: the folder is not there, or a file in it is not what a run writes.
@@ -188,6 +215,8 @@ def read_results(folder: Path) -> Results:
             results.left_out.append(f"{name}: not finished")
         elif key is None:
             results.laboratories.append(FinishedRun(run, config, result))
+        elif config.get("fingerprint") != _fingerprint(str(config["scenario"]), str(config["bench"])):
+            results.left_out.append(f"{name}: the bench has changed since it was trained")
         else:
             # What an older version did not know yet had its default.
             own = {k: v for k, v in config.items() if k not in _PER_RUN and v != _DEFAULTS.get(k)}
@@ -204,13 +233,42 @@ def read_results(folder: Path) -> Results:
         order = EXPERIMENTS[key].algorithms
         ranks = {label: order.index(label) if label in order else len(order) for label in cells}
         results.cells[key] = {label: cells[label] for label in sorted(cells, key=lambda label: (ranks[label], label))}
-    traces = folder / "traces.json"
-    if traces.exists():
-        try:
-            results.traces = json.loads(traces.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"{traces}: not valid JSON: {error}") from error
+    _read_traces(results)
     return results
+
+
+def _read_traces(results: Results) -> None:
+    """Read ``traces.json``, without what is another policy's than the one that is shown now."""
+    file = results.folder / "traces.json"
+    if not file.exists():
+        return
+    try:
+        results.traces = json.loads(file.read_text(encoding="utf-8"))
+        for key, traced in results.traces["experiments"].items():
+            for label, policy in list(traced["policies"].items()):
+                cell = results.cell(key, label)
+                best = None if cell is None else trace_source(results.folder, cell)
+                if label not in ("heuristic", "random") and policy.get("source") != best:
+                    del traced["policies"][label]
+                    results.left_out.append(
+                        f"traces.json: {EXPERIMENTS[key].title}, {label}: of another policy than the best now; "
+                        f"chemlab figures {results.folder} --collect plays that"
+                    )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{file}: not what chemlab figures --collect writes ({error!r})") from error
+
+
+def trace_source(folder: Path, cell: Cell) -> dict[str, Any]:
+    """What a trace of a cell's best policy says of where it comes from: the run, and the checkpoint's step."""
+    result = cell.best.result
+    path = cell.best.run.path.relative_to(folder).as_posix()
+    return {"run": path, "seed": result.seed, "step": result.best_step, "mean": result.mean}
+
+
+@cache
+def _fingerprint(scenario: str, bench: str) -> str:
+    """Of the task as it is now."""
+    return fingerprint(BenchTarget(load_scenario(scenario), bench).environment(1).bench)
 
 
 def _has_manager(config: dict[str, Any]) -> bool:

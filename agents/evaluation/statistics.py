@@ -49,9 +49,9 @@ class Estimate:
     low: float
     high: float
 
-    def as_dict(self) -> dict[str, float]:
-        """The fields as a dictionary."""
-        return dict(vars(self))
+    def as_dict(self, samples: int = 2) -> dict[str, Any]:
+        """The fields as a dictionary; of fewer than two samples there is no interval, and its ends are None."""
+        return dict(vars(self)) if samples > 1 else {"value": self.value, "low": None, "high": None}
 
     def __str__(self) -> str:
         return interval_text(self.as_dict())
@@ -62,8 +62,10 @@ def number_text(value: float, digits: int = 3, sign: str = "") -> str:
     return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
 
 
-def interval_text(estimate: Mapping[str, float], digits: int = 3, sign: str = "") -> str:
+def interval_text(estimate: Mapping[str, Any], digits: int = 3, sign: str = "") -> str:
     """``value [low, high]`` of an :class:`Estimate` as a dictionary, see :func:`number_text`."""
+    if estimate["low"] is None:
+        return number_text(estimate["value"], digits, sign)
     value, low, high = (number_text(estimate[key], digits, sign) for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 

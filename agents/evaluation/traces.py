@@ -12,7 +12,7 @@ from chemlab.files import write_text
 from chemlab.scenario import load_scenario
 
 from .play import BenchTarget, Played, bench_policy, play_bench, versions
-from .results import EXPERIMENTS, Experiment, Results
+from .results import EXPERIMENTS, Experiment, Results, trace_source
 
 __all__ = ["collect_traces", "trace_count"]
 
@@ -39,9 +39,10 @@ def collect_traces(
         watch: called with each policy's name when it has been played.
 
     Returns:
-        ``{"experiments": {key: {"action_names", "goals", "policies": {label: ...}}}, ...}``. A policy has its ``run``
-        (path below the results, or None), ``seed`` and, by goal, ``mean_return``, returns ``by_case`` (starting state)
-        and either ``mean_actions`` [steps][actions] or, by case, the ``best`` episode: return and actions.
+        ``{"experiments": {key: {"action_names", "goals", "policies": {label: ...}}}, ...}``. A policy has its
+        ``source`` (its run's path below the results, seed, the checkpoint's step and result; or None) and, by goal,
+        ``mean_return``, returns ``by_case`` (starting state) and either ``mean_actions`` [steps][actions] or, by case,
+        the ``best`` episode: return and actions.
 
     Raises:
         ValueError: a run's checkpoint is missing or was made for another environment.
@@ -49,13 +50,12 @@ def collect_traces(
     experiments = {}
     for key, cells in results.cells.items():
         experiment = EXPERIMENTS[key]
-        sources: dict[str, tuple[str, str | None, int | None]] = {
-            "heuristic": ("heuristic", None, None),
-            "random": ("random", None, None),
+        sources: dict[str, tuple[str, dict[str, Any] | None]] = {
+            "heuristic": ("heuristic", None),
+            "random": ("random", None),
         }
         for label, cell in cells.items():
-            path = cell.best.run.path
-            sources[label] = (str(path), str(path.relative_to(results.folder)), cell.best.result.seed)
+            sources[label] = (str(cell.best.run.path), trace_source(results.folder, cell))
         experiments[key] = _played(experiment, sources, episodes, seed, watch)
     results.traces = {
         "kind": "traces",
@@ -71,7 +71,7 @@ def collect_traces(
 
 def _played(
     experiment: Experiment,
-    sources: dict[str, tuple[str, str | None, int | None]],
+    sources: dict[str, tuple[str, dict[str, Any] | None]],
     episodes: int,
     seed: int,
     watch: Callable[[str], None] | None,
@@ -79,11 +79,11 @@ def _played(
     scenario = load_scenario(experiment.scenario)
     env = BenchTarget(scenario, experiment.bench).environment(episodes)
     policies = {}
-    for label, (name, run, run_seed) in sources.items():
+    for label, (name, source) in sources.items():
         policy = bench_policy(name, env.bench, seed)
         goals = {goal: _goal(play_bench(env, policy, goal, seed, record=True), env) for goal in scenario.goals}
         mean = float(np.mean([goal["mean_return"] for goal in goals.values()]))
-        policies[label] = {"run": run, "seed": run_seed, "mean_return": mean, "by_goal": goals}
+        policies[label] = {"source": source, "mean_return": mean, "by_goal": goals}
         if watch is not None:
             watch(f"{experiment.title}: {label}")
     return {

@@ -14,7 +14,6 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 import shutil
@@ -33,7 +32,7 @@ from chemlab.files import write_text
 from chemlab.shelf import IntArray
 
 from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
-from .runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text
+from .runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, differences, to_text
 from .tasks import Task, find_task
 
 try:
@@ -261,16 +260,14 @@ def _same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> Non
     saved = run.config()
     if saved is None:
         return
-    # A field that an older version did not know yet had its default.
-    saved = {**defaults, **saved}
-    names = [name for name in {**saved, **config} if name != "versions" and saved.get(name) != config.get(name)]
-    if names == ["fingerprint"]:
+    found = differences(saved, config, defaults)
+    if list(found) == ["fingerprint"]:
         raise ValueError(
             f"{run.path}: scenario {config['scenario']!r} has changed since this run was begun; "
             "delete the folder to begin anew, or give another --out"
         )
-    if names:
-        what = ", ".join(f"{name} {saved.get(name)!r} (now {config.get(name)!r})" for name in names)
+    if found:
+        what = ", ".join(found.values())
         raise ValueError(
             f"{run.path}: holds a run with other arguments: {what}; give another --out, or delete the folder"
         )
@@ -289,7 +286,7 @@ def open_run(run: Run, described: RunConfig, defaults: dict[str, Any], go_on: Ca
         ValueError: the folder holds another run.
         RunBusy: another process trains it.
     """
-    _same_run(run, json.loads(to_text(described.as_dict())), defaults)
+    _same_run(run, described.as_dict(), defaults)
     finished = run.result()
     if finished is not None:
         return finished

@@ -19,7 +19,8 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -35,6 +36,7 @@ __all__ = [
     "RunBusy",
     "RunConfig",
     "RunResult",
+    "differences",
     "find_runs",
     "to_text",
 ]
@@ -197,16 +199,24 @@ class Run:
         return max(found, key=lambda p: int(p.name.rpartition("-")[2]), default=None)
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(self, patience: float = 1.0) -> Iterator[None]:
         """Hold the run: the system lets go of it when the process ends, however it ends.
+
+        Args:
+            patience: seconds to wait for it: who only looks whether it is held (:meth:`busy`) holds it for a moment.
 
         Raises:
             RunBusy: another process holds it.
         """
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         with (self.checkpoints / "lock").open("a+") as handle:
-            if not _lock(handle.fileno()):
-                raise RunBusy(f"{self.path}: another process is training this run; wait for it or give another --out")
+            until = time.monotonic() + patience
+            while not _lock(handle.fileno()):
+                if time.monotonic() >= until:
+                    raise RunBusy(
+                        f"{self.path}: another process is training this run; wait for it or give another --out"
+                    )
+                time.sleep(0.02)
             yield
 
     def busy(self) -> bool:
@@ -214,7 +224,7 @@ class Run:
         if not (self.checkpoints / "lock").exists():
             return False
         try:
-            with self.locked():
+            with self.locked(patience=0.0):
                 return False
         except RunBusy:
             return True
@@ -260,6 +270,22 @@ def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
             yield kind(**json.loads(line))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}:{number}: not a line of this version ({error})") from error
+
+
+def differences(saved: Mapping[str, Any], expected: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, str]:
+    """What a run's ``config.json`` says otherwise than is expected, in words, by field.
+
+    Args:
+        saved: the file's content. A field that an older version did not know yet had its default.
+        expected: as the file would have it. Versions may differ.
+        defaults: of the run's arguments.
+    """
+    saved, expected = {**defaults, **saved}, json.loads(to_text(dict(expected)))
+    return {
+        name: f"{name} {saved.get(name)!r} (now {expected.get(name)!r})"
+        for name in {**saved, **expected}
+        if name != "versions" and saved.get(name) != expected.get(name)
+    }
 
 
 def to_text(values: Any) -> str:

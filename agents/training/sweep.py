@@ -31,12 +31,14 @@ from chemlab.files import write_text
 from chemlab.materials import read_toml
 
 from .arguments import TrainArguments, arguments_of, flags_of, folder_of, label_of, resolved
-from .runs import Run, to_text
+from .runs import Run, differences, to_text
+from .tasks import task_fingerprint
 
 __all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
 
 STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
-"""``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments."""
+"""``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments, or of
+a scenario that has changed since."""
 
 _OWN = ("name", "seeds")
 _LISTS = ("env_id", "scenario", "preset", "algo")
@@ -121,15 +123,16 @@ def status_of(planned: Planned) -> Status:
     config = run.config()
     if config is None:
         return _unfinished(planned, 0, None, "waiting")
-    expected = vars(resolved(planned.arguments))
-    for name, value in expected.items():
-        mine = list(value) if isinstance(value, tuple) else value
-        # The file has what scenario, bench and goals stand for where they are not given.
-        # A field that an older version did not know yet had its default.
-        if config.get(name, getattr(TrainArguments(), name)) != mine and not (
-            name in ("scenario", "bench", "goals") and mine is None
-        ):
-            return Status("other", 0, steps, None, f"{name} is {config.get(name)!r}, not {mine!r}: {run.path}")
+    given = {
+        name: value
+        for name, value in vars(resolved(planned.arguments)).items()
+        # The file has what these stand for where they are not given.
+        if value is not None or name not in ("scenario", "bench", "goals")
+    }
+    now = {"fingerprint": task_fingerprint(planned.arguments)}
+    found = differences(config, {**config, **given, **now}, vars(TrainArguments()))
+    if found:
+        return Status("other", 0, steps, None, f"{', '.join(found.values())}: {run.path}")
     result = run.result()
     if result is not None:
         return Status("done", result.steps, result.steps, result.mean)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import gymnasium
@@ -18,14 +19,13 @@ from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import FloatArray
 
-from ..evaluation.play import bench_policy, play_laboratory
-from ..evaluation.trials import Trials
+from ..evaluation.play import bench_policy, play_bench, play_laboratory
 from ..policy import Policy, agent_policy
 from ..pretrained import Role, fingerprint
 from ..views import background_policies, focal_vector_env
 from .arguments import TrainArguments
 
-__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task"]
+__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint"]
 
 
 class Task(ABC):
@@ -102,27 +102,25 @@ class BenchTask(Task):
 
     def __init__(self, scenario: Any, bench: str, goals: tuple[str, ...] | None = None, starts: str = "paper") -> None:
         self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
-        self._trials: dict[int, Trials] = {}
-        self.role: Bench = self._environment(1).bench
+        self._batches: dict[int, BenchVectorEnv] = {}
+        self.role: Bench = self.batch(1).bench
         self.scenario, self.bench = self.role.scenario, bench
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
-    def _environment(self, members: int) -> BenchVectorEnv:
+    def batch(self, members: int) -> BenchVectorEnv:
+        """See :class:`Task`."""
         s = self._source
         return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP)
 
-    def batch(self, members: int) -> BenchVectorEnv:
-        """See :class:`Task`."""
-        return self._environment(members)
-
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
-        if episodes not in self._trials:
-            s = self._source
-            self._trials[episodes] = Trials(s.scenario, s.bench, episodes, seed, s.goals, s.starts)
-        trials = self._trials[episodes]
-        trials.seed = seed
-        return trials.returns(policy)
+        count = len(self.goals)
+        if episodes not in self._batches:
+            self._batches[episodes] = self.batch(episodes * count)
+        # All goals in one batch, each with the same seeds.
+        seeds = [seed + i for i in range(episodes)] * count
+        played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
+        return played.returns.reshape(count, episodes)
 
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
@@ -182,6 +180,17 @@ class LaboratoryTask(Task):
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
         return agent_policy(name, Laboratories(self.scenario), self._number)
+
+
+def task_fingerprint(arguments: TrainArguments) -> str:
+    """The fingerprint of what the arguments' environment id stands for; errors as :func:`find_task`."""
+    # Whoever asks has hundreds of runs of a few tasks.
+    return _fingerprint(arguments.env_id, arguments.scenario, arguments.bench)
+
+
+@cache
+def _fingerprint(env_id: str, scenario: str | None, bench: str | None) -> str:
+    return find_task(TrainArguments(env_id=env_id, scenario=scenario, bench=bench)).fingerprint
 
 
 def find_task(arguments: TrainArguments) -> Task:

@@ -55,18 +55,29 @@ SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 
+_shown = {"traceback": False}
+
+
 @contextmanager
 def readable_errors() -> Iterator[None]:
     """What the user got wrong is one message and exit code 2, not a traceback."""
     try:
         yield
     except (DataError, ImportError, ValueError) as error:  # an ImportError names the missing extra
+        if _shown["traceback"]:
+            raise
         err.print(f"[red]error[/red]: {escape(str(error))}", markup=True)
         raise typer.Exit(2) from error
 
 
 @app.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", help="Where an error is shown, show where it comes from, too.")
+    ] = False,
+) -> None:
+    _shown["traceback"] = traceback
     if version:
         typer.echo(__version__)
         raise typer.Exit

@@ -160,6 +160,7 @@ def figures(
             if not file.is_file():
                 raise ValueError(f"--update: {file}: no such file; it needs the marks between which tables stand")
         found = read_results(results)
+        formats = file_format or ["png"]
         with _progress() as progress:
             if collect:
                 from ..agents.evaluation.traces import collect_traces, trace_count
@@ -170,10 +171,11 @@ def figures(
                 collect_laboratories(results, watch=lambda _: progress.advance(task))
                 task = progress.add_task("shipped benches", total=len(bench_policies()))
                 collect_benches(results, watch=lambda _: progress.advance(task))
+                found = read_results(results)
             task = progress.add_task("figures", total=len(FIGURES))
-            lacking = write_figures(found, output, file_format or ["png"], lambda _: progress.advance(task))
-        page, _ = write_summary(found, output, lacking)
-        laboratory = write_laboratory(results, output, file_format or ["png"])
+            lacking = write_figures(found, output, formats, lambda _: progress.advance(task))
+        page, _ = write_summary(found, output, lacking, formats)
+        laboratory = write_laboratory(results, output, formats)
         tables = {
             "managers": lambda: brief_table(results, shipped=True),
             "measuring": lambda: brief_table(results, shipped=False),

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from ..agents.rllib.arguments import RllibArguments, folder_of, load_rllib_arguments
-from .training import _command, _errors, _watched
+from .common import readable_errors
+from .training import _command, _watched
 
 __all__: list[str] = []
 
 
 def _train_rllib(config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]) -> None:
-    with _errors():
+    with readable_errors():
         arguments = load_rllib_arguments(config, flags)
         from ..agents.rllib.train import train_rllib
 

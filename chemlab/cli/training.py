@@ -6,8 +6,7 @@ import inspect
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin, get_type_hints
@@ -33,16 +32,6 @@ if TYPE_CHECKING:
     from ..agents.training.sweep import Planned, Status
 
 __all__: list[str] = []
-
-
-@contextmanager
-def _errors() -> Iterator[None]:
-    """A missing extra is the user's to install: a message, like every other error of theirs."""
-    with readable_errors():
-        try:
-            yield
-        except ImportError as error:
-            raise ValueError(str(error)) from error
 
 
 # -- train ------------------------------------------------------------------------------------------------------------
@@ -88,7 +77,7 @@ class _Account:
 
 
 def _train(config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]) -> None:
-    with _errors():
+    with readable_errors():
         arguments = load_arguments(config, flags)
         from ..agents.training.learn import train
 
@@ -99,7 +88,7 @@ def _train(config: Path | None, folder: Path | None, quiet: bool, as_json: bool,
 def _train_together(
     config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]
 ) -> None:
-    with _errors():
+    with readable_errors():
         arguments = load_joint_arguments(config, flags)
         from ..agents.training.joint import train_together
 
@@ -231,7 +220,7 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
-    with _errors():
+    with readable_errors():
         from ..agents.training.sweep import plan, run_sweep, status_of
 
         runs = plan(file, folder)
@@ -308,7 +297,7 @@ def export(
 
     It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
     """
-    with _errors():
+    with readable_errors():
         from ..agents.training.export import export_run
 
         card = export_run(run, to)

@@ -204,8 +204,12 @@ def test_mistakes_are_explained(arguments: list[str], words: list[str]) -> None:
     assert all(word in result.output for word in words)
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = BenchEnv("wurtz_dodecane", "dit").bench
+    monkeypatch.chdir(tmp_path)
+    for name in (".", ".."):
+        with pytest.raises(ValueError, match=r"config\.json is missing"):
+            bench_policy(name, bench)
     with pytest.raises(ValueError, match=r"config\.json is missing"):
         bench_policy(str(tmp_path), bench)
     (tmp_path / "config.json").write_text('{"algo": "ppo"}')

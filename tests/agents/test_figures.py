@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results
-from chemlab.agents.evaluation.summary import compare_with_paper, describe_cells
+from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results, trace_source
+from chemlab.agents.evaluation.statements import compare_with_paper
+from chemlab.agents.evaluation.summary import describe_cells, paper_table
 from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
+from chemlab.agents.training.tasks import BenchTask
 from chemlab.cli import app
 from chemlab.scenario import load_scenario
 
@@ -26,6 +29,13 @@ from chemlab.render.figure import SETTINGS
 
 runner = CliRunner()
 HEURISTIC = 0.5
+
+
+@cache
+def _now(experiment: str) -> str:
+    """The fingerprint of the experiment's bench."""
+    spec = EXPERIMENTS[experiment]
+    return BenchTask(spec.scenario, spec.bench).fingerprint
 
 
 def write_run(
@@ -46,8 +56,9 @@ def write_run(
     mean = float(np.mean(list(by_goal.values())))
     run = Run(folder / experiment / label / f"seed-{seed}")
     run.path.mkdir(parents=True)
+    fingerprint = settings.pop("fingerprint", _now(experiment))
     arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}
-    config = RunConfig(label, arguments, spec.scenario, spec.bench, goals, "0")
+    config = RunConfig(label, arguments, spec.scenario, spec.bench, goals, fingerprint)
     run.config_file.write_text(json.dumps(config.as_dict()))
     for step, value, deviation in curve:
         run.append(CurvePoint(step, value, deviation, 5, 1.0))
@@ -61,13 +72,23 @@ def write_run(
     return run.path
 
 
+def mean_actions(label: str, goal: str) -> list[list[float]]:
+    """For E all of A, B and C, and TD3 D as well; for I C comes in the fifth step, but A2C's with the others."""
+    first = [0.1, 0.2, 1.0, 1.0, 1.0, float(label == "td3")]
+    if goal != "I":
+        return [first] * 20
+    late = [[0.1, 0.2, 1.0, 1.0, 0.0, 1.0]] * 4 + [[0.1, 0.2, 0.0, 0.0, 1.0, 0.0]] * 16
+    return [[0.1, 0.2, 1.0, 1.0, 1.0, 1.0]] * 20 if label == "a2c" else late
+
+
 def write_traces(folder: Path) -> None:
-    """Traces of every algorithm: made up, in the shape that collecting gives them."""
+    """Traces of every algorithm's best run: made up, in the shape that collecting gives them."""
     experiments: dict[str, Any] = {}
+    results = read_results(folder)
     for key, spec in EXPERIMENTS.items():
         scenario = load_scenario(spec.scenario)
         policies: dict[str, Any] = {}
-        names = ["temperature", "volume", "add A", "add B"]
+        names = ["temperature", "volume", "add A", "add B", "add C", "add D"]
         if spec.bench != "rxn":
             names = [
                 "heat DV, 50 kJ",
@@ -84,8 +105,10 @@ def write_traces(folder: Path) -> None:
                 entry = {"episodes": 2, "mean_return": 0.5, "best": {"return": 0.5, "actions": actions}}
                 by_goal[goal] = {"mean_return": 0.5, "by_case": dict.fromkeys(cases, entry)}
                 if spec.bench == "rxn":
-                    by_goal[goal]["mean_actions"] = [[0.1, 0.2, 0.3, 0.4]] * 20
-            policies[label] = {"run": None, "seed": None, "mean_return": 0.5, "by_goal": by_goal}
+                    by_goal[goal]["mean_actions"] = mean_actions(label, goal)
+            cell = results.cell(key, label)
+            source = None if cell is None else trace_source(folder, cell)
+            policies[label] = {"source": source, "mean_return": 0.5, "by_goal": by_goal}
         experiments[key] = {"action_names": names, "goals": list(scenario.goals), "policies": policies}
     (folder / "traces.json").write_text(json.dumps({"kind": "traces", "experiments": experiments}))
 
@@ -221,13 +244,14 @@ def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
 def test_actions_by_goal(full: Path) -> None:
     """A row for each policy, a column for each action, a curve for each goal."""
     figure = drawn(full, "figure_09_fictitious_rxn_actions").figure
-    assert len(figure.axes) == 5 * 4
-    assert [axes.get_ylabel() for axes in figure.axes[::4]] == ["PPO", "A2C", "SAC", "TD3", "heuristic"]
-    assert [axes.get_title() for axes in figure.axes[:4]] == ["temperature", "volume", "add A", "add B"]
-    for column, axes in enumerate(figure.axes[:4]):
+    assert len(figure.axes) == 5 * 6
+    assert [axes.get_ylabel() for axes in figure.axes[::6]] == ["PPO", "A2C", "SAC", "TD3", "heuristic"]
+    titles = ["temperature", "volume", "add A", "add B", "add C", "add D"]
+    assert [axes.get_title() for axes in figure.axes[:6]] == titles
+    for column, axes in enumerate(figure.axes[:6]):
         assert list(lines_of(axes)) == ["E", "F", "G", "H", "I"]
-        for values in lines_of(axes).values():
-            np.testing.assert_allclose(values, 0.1 * (column + 1))
+        for goal, values in lines_of(axes).items():
+            np.testing.assert_allclose(values, np.array(mean_actions("ppo", goal))[:, column])
 
 
 def test_sequences_fold_repeated_actions(full: Path) -> None:
@@ -366,6 +390,72 @@ def test_statements_about_actions_come_from_traces(full: Path) -> None:
         True,
         "PPO-XL: 1.000 without, 1.000 with salt; PPO: 1.000 without, 1.000 with salt",
     )
+    same = found[13, "with salt A2C only slightly modifies its actions, and DQN not at all"]
+    assert (same.holds, same.ours) == (True, "A2C: 1.00 in common; DQN: 1.00 in common")
+    e = found[9, "for E the best A2C, PPO and SAC add A, B and C, and not D"]
+    assert (e.holds, e.ours.partition(";")[0]) == (True, "A2C: A 1.00, B 1.00, C 1.00, D 0.00")
+    assert found[9, "for E the best TD3 adds D as well"].holds is True
+    staggered = found[9, "for I the best of each add D and two of A, B, C, and the third several steps later"]
+    assert staggered.ours.split("; ")[:2] == [
+        "PPO: A step 1, B step 1, C step 5, D step 1",
+        "A2C: A step 1, B step 1, C step 1, D step 1",
+    ]
+    assert staggered.holds is False
+
+
+def test_one_sequence_that_differs_with_salt(full: Path, tmp_path: Path) -> None:
+    """DQN's have to be equal; of equal returns alone nothing follows."""
+    content = json.loads((full / "traces.json").read_text())
+    entry = content["experiments"]["wurtz_dit"]["policies"]["dqn"]["by_goal"]["dodecane"]["by_case"]
+    entry["with NaCl"] = {**entry["with NaCl"], "best": {"return": 0.5, "actions": [0, 1, 2, 3, 4] * 9}}
+    results = read_results(full)
+    results.traces = content
+    (same,) = (s for s in compare_with_paper(results) if "only slightly modifies" in s.says)
+    assert (same.holds, same.ours) == (False, "A2C: 1.00 in common; DQN: 0.95 in common")
+
+
+def test_comparisons_of_algorithms(tmp_path: Path) -> None:
+    for label, end, relative in (("ppo", 0.7, 1.2), ("ppo-xl", 0.7, 1.3), ("a2c", 0.2, 0.4), ("dqn", 0.65, 1.3)):
+        for seed in (0, 1):
+            ends = [(0, 0.0, 0.1), (1000, end, 0.1)]
+            write_run(tmp_path, "wurtz_dit", label, seed, relative + 0.1 * seed, curve=ends)
+            write_run(tmp_path, "wurtz_ext", label, seed, relative + 0.1 * seed)
+    found = {(s.figure, s.says): (s.holds, s.ours) for s in compare_with_paper(read_results(tmp_path))}
+    assert found[10, "PPO and PPO-XL consistently outperform the other algorithms"] == (
+        False,
+        "PPO-XL: 0.650 or more; PPO: 0.600 or more; A2C and DQN: 0.700 or less",
+    )
+    # Ends are the mean of the last tenth of the curve: of its last point here.
+    assert found[12, "DQN and PPO acquire similar returns on average"] == (True, "PPO: 0.700; DQN: 0.650")
+    assert found[12, "the best PPO policy outperforms the best DQN policy"] == (False, "PPO: 0.650; DQN: 0.700")
+    assert found[12, "PPO-XL outperforms the others on average and in the best case"] == (
+        True,
+        "PPO-XL: mean 0.675, others at most 0.675; best run 0.700, others at most 0.700",
+    )
+    assert found[8, "PPO converges quickly, the others take much longer"] == (None, "no results")
+
+
+def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
+    """Runs of another bench, and traces of another policy than the one that is best now."""
+    write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
+    write_run(tmp_path, "wurtz_dit", "ppo", 1, 1.5, fingerprint="another")
+    write_traces(tmp_path)
+    results = read_results(tmp_path)
+    assert [run.result.seed for run in results.cells["wurtz_dit"]["ppo"].runs] == [0]
+    assert results.left_out[0] == "wurtz_dit/ppo/seed-1: the bench has changed since it was trained"
+    assert results.trace("wurtz_dit", "ppo") is not None
+    write_run(tmp_path, "wurtz_dit", "ppo", 2, 1.5)
+    results = read_results(tmp_path)
+    assert results.trace("wurtz_dit", "ppo") is None
+    assert results.trace("wurtz_dit", "heuristic") is not None
+    assert any(line.startswith("traces.json: Wurtz DiT, ppo: of another policy") for line in results.left_out)
+
+
+def test_a_single_run_has_no_interval(tmp_path: Path) -> None:
+    write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
+    (row,) = (row for row in describe_cells(read_results(tmp_path)) if row["runs"])
+    assert row["mean"] == {"value": 0.5, "low": None, "high": None}
+    assert "| PPO |  |  |  | 0.500 |" in paper_table(read_results(tmp_path))
 
 
 def test_cells_have_intervals_over_runs(tmp_path: Path) -> None:
@@ -402,6 +492,10 @@ def test_everything_comes_from_files(full: Path, tmp_path: Path, monkeypatch: py
     data = json.loads((tmp_path / "summary.json").read_text())
     assert data["cells"][0]["mean"]["value"] == pytest.approx(HEURISTIC * 1.05)
     assert [len(lacks["lacks"]) for lacks in data["figures"].values()] == [0] * 9
+    only = tmp_path / "svg"
+    done = runner.invoke(app, ["figures", str(full), "-o", str(only), "--format", "svg"])
+    assert done.exit_code == 0, done.output
+    assert all(f"![{stem}]({stem}.svg)" in (only / "summary.md").read_text() for stem in stems)
 
 
 def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:

@@ -127,7 +127,13 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     shown = runner.invoke(app, [*command, "--status"])
     assert shown.exit_code == 0
     assert "1 failed, 1 done" in shown.output
-    # Other arguments in the same folder are neither done nor overwritten.
+    # Another task or other arguments in the same folder are neither done nor overwritten.
+    config = finished.config()
+    assert config is not None
+    finished.config_file.write_text(json.dumps({**config, "fingerprint": "another"}))
+    changed = {one.name: status_of(one) for one in plan(file, out)}["FictitiousReaction/ppo/seed-0"]
+    assert (changed.state, "fingerprint 'another' (now '" in changed.note) == ("other", True)
+    finished.config_file.write_text(json.dumps(config))
     file.write_text(file.read_text().replace("steps = 64", "steps = 96"))
     states = {one.name: status_of(one).state for one in plan(file, out)}
     assert states["FictitiousReaction/ppo/seed-0"] == "other"

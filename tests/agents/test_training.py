@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
@@ -18,7 +19,6 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
-from chemlab.agents.evaluation.trials import Trials
 from chemlab.agents.policy import bench_heuristic, make_policies
 from chemlab.agents.run import play_episode
 from chemlab.agents.training import learn as training
@@ -34,7 +34,7 @@ from chemlab.agents.training.arguments import (
 )
 from chemlab.agents.training.learn import load_learner, train
 from chemlab.agents.training.runs import CurvePoint, Run, RunBusy, find_runs
-from chemlab.agents.training.tasks import LaboratoryTask
+from chemlab.agents.training.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
@@ -282,6 +282,23 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
     assert not run.busy()
 
 
+def test_who_only_looks_does_not_keep_a_run_from_beginning(tmp_path: Path) -> None:
+    """A sweep looks at its runs all the time, and holds each for a moment."""
+    run, held = Run(tmp_path), threading.Event()
+
+    def look() -> None:
+        with run.locked():
+            held.set()
+            time.sleep(0.1)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    assert held.wait(10.0)
+    with run.locked():
+        pass
+    looking.join()
+
+
 def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:
     arguments = small("ppo", goals=["F", "E"], starts="paper")
     result = train(arguments, tmp_path)
@@ -304,13 +321,13 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     assert run.result() == result
 
 
-def test_trials_are_single_environments_with_the_same_seeds() -> None:
-    trials = Trials("wurtz_dodecane", "dit", 2, 50, ["NaCl", "dodecane"])
-    policy = bench_heuristic(trials.bench)
-    returns = trials.returns(policy)
-    np.testing.assert_array_equal(returns, trials.returns(policy))
+def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
+    task = BenchTask("wurtz_dodecane", "dit", ("NaCl", "dodecane"))
+    policy = bench_heuristic(task.role)
+    returns = task.returns(policy, 2, 50)
+    np.testing.assert_array_equal(returns, task.returns(policy, 2, 50))
     env = BenchEnv("wurtz_dodecane", "dit")
-    for g, goal in enumerate(trials.goals):
+    for g, goal in enumerate(task.goals):
         for i in range(2):
             observation, info = env.reset(seed=50 + i, options={"goal": goal})
             total, step, over = 0.0, 0, False

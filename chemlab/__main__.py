@@ -1,0 +1,5 @@
+"""``python -m chemlab``: the ``chemlab`` command."""
+
+from chemlab.cli import main
+
+main()
