@@ -84,29 +84,23 @@ def compare_with_paper(results: Results) -> list[Statement]:
 # -- findings put together --------------------------------------------------------------------------------------------
 
 
-def _named(findings: Mapping[str, Finding]) -> list[Finding]:
-    return [(f"{display_name(label)}: {text}", holds) for label, (text, holds) in findings.items()]
-
-
 def _all_of(findings: Sequence[Finding]) -> Finding:
     """Several findings as one, which holds if all of them do."""
     verdicts = [holds for _, holds in findings]
     return "; ".join(text for text, _ in findings), None if None in verdicts else all(verdicts)
 
 
-def _ppo(results: Results, key: str, find: Callable[[str], Finding]) -> Finding:
-    """PPO and its variants as one finding, which holds if it does for any that was trained."""
-    findings = _named({label: find(label) for label in results.variants(key, "ppo")})
-    known = [(text, holds) for text, holds in findings if holds is not None]
-    return "; ".join(t for t, _ in known) or findings[0][0], any(holds for _, holds in known) if known else None
+def _any_variant(results: Results, key: str, label: str, find: Callable[[str], Finding]) -> Finding:
+    """An algorithm and its variants as one finding, which holds if it does for any that was trained."""
+    found = [(display_name(name), *find(name)) for name in results.variants(key, label)]
+    known = [(name, text, holds) for name, text, holds in found if holds is not None] or found[:1]
+    verdicts = [holds for *_, holds in known]
+    return "; ".join(f"{name}: {text}" for name, text, _ in known), None if None in verdicts else any(verdicts)
 
 
 def _among(results: Results, key: str, labels: Iterable[str], find: Callable[[str], Finding]) -> Finding:
-    """Each algorithm's finding, all of which have to hold; PPO's is that of all its variants."""
-    found: list[Finding] = []
-    for label in labels:
-        found += [_ppo(results, key, find)] if label == "ppo" else _named({label: find(label)})
-    return _all_of(found)
+    """Each algorithm's finding, all of which have to hold."""
+    return _all_of([_any_variant(results, key, label, find) for label in labels])
 
 
 def _each(key: str, labels: Iterable[str], find: Callable[[Cell], Finding]) -> Callable[[Results], Finding]:

@@ -123,7 +123,7 @@ def _markdown(
         "## What the paper says",
         "",
         "The paper's values are those its text and captions state; none is read off a picture. A statement "
-        "about PPO counts as confirmed if any variant of PPO confirms it; each is given.",
+        "about an algorithm counts as confirmed if any variant of it confirms it; each is given.",
         "",
         "| figure | experiment | statement | paper | where | ours | agrees | criterion |",
         "|--:|---|---|---|---|---|---|---|",

@@ -58,6 +58,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "manager": {**_MANAGER, "learning_rate": 3e-4, "imitate": "heuristic"},
     "manager-curriculum": {**_MANAGER, "learning_rate": 1e-3, "curriculum": ("backward",)},
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
+    "sac-cool": {"algo": "sac", "ent_coef_start": 0.01},
 }
 """Presets: the fields that differ from the defaults, which are the paper's protocol."""
 
@@ -110,6 +111,7 @@ class TrainArguments:
     gamma: float | None = _argument(None, "Discount. Default: 0.99.")
     gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C. Default: the algorithm's in SB3.")
     ent_coef: float | None = _argument(None, "Weight of the entropy. Default: 0 on policy, learned by SAC.")
+    ent_coef_start: float | None = _argument(None, "What SAC's learned weight begins with. Default: 1.0, SB3's.")
     batch_size: int | None = _argument(None, "Minibatch of PPO and of replay. Default: the algorithm's in SB3.")
     epochs: int | None = _argument(None, "PPO's passes over a rollout. Default: 10.")
     clip_range: float | None = _argument(None, "PPO's clip range. Default: 0.2.")
@@ -191,6 +193,7 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "imitate_steps": ON_POLICY,
     "gae_lambda": ON_POLICY,
     "ent_coef": (*ON_POLICY, "sac"),
+    "ent_coef_start": ("sac",),
     "batch_size": ("ppo", "maskable-ppo", "dqn", "sac", "td3"),
     "epochs": ("ppo", "maskable-ppo"),
     "clip_range": ("ppo", "maskable-ppo"),
@@ -287,8 +290,12 @@ def _check(arguments: TrainArguments, where: str) -> None:
         if getattr(arguments, name) is not None and algo not in algorithms:
             raise ValueError(f"{where}: {name}: is for {', '.join(algorithms)}, not for {algo}")
     curriculum_of(arguments, ())
-    if arguments.learning_rate is not None and arguments.learning_rate <= 0.0:
-        raise ValueError(f"{where}: learning_rate: must be above 0, given {arguments.learning_rate}")
+    for name in ("learning_rate", "ent_coef_start"):
+        value = getattr(arguments, name)
+        if value is not None and value <= 0.0:
+            raise ValueError(f"{where}: {name}: must be above 0, given {value}")
+    if arguments.ent_coef is not None and arguments.ent_coef_start is not None:
+        raise ValueError(f"{where}: ent_coef_start: is where a learned weight begins; ent_coef fixes it")
 
 
 class Stage(NamedTuple):

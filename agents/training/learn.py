@@ -120,6 +120,8 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
         assert a.exploration_steps is not None, "resolved() fills it in"
         settings["exploration_fraction"] = min(1.0, a.exploration_steps / total)
         settings |= {"exploration_initial_eps": 1.0, "exploration_final_eps": a.exploration_final}
+    if a.ent_coef_start is not None:
+        settings["ent_coef"] = f"auto_{a.ent_coef_start}"
     if a.algo == "td3" and a.action_noise:
         size = venv.batch.single_action_space.shape or ()
         settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, a.action_noise))
