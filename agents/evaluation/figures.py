@@ -42,6 +42,8 @@ _STYLES: dict[str, tuple[str, Any]] = {
     "sac": ("#D55E00", "-."),
     "td3": ("#CC79A7", (0, (3, 1, 1, 1, 1, 1))),
 }
+_MORE = ("#882255", "#999933", "#332288")
+"""Of Paul Tol's muted palette, for variants where those of the algorithms are all taken."""
 _GOALS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 _BEHIND_TEXT = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
 _GRID = 200
@@ -72,9 +74,9 @@ def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
         colour, line = _STYLES[label]
         return {"color": colour, "linestyle": line}
     taken = {_STYLES[name][0] for name in labels if name in _STYLES}
-    free = [colour for colour, _ in reversed(list(_STYLES.values())) if colour not in taken] or ["#777777"]
-    others = [name for name in labels if name not in _STYLES]
-    return {"color": free[others.index(label) % len(free)], "linestyle": (0, (8, 1.5))}
+    free = [colour for colour, _ in reversed(list(_STYLES.values())) if colour not in taken] + list(_MORE)
+    number = [name for name in labels if name not in _STYLES].index(label)
+    return {"color": free[number % len(free)], "linestyle": (0, (8, 1.5) + (1, 1.5) * (number % 3))}
 
 
 def _missing_runs(results: Results, key: str) -> list[str]:

@@ -15,7 +15,6 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 from __future__ import annotations
 
 import math
-import platform
 import shutil
 import time
 from collections.abc import Callable
@@ -26,11 +25,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-import chemlab
 from chemlab.bench.base import MaskArray, ObservationArray
 from chemlab.files import write_text
 from chemlab.shelf import IntArray
 
+from ..evaluation.play import versions as evaluation_versions
 from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
 from .runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, differences, to_text
 from .tasks import Task, find_task
@@ -248,12 +247,10 @@ def _scripted(task: Task, episodes: int, seed: int) -> dict[str, float] | None:
 def versions() -> dict[str, str]:
     """What a run may depend on."""
     return {
-        "chemlab": chemlab.__version__,
+        **evaluation_versions(),
         "stable-baselines3": stable_baselines3.__version__,
         "sb3-contrib": sb3_contrib.__version__,
         "torch": torch.__version__,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
     }
 
 

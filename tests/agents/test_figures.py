@@ -24,7 +24,7 @@ from chemlab.scenario import load_scenario
 
 pytest.importorskip("matplotlib")
 
-from chemlab.agents.evaluation.figures import FIGURES, learning_curve, write_figures
+from chemlab.agents.evaluation.figures import FIGURES, algorithm_style, learning_curve, write_figures
 from chemlab.render.figure import SETTINGS
 
 runner = CliRunner()
@@ -205,6 +205,13 @@ def drawn(folder: Path, stem: str) -> Any:
 def lines_of(axes: Any) -> dict[str, Any]:
     """{label: y of the line}."""
     return {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+
+
+def test_variants_have_looks_of_their_own() -> None:
+    labels = ["ppo", "a2c", "sac", "td3", "ppo-entropy", "ppo-xl", "sac-cool", "td3-wide"]
+    looks = [algorithm_style(label, labels) for label in labels]
+    assert len({look["color"] for look in looks}) == len(labels)
+    assert len({str(look["linestyle"]) for look in looks[4:] if look is not looks[5]}) == 3
 
 
 def test_radar_shows_relative_returns(tmp_path: Path) -> None:
