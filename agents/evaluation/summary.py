@@ -47,6 +47,7 @@ def describe_cells(results: Results) -> list[dict[str, Any]]:
                 "last_mean": float(np.mean([run.result.last_mean for run in cell.runs])),
                 "heuristic": reference,
                 "relative_by_goal": {goal: {"best": best[goal], "mean": mean[goal]} for goal in goals},
+                "seconds": float(np.mean([run.result.seconds for run in cell.runs])),
                 "frames_per_second": float(np.mean([run.result.frames_per_second for run in cell.runs])),
             }
             if reference is not None:
@@ -141,21 +142,23 @@ def _markdown(
         "training. As in Stable-Baselines3, environment i of a run has the run's seed + i: neighbouring seeds differ "
         "in networks and exploration, and share most of their environments' random numbers. P(better): "
         "probability that a run's return for a goal is above the scripted policy's, ties counting one half, mean over "
-        "goals.",
+        "goals. Minutes are those of a run, on one core that others may have shared: "
+        f"{sum(row['runs'] * row.get('seconds', 0.0) for row in cells) / 3600.0:.1f} hours in all.",
         "",
-        "| experiment | algorithm | runs | steps | mean | interquartile mean | best run | heuristic | P(better) |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
+        "| experiment | algorithm | runs | steps | mean | interquartile mean | best run | heuristic | P(better) "
+        "| minutes |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for row in cells:
         start = f"| {row['title']} | {display_name(row['label'])} | {row['runs']} "
         if not row["runs"]:
-            lines.append(start + "| - | - | - | - | - | - |")
+            lines.append(start + "| - | - | - | - | - | - | - |")
             continue
         better = interval_text(row["improvement"], 2) if "improvement" in row else "-"
         reference = "-" if row["heuristic"] is None else number_text(row["heuristic"])
         lines.append(
             f"{start}| {row['steps']:,} | {interval_text(row['mean'])} | {interval_text(row['interquartile_mean'])} "
-            f"| {row['best']:.3f} | {reference} | {better} |"
+            f"| {row['best']:.3f} | {reference} | {better} | {row['seconds'] / 60.0:.1f} |"
         )
     lines += ["", "## Figures", ""]
     for spec in FIGURES:
