@@ -1,7 +1,8 @@
-"""Speed of SB3's PPO on RxN, beside the same PPO on an environment with the same spaces that computes nothing.
+"""Speed of SB3's PPO on each bench, beside the same PPO on an environment with its spaces that computes nothing.
 
-Run ``python tests/benchmarks/ppo.py`` (needs the extra ``train``). 10 environments, 256 steps, SB3 defaults; they are
-timed in turns, and the ratio of their medians is what means something on another machine.
+Run ``python tests/benchmarks/ppo.py`` (needs the extra ``train``; ``--update FILE`` puts the table between the marks
+``<!-- ppo: begin -->`` and ``<!-- ppo: end -->`` of a Markdown file). 10 environments, 256 steps, SB3 defaults; the two
+are timed in turns, and the ratio of their medians is what means something on another machine.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import json
 import statistics
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from chemlab.agents.sb3 import ChemlabVecEnv
+from chemlab.files import replace_between
 
 ENVS, STEPS = 10, 256
+BENCHES = ("rxn", "ext", "dit")
 
 
 class Nothing(VecEnv):
@@ -66,26 +70,35 @@ def frames_per_second(env: VecEnv, frames: int) -> float:
     return frames / (time.perf_counter() - begun)
 
 
+def measure(bench: str, rounds: int) -> dict[str, Any]:
+    """Medians of both, and their ratio."""
+    chemistry = ChemlabVecEnv(ENVS, bench=bench)
+    nothing = Nothing(chemistry)
+    frames = 4 * ENVS * STEPS
+    for env in (chemistry, nothing):
+        frames_per_second(env, ENVS * STEPS)  # the first run compiles and allocates
+    pairs = [(frames_per_second(chemistry, frames), frames_per_second(nothing, frames)) for _ in range(rounds)]
+    with_us, without = (statistics.median(column) for column in zip(*pairs, strict=True))
+    return {"bench": bench, "chemlab_fps": with_us, "nothing_fps": without, "ratio": with_us / without}
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    chemistry = ChemlabVecEnv(ENVS, bench="rxn")
-    nothing = Nothing(chemistry)
-    frames = 4 * ENVS * STEPS
-    for env in (chemistry, nothing):
-        frames_per_second(env, ENVS * STEPS)  # the first run compiles and allocates
-    pairs = [
-        (frames_per_second(chemistry, frames), frames_per_second(nothing, frames)) for _ in range(arguments.rounds)
+    results = [measure(bench, arguments.rounds) for bench in BENCHES]
+    table = ["| bench of `wurtz_dodecane` | frames/s of PPO | computing nothing | ratio |", "|---|--:|--:|--:|"]
+    table += [
+        f"| `{row['bench']}` | {row['chemlab_fps']:,.0f} | {row['nothing_fps']:,.0f} | {row['ratio']:.2f} |"
+        for row in results
     ]
-    with_us, without = (statistics.median(column) for column in zip(*pairs, strict=True))
-    result = {"chemlab_fps": with_us, "nothing_fps": without, "ratio": with_us / without}
-    print(
-        json.dumps(result) if arguments.json else f"{with_us:,.0f} of {without:,.0f} frames/s: {with_us / without:.3f}"
-    )
+    print(json.dumps(results) if arguments.json else "\n".join(table))
+    if arguments.update is not None:
+        replace_between(arguments.update, "ppo", table)
 
 
 if __name__ == "__main__":
