@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,10 @@ import numpy as np
 from chemlab.scenario import load_scenario
 from chemlab.shelf import FloatArray
 
-from ..pretrained import fingerprint
 from ..roles import MANAGER_ROLE, role_of
 from ..training.arguments import TrainArguments
 from ..training.runs import Run, RunResult, find_runs
-from .play import BenchTarget
+from ..training.tasks import task_fingerprint
 
 __all__ = [
     "EXPERIMENTS",
@@ -155,7 +153,8 @@ class Results:
         cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
         laboratories: finished runs in which a laboratory's manager learned; they are in no cell, and have a page of
             their own (:mod:`chemlab.agents.evaluation.laboratory`).
-        traces: content of ``traces.json``, or None; without policies that are not the cells' best any more.
+        traces: content of ``traces.json``, or None; without what is of
+            another bench, or of another policy than the best now.
         left_out: what is in no cell (runs, traces), and why.
     """
 
@@ -187,6 +186,8 @@ class Results:
 
 
 _DEFAULTS = vars(TrainArguments())
+_TRACES = 2
+"""Format of ``traces.json``."""
 _PER_RUN = ("seed", "versions", "label")
 """What may differ between the runs of a cell."""
 
@@ -215,7 +216,7 @@ def read_results(folder: Path) -> Results:
             results.left_out.append(f"{name}: not finished")
         elif key is None:
             results.laboratories.append(FinishedRun(run, config, result))
-        elif config.get("fingerprint") != _fingerprint(str(config["scenario"]), str(config["bench"])):
+        elif config.get("fingerprint") != _fingerprint(EXPERIMENTS[key]):
             results.left_out.append(f"{name}: the bench has changed since it was trained")
         else:
             # What an older version did not know yet had its default.
@@ -242,18 +243,24 @@ def _read_traces(results: Results) -> None:
     file = results.folder / "traces.json"
     if not file.exists():
         return
+    again = f"chemlab figures {results.folder} --collect makes it anew"
     try:
-        results.traces = json.loads(file.read_text(encoding="utf-8"))
-        for key, traced in results.traces["experiments"].items():
+        traces = json.loads(file.read_text(encoding="utf-8"))
+        if traces["format"] != _TRACES:
+            results.left_out.append(f"traces.json: of another version; {again}")
+            return
+        for key, traced in list(traces["experiments"].items()):
+            title = EXPERIMENTS[key].title
+            if traced["fingerprint"] != _fingerprint(EXPERIMENTS[key]):
+                del traces["experiments"][key]
+                results.left_out.append(f"traces.json: {title}: the bench has changed since; {again}")
             for label, policy in list(traced["policies"].items()):
                 cell = results.cell(key, label)
                 best = None if cell is None else trace_source(results.folder, cell)
-                if label not in ("heuristic", "random") and policy.get("source") != best:
+                if policy["source"] != best:
                     del traced["policies"][label]
-                    results.left_out.append(
-                        f"traces.json: {EXPERIMENTS[key].title}, {label}: of another policy than the best now; "
-                        f"chemlab figures {results.folder} --collect plays that"
-                    )
+                    results.left_out.append(f"traces.json: {title}, {label}: not of the best policy now; {again}")
+        results.traces = traces
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{file}: not what chemlab figures --collect writes ({error!r})") from error
 
@@ -265,10 +272,11 @@ def trace_source(folder: Path, cell: Cell) -> dict[str, Any]:
     return {"run": path, "seed": result.seed, "step": result.best_step, "mean": result.mean}
 
 
-@cache
-def _fingerprint(scenario: str, bench: str) -> str:
-    """Of the task as it is now."""
-    return fingerprint(BenchTarget(load_scenario(scenario), bench).environment(1).bench)
+def _fingerprint(experiment: Experiment) -> str:
+    """Of the experiment's bench as it is now."""
+    return task_fingerprint(
+        TrainArguments(env_id="chemlab/Bench-v0", scenario=experiment.scenario, bench=experiment.bench)
+    )
 
 
 def _has_manager(config: dict[str, Any]) -> bool:

@@ -44,6 +44,7 @@ def describe_cells(results: Results) -> list[dict[str, Any]]:
                 "mean": statistics.mean([cell.means()]).as_dict(runs),
                 "interquartile_mean": statistics.interquartile_mean([cell.means()]).as_dict(runs),
                 "best": cell.best.result.mean,
+                "best_step": float(np.median([run.result.best_step for run in cell.runs])),
                 "last_mean": float(np.mean([run.result.last_mean for run in cell.runs])),
                 "heuristic": reference,
                 "relative_by_goal": {goal: {"best": best[goal], "mean": mean[goal]} for goal in goals},
@@ -109,6 +110,11 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+def _verdict(statement: Statement) -> str:
+    said = {True: "yes", False: "**no**", None: "-"}[statement.holds]
+    return f"{said} ({', '.join(statement.variants)}: yes)" if statement.variants else said
+
+
 def _markdown(
     folder: Path,
     statements: Sequence[Statement],
@@ -117,20 +123,20 @@ def _markdown(
     ending: str,
     left_out: Sequence[str],
 ) -> list[str]:
-    verdicts = {True: "yes", False: "**no**", None: "-"}
     lines = [
         "# The paper's results and ours",
         "",
         "## What the paper says",
         "",
-        "The paper's values are those its text and captions state; none is read off a picture. A statement "
-        "about an algorithm counts as confirmed if any variant of it confirms it; each is given.",
+        "The paper's values are those its text and captions state; none is read off a picture. What an "
+        "algorithm is in the paper decides (PPO, not a variant with other settings); variants that agree where it does "
+        "not are named. -: no runs, or runs that cannot tell.",
         "",
         "| figure | experiment | statement | paper | where | ours | agrees | criterion |",
         "|--:|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {s.figure} | {s.experiment} | {s.says} | {s.paper} | {s.source} | {s.ours} | {verdicts[s.holds]} "
+        f"| {s.figure} | {s.experiment} | {s.says} | {s.paper} | {s.source} | {s.ours} | {_verdict(s)} "
         f"| {s.criterion} |"
         for s in statements
     ]
@@ -142,23 +148,25 @@ def _markdown(
         "training. As in Stable-Baselines3, environment i of a run has the run's seed + i: neighbouring seeds differ "
         "in networks and exploration, and share most of their environments' random numbers. P(better): "
         "probability that a run's return for a goal is above the scripted policy's, ties counting one half, mean over "
-        "goals. Minutes are those of a run, on one core that others may have shared: "
+        "goals. Best after: steps to a run's best policy, median. Minutes are those of a run, on one core that others "
+        "may have shared: "
         f"{sum(row['runs'] * row.get('seconds', 0.0) for row in cells) / 3600.0:.1f} hours in all.",
         "",
         "| experiment | algorithm | runs | steps | mean | interquartile mean | best run | heuristic | P(better) "
-        "| minutes |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+        "| best after | minutes |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for row in cells:
         start = f"| {row['title']} | {display_name(row['label'])} | {row['runs']} "
         if not row["runs"]:
-            lines.append(start + "| - | - | - | - | - | - | - |")
+            lines.append(start + "| - | - | - | - | - | - | - | - |")
             continue
         better = interval_text(row["improvement"], 2) if "improvement" in row else "-"
         reference = "-" if row["heuristic"] is None else number_text(row["heuristic"])
         lines.append(
             f"{start}| {row['steps']:,} | {interval_text(row['mean'])} | {interval_text(row['interquartile_mean'])} "
-            f"| {row['best']:.3f} | {reference} | {better} | {row['seconds'] / 60.0:.1f} |"
+            f"| {row['best']:.3f} | {reference} | {better} "
+            f"| {row['best_step'] / 1000.0:.0f}k | {row['seconds'] / 60.0:.1f} |"
         )
     lines += ["", "## Figures", ""]
     for spec in FIGURES:

@@ -11,6 +11,7 @@ import numpy as np
 from chemlab.files import write_text
 from chemlab.scenario import load_scenario
 
+from ..pretrained import fingerprint
 from .play import BenchTarget, Played, bench_policy, play_bench, versions
 from .results import EXPERIMENTS, Experiment, Results, trace_source
 
@@ -33,16 +34,17 @@ def collect_traces(
     """Play the scripted policy, random actions and the best run of every algorithm; write ``traces.json``.
 
     Args:
-        results: whose runs to play; the file stands beside them and ``results.traces`` is what is in it.
+        results: whose runs to play; the file stands beside them, for
+            :func:`~chemlab.agents.evaluation.results.read_results`.
         episodes: for each goal; every policy plays the same seeds.
         seed: of the first episode.
         watch: called with each policy's name when it has been played.
 
     Returns:
-        ``{"experiments": {key: {"action_names", "goals", "policies": {label: ...}}}, ...}``. A policy has its
-        ``source`` (its run's path below the results, seed, the checkpoint's step and result; or None) and, by goal,
-        ``mean_return``, returns ``by_case`` (starting state) and either ``mean_actions`` [steps][actions] or, by case,
-        the ``best`` episode: return and actions.
+        ``{"experiments": {key: {"fingerprint", "action_names", "goals", "policies": {label: ...}}}, ...}``. A
+        policy has its ``source`` (its run's path below the results, seed, the checkpoint's step and result; or None)
+        and, by goal, ``mean_return``, returns ``by_case`` (starting state) and either ``mean_actions``
+        [steps][actions] or, by case, the ``best`` episode: return and actions.
 
     Raises:
         ValueError: a run's checkpoint is missing or was made for another environment.
@@ -57,16 +59,16 @@ def collect_traces(
         for label, cell in cells.items():
             sources[label] = (str(cell.best.run.path), trace_source(results.folder, cell))
         experiments[key] = _played(experiment, sources, episodes, seed, watch)
-    results.traces = {
+    traces = {
         "kind": "traces",
-        "format": 1,
+        "format": 2,
         "episodes_per_goal": episodes,
         "seed": seed,
         "versions": versions(),
         "experiments": experiments,
     }
-    write_text(results.folder / "traces.json", json.dumps(results.traces, separators=(",", ":")) + "\n")
-    return results.traces
+    write_text(results.folder / "traces.json", json.dumps(traces, separators=(",", ":")) + "\n")
+    return traces
 
 
 def _played(
@@ -89,6 +91,7 @@ def _played(
     return {
         "scenario": experiment.scenario,
         "bench": experiment.bench,
+        "fingerprint": fingerprint(env.bench),
         "goals": list(scenario.goals),
         "action_names": _short_names(env) or env.action_meanings,
         "policies": policies,

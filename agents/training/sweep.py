@@ -214,7 +214,7 @@ def run_sweep(
 def _start(one: Planned) -> subprocess.Popen[bytes]:
     one.run.path.mkdir(parents=True, exist_ok=True)
     one.run.failed_file.unlink(missing_ok=True)
-    command = [sys.executable, "-c", "from chemlab.cli import main; main()", "train", one.arguments.env_id]
+    command = [sys.executable, "-m", "chemlab", "train", one.arguments.env_id]
     command += [*flags_of(one.arguments), "--out", str(one.run.path), "--quiet"]
     # One core a run: libraries that start threads of their own would share it with the other runs.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results, trace_source
 from chemlab.agents.evaluation.statements import compare_with_paper
-from chemlab.agents.evaluation.summary import describe_cells, paper_table
+from chemlab.agents.evaluation.summary import describe_cells, paper_table, write_summary
 from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
 from chemlab.agents.training.tasks import BenchTask
 from chemlab.cli import app
@@ -109,8 +109,13 @@ def write_traces(folder: Path) -> None:
             cell = results.cell(key, label)
             source = None if cell is None else trace_source(folder, cell)
             policies[label] = {"source": source, "mean_return": 0.5, "by_goal": by_goal}
-        experiments[key] = {"action_names": names, "goals": list(scenario.goals), "policies": policies}
-    (folder / "traces.json").write_text(json.dumps({"kind": "traces", "experiments": experiments}))
+        experiments[key] = {
+            "fingerprint": _now(key),
+            "action_names": names,
+            "goals": list(scenario.goals),
+            "policies": policies,
+        }
+    (folder / "traces.json").write_text(json.dumps({"kind": "traces", "format": 2, "experiments": experiments}))
 
 
 @pytest.fixture(scope="module")
@@ -345,6 +350,11 @@ def test_statements_follow_the_results(tmp_path: Path) -> None:
     assert (gain.holds, gain.ours) == (True, "PPO-XL: +0.075 (best run +0.100)")
     assert found[10, "DQN ends with a negative return"].holds is True
     assert found[10, "PPO outperforms the heuristic"].holds is None
+    # PPO has been trained, the others not: one that does not agree is enough.
+    assert found[6, "agents of each algorithm achieve a return of at least 0.4"].holds is None
+    write_run(tmp_path, "wurtz_rxn", "sac", 0, curve=[(0, 0.0, 0.1), (1000, 0.3, 0.1)])
+    again = {(s.figure, s.says): s for s in compare_with_paper(read_results(tmp_path))}
+    assert again[6, "agents of each algorithm achieve a return of at least 0.4"].holds is False
     assert found[13, "without salt, all but DQN end the experiment themselves"].holds is None
 
 
@@ -354,7 +364,8 @@ def test_statements_follow_the_results(tmp_path: Path) -> None:
         ((0.1, 0.61, 0.63, 0.62), 1_000_000, 200, True),
         ((0.1, 0.2, 0.63, 0.62), 1_000_000, 300, False),  # "before" 300k
         ((0.62, 0.63, 0.3, 0.62), 1_000_000, 400, False),  # left again; where it ends it is by definition
-        ((0.1, 0.61, 0.63, 0.62), 300_000, 200, None),  # what comes after its end is not known
+        ((0.1, 0.61, 0.63, 0.62), 310_000, 200, None),  # what comes after its end is not known
+        ((0.1, 0.2, 0.3, 0.62), 410_000, 400, False),  # but that it comes this late is
     ],
 )
 def test_convergence_is_that_of_evaluations(
@@ -370,16 +381,19 @@ def test_convergence_is_that_of_evaluations(
     assert found.holds is holds
 
 
-def test_variants_of_ppo_count_as_ppo(tmp_path: Path) -> None:
-    """A statement about PPO holds if any variant's runs say so; each is named. They are drawn beside the paper's."""
+def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
+    """The paper's algorithm decides; variants that agree where it does not are named. They are drawn beside it."""
     write_run(tmp_path, "wurtz_ext", "ppo", 0, 0.9)
     write_run(tmp_path, "wurtz_ext", "ppo-entropy", 0, 1.2)
     results = read_results(tmp_path)
     found = {s.says: s for s in compare_with_paper(results)}["PPO outperforms the heuristic"]
-    assert (found.holds, found.ours) == (
-        True,
+    assert (found.holds, found.variants, found.ours) == (
+        False,
+        ("PPO-entropy",),
         "PPO: -0.050 (best run -0.050); PPO-entropy: +0.100 (best run +0.100)",
     )
+    page, _ = write_summary(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
+    assert "| **no** (PPO-entropy: yes) |" in page.read_text()
     assert list(results.cells["wurtz_ext"]) == ["ppo", "ppo-entropy"]
     lines = drawn(tmp_path, "figure_10_wurtz_ext_curves").figure.axes[0].get_lines()
     assert [line.get_label() for line in lines] == ["PPO (1 run)", "PPO-entropy (1 run)", "heuristic"]
@@ -421,25 +435,136 @@ def test_one_sequence_that_differs_with_salt(full: Path, tmp_path: Path) -> None
     assert (same.holds, same.ours) == (False, "A2C: 1.00 in common; DQN: 0.95 in common")
 
 
-def test_comparisons_of_algorithms(tmp_path: Path) -> None:
-    for label, end, relative in (("ppo", 0.7, 1.2), ("ppo-xl", 0.7, 1.3), ("a2c", 0.2, 0.4), ("dqn", 0.65, 1.3)):
-        for seed in (0, 1):
-            ends = [(0, 0.0, 0.1), (1000, end, 0.1)]
-            write_run(tmp_path, "wurtz_dit", label, seed, relative + 0.1 * seed, curve=ends)
-            write_run(tmp_path, "wurtz_ext", label, seed, relative + 0.1 * seed)
-    found = {(s.figure, s.says): (s.holds, s.ours) for s in compare_with_paper(read_results(tmp_path))}
-    assert found[10, "PPO and PPO-XL consistently outperform the other algorithms"] == (
-        False,
-        "PPO-XL: 0.650 or more; PPO: 0.600 or more; A2C and DQN: 0.700 or less",
-    )
-    # Ends are the mean of the last tenth of the curve: of its last point here.
-    assert found[12, "DQN and PPO acquire similar returns on average"] == (True, "PPO: 0.700; DQN: 0.650")
-    assert found[12, "the best PPO policy outperforms the best DQN policy"] == (False, "PPO: 0.650; DQN: 0.700")
-    assert found[12, "PPO-XL outperforms the others on average and in the best case"] == (
-        True,
-        "PPO-XL: mean 0.675, others at most 0.675; best run 0.700, others at most 0.700",
-    )
-    assert found[8, "PPO converges quickly, the others take much longer"] == (None, "no results")
+def verdict(folder: Path, key: str, says: str) -> bool | None:
+    """Whether the statement on an experiment that has these words holds."""
+    statements = compare_with_paper(read_results(folder))
+    (found,) = (s for s in statements if says in s.says and s.experiment == EXPERIMENTS[key].title)
+    return found.holds
+
+
+WURTZ, FICTITIOUS = load_scenario("wurtz_dodecane").goals, load_scenario("fictitious").goals
+ENDS = [(0, 0.0, 0.1)]  # of a curve: its last point is where training ends
+LOW = dict.fromkeys(WURTZ, 0.5) | {"NaCl": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("says", "key", "agreeing", "other"),
+    [
+        # By algorithm: relative returns of two runs (or of each goal), and where training ends.
+        ("come close on a few", "wurtz_rxn", {"sac": {**LOW, "dodecane": 0.95}, "td3": 0.9}, {"sac": LOW, "td3": 0.9}),
+        ("consistently produces NaCl", "wurtz_rxn", dict.fromkeys(("ppo", "a2c", "sac", "td3"), LOW), {"td3": 0.8}),
+        (
+            "for all 7 targets",
+            "wurtz_rxn",
+            {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": LOW | {"NaCl": 0.9}},
+            {"a2c": LOW},
+        ),
+        ("SAC and TD3 agents outperform", "wurtz_rxn", {"sac": 0.8, "td3": 0.8, "a2c": 0.7}, {"a2c": 0.8}),
+        (
+            "consistently matches",
+            "fictitious_rxn",
+            {"ppo": 0.98},
+            {"ppo": {**dict.fromkeys(FICTITIOUS, 1.0), "F": 0.9}},
+        ),
+        (
+            "all products but I",
+            "fictitious_rxn",
+            {n: dict.fromkeys("EFGH", 0.95) for n in ("a2c", "sac")},
+            {"sac": 0.95},
+        ),
+        ("all products but E", "fictitious_rxn", {"td3": dict.fromkeys("FGHI", 0.95)}, {"td3": 0.95}),
+        ("for all 5 targets", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": 0.9}, {"td3": 1.0}),
+        ("alone succeeds with both", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.5, "sac": 0.5, "td3": 0.5}, {"td3": 0.9}),
+        (
+            "consistently outperform the other",
+            "wurtz_ext",
+            {"ppo-xl": 0.6, "ppo": 0.6, "a2c": 0.5, "dqn": 0.5},
+            {"dqn": 0.6},
+        ),
+        ("as much as ending", "wurtz_ext", {"a2c": 0.02}, {"a2c": 0.1}),
+        ("best PPO policy outperforms the best DQN", "wurtz_dit", {"ppo": 0.9, "dqn": 0.8}, {"dqn": 0.9}),
+        ("others on average", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"ppo": 1.0}),
+        ("others in the best case", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"dqn": 1.0}),
+    ],
+)
+def test_statements_about_returns(
+    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
+) -> None:
+    """Each holds for results like the paper's, and not once one algorithm's are others."""
+    for folder, relatives in (("yes", agreeing), ("no", {**agreeing, **other})):
+        for label, relative in relatives.items():
+            for seed in (0, 1):
+                write_run(tmp_path / folder, key, label, seed, relative)
+        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
+
+
+@pytest.mark.parametrize(
+    ("says", "key", "agreeing", "other"),
+    [
+        (
+            "a return of at least 0.4",
+            "wurtz_rxn",
+            dict.fromkeys(("ppo", "a2c", "sac", "td3"), (0.4, 0.5)),
+            {"sac": (0.3, 0.4)},
+        ),
+        (
+            "not much better than random",
+            "wurtz_rxn",
+            dict.fromkeys(("a2c", "sac", "td3"), (0.55, 0.6)),
+            {"td3": (0.6, 0.7)},
+        ),
+        ("PPO is significantly better", "wurtz_rxn", {"ppo": (0.65, 0.7)}, {"ppo": (0.5, 0.55)}),
+        ("not achieve a return above zero", "wurtz_ext", {"a2c": (0.0, 0.02)}, {"a2c": (0.0, 0.1)}),
+        ("consistently acquire positive", "wurtz_ext", {"ppo-xl": (0.1, 0.2), "ppo": (0.1, 0.2)}, {"ppo": (0.0, 0.9)}),
+        (
+            "DQN, PPO and PPO-XL consistently",
+            "wurtz_dit",
+            dict.fromkeys(("dqn", "ppo", "ppo-xl"), (0.1, 0.2)),
+            {"dqn": (0.0, 0.9)},
+        ),
+        ("positive returns on average", "wurtz_dit", {"a2c": (-0.1, 0.2)}, {"a2c": (-0.2, 0.1)}),
+        ("acquire similar returns", "wurtz_dit", {"ppo": (0.7, 0.7), "dqn": (0.65, 0.65)}, {"dqn": (0.5, 0.5)}),
+        ("vary more than", "wurtz_dit", {"ppo": (0.5, 0.7), "dqn": (0.6, 0.61)}, {"dqn": (0.4, 0.7)}),
+    ],
+)
+def test_statements_about_where_training_ends(
+    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
+) -> None:
+    """The same of the ends of two learning curves; random actions come to 0.5 in the made-up traces."""
+    for folder, ends in (("yes", agreeing), ("no", {**agreeing, **other})):
+        for label, values in ends.items():
+            for seed, end in enumerate(values):
+                write_run(tmp_path / folder, key, label, seed, curve=[*ENDS, (1000, end, 0.1)])
+        write_traces(tmp_path / folder)
+        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
+
+
+def test_statements_about_pace_and_distance(tmp_path: Path) -> None:
+    """Figure 8: steps are compared with PPO's, distances to the optimum at equal numbers of steps."""
+    paces = {"ppo": (0.4, 0.5, 0.5, 0.5), "a2c": (0.1, 0.1, 0.1, 0.2), "sac": (0.1, 0.1, 0.1, 0.2)}
+    for label, means in {**paces, "td3": (0.1, 0.1, 0.1, 0.2)}.items():
+        path = write_run(tmp_path, "fictitious_rxn", label, 0, 0.8)
+        write_run(tmp_path, "wurtz_rxn", label, 0, 0.7)
+        for i, mean in enumerate(means):
+            Run(path).append(Evaluation(100 * (i + 1), mean, {}, None, None))
+    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is True
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is True
+    slow = write_run(tmp_path, "fictitious_rxn", "td3", 1, 0.6)
+    for i in range(4):
+        Run(slow).append(Evaluation(100 * (i + 1), 0.3 - 0.1 * (i < 1), {}, None, None))
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3: 0.7 and 0.7
+    (tmp_path / "fictitious_rxn" / "td3" / "seed-0" / "evaluations.jsonl").unlink()
+    for i in range(4):
+        Run(tmp_path / "fictitious_rxn" / "td3" / "seed-0").append(Evaluation(100 * (i + 1), 0.3, {}, None, None))
+    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is False  # TD3 is as quick
+    for seed in (2, 3, 4):
+        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.7, steps=300)
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3's still
+    for run in (tmp_path / "fictitious_rxn" / "td3").iterdir():
+        (run / "result.json").unlink()
+    assert (
+        verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is None
+    )  # A2C's steps differ, TD3 is missing
 
 
 def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
@@ -455,7 +580,20 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
     results = read_results(tmp_path)
     assert results.trace("wurtz_dit", "ppo") is None
     assert results.trace("wurtz_dit", "heuristic") is not None
-    assert any(line.startswith("traces.json: Wurtz DiT, ppo: of another policy") for line in results.left_out)
+    assert any(line.startswith("traces.json: Wurtz DiT, ppo: not of the best policy") for line in results.left_out)
+    file = tmp_path / "traces.json"
+    content = json.loads(file.read_text())
+    content["experiments"]["wurtz_dit"]["fingerprint"] = "another"
+    file.write_text(json.dumps(content))
+    results = read_results(tmp_path)
+    assert results.trace("wurtz_dit", "heuristic") is None
+    assert results.trace("wurtz_ext", "heuristic") is not None
+    assert "traces.json: Wurtz DiT: the bench has changed since" in results.left_out[1]
+    file.write_text(json.dumps({**content, "format": 1}))
+    assert read_results(tmp_path).traces is None
+    file.write_text("{}")
+    with pytest.raises(ValueError, match="not what chemlab figures --collect writes"):
+        read_results(tmp_path)
 
 
 def test_a_single_run_has_no_interval(tmp_path: Path) -> None:

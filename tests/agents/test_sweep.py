@@ -154,9 +154,8 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     )
     (one,) = plan(file, tmp_path / "out")
     assert status_of(one).state == "waiting"
-    code = "from chemlab.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")],
+        [sys.executable, "-m", "chemlab", "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
     )

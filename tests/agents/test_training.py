@@ -21,6 +21,7 @@ pytest.importorskip("stable_baselines3")
 
 from chemlab.agents.policy import bench_heuristic, make_policies
 from chemlab.agents.run import play_episode
+from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
@@ -155,7 +156,7 @@ def test_lines_that_were_lost_before_the_checkpoint_come_back(tmp_path: Path) ->
     assert without_times(broken) == without_times(whole)
 
 
-COMMAND = [sys.executable, "-c", "from chemlab.cli import main; main()", "train"]
+COMMAND = [sys.executable, "-m", "chemlab", "train"]
 
 
 def start(arguments: TrainArguments, out: Path) -> subprocess.Popen[str]:
@@ -336,6 +337,21 @@ def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
                 observation, reward, over, _, info = env.step(int(action[0]))
                 total, step = total + reward, step + 1
             assert returns[g, i] == pytest.approx(total, abs=1e-12)
+
+
+def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -> None:
+    for arguments, start in ((small("sac"), 1.0), (small("sac", ent_coef_start=0.01), 0.01)):
+        venv = ChemlabVecEnv(2, "fictitious", "rxn")
+        model: Any = training._learner(resolved(arguments), venv, 1000)
+        assert model.log_ent_coef.exp().item() == pytest.approx(start)
+    assert arguments_of({"preset": "sac-cool"}).algo == "sac"
+    for values, message in (
+        ({"algo": "ppo", "ent_coef_start": 0.1}, "is for sac"),
+        ({"algo": "sac", "ent_coef_start": 0.0}, "must be above 0"),
+        ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            arguments_of(values)
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
