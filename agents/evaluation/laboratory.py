@@ -432,7 +432,7 @@ def _overall(means: Means, measure: str) -> float:
 
 def _interval(values: Any, sign: str) -> str:
     """Mean over seeds and its interval; one seed has none."""
-    return interval_text(statistics.mean([values]).as_dict(len(values)), sign=sign)
+    return interval_text(statistics.mean([values]).as_dict(), sign=sign)
 
 
 def _minutes(value: float) -> str:

@@ -43,15 +43,16 @@ Strata = Sequence[npt.ArrayLike]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic and its confidence interval, in the statistic's unit."""
+    """A statistic and its confidence interval, in the statistic's unit; single samples say nothing of others and have
+    none (None)."""
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
-    def as_dict(self, samples: int = 2) -> dict[str, Any]:
-        """The fields as a dictionary; of fewer than two samples there is no interval, and its ends are None."""
-        return dict(vars(self)) if samples > 1 else {"value": self.value, "low": None, "high": None}
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as a dictionary."""
+        return dict(vars(self))
 
     def __str__(self) -> str:
         return interval_text(self.as_dict())
@@ -84,6 +85,8 @@ def _bootstrap(
 ) -> Estimate:
     """The statistic of ``strata`` and its interval; ``statistic(*strata, axis=-1)`` works on the last axis."""
     value = float(statistic(*strata, axis=-1))
+    if all(stratum.size < 2 for stratum in strata):
+        return Estimate(value, None, None)
     drawn = [stratum for stratum in strata if np.ptp(stratum) > 0.0]
     if not drawn:
         return Estimate(value, value, value)  # nothing varies: every resample is the sample itself

@@ -41,8 +41,8 @@ def describe_cells(results: Results) -> list[dict[str, Any]]:
                 "runs": runs,
                 "seeds": [run.result.seed for run in cell.runs],
                 "steps": cell.steps,
-                "mean": statistics.mean([cell.means()]).as_dict(runs),
-                "interquartile_mean": statistics.interquartile_mean([cell.means()]).as_dict(runs),
+                "mean": statistics.mean([cell.means()]).as_dict(),
+                "interquartile_mean": statistics.interquartile_mean([cell.means()]).as_dict(),
                 "best": cell.best.result.mean,
                 "best_step": float(np.median([run.result.best_step for run in cell.runs])),
                 "last_mean": float(np.mean([run.result.last_mean for run in cell.runs])),
@@ -53,7 +53,7 @@ def describe_cells(results: Results) -> list[dict[str, Any]]:
             }
             if reference is not None:
                 known = [[(run.result.heuristic_by_goal or {})[goal] for run in cell.runs] for goal in goals]
-                row["improvement"] = statistics.probability_of_improvement(strata, known).as_dict(runs)
+                row["improvement"] = statistics.probability_of_improvement(strata, known).as_dict()
     return rows
 
 

@@ -86,9 +86,11 @@ def test_probability_of_improvement_of_normal_samples() -> None:
     assert single.low < 0.5 < single.high
 
 
-@pytest.mark.parametrize("sample", [[4.0], [4.0, 4.0, 4.0]])
-def test_constant_samples_have_an_interval_of_no_width(sample: list[float]) -> None:
+def test_constant_samples_have_an_interval_of_no_width_and_single_ones_none() -> None:
+    sample = [4.0, 4.0, 4.0]
     assert mean([sample]) == interquartile_mean([sample]) == Estimate(4.0, 4.0, 4.0)
+    assert mean([[4.0], [2.0]]) == Estimate(3.0, None, None)
+    assert str(mean([[4.0], [2.0]])) == "3.000"
 
 
 @pytest.mark.parametrize("sample", [[0.0, 1.0], [0.0, 0.0, 1.0], [1.0] * 9 + [2.0]])

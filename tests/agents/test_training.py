@@ -341,7 +341,7 @@ def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
 
 def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -> None:
     for arguments, start in ((small("sac"), 1.0), (small("sac", ent_coef_start=0.01), 0.01)):
-        venv = ChemlabVecEnv(2, "fictitious", "rxn")
+        venv = ChemlabVecEnv(2, scenario="fictitious", bench="rxn")
         model: Any = training._learner(resolved(arguments), venv, 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
     assert arguments_of({"preset": "sac-cool"}).algo == "sac"
