@@ -221,6 +221,9 @@ class BenchVectorEnv(BatchEnv):
         ValueError: a number is out of bounds.
     """
 
+    # Of the class: Gymnasium closes even an environment whose arguments were refused before it was made.
+    _pool: ThreadPoolExecutor | None = None
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -257,7 +260,6 @@ class BenchVectorEnv(BatchEnv):
             (np.arange(low, high), self.bench if i == 0 else self.bench.separate_scratch())
             for i, (low, high) in enumerate(itertools.pairwise(bounds))
         ]
-        self._pool: ThreadPoolExecutor | None = None
 
     def _seed_member(self, member: int, seed: int) -> None:
         self.arena.seed(member, seed)

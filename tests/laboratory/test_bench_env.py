@@ -7,6 +7,7 @@ recomputed from the bench's own measure of the vessels.
 from __future__ import annotations
 
 import copy
+import gc
 import hashlib
 import os
 import pickle
@@ -27,6 +28,7 @@ from gymnasium.vector import AutoresetMode
 
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.laboratory.starts import lab_starts
 from chemlab.materials import DataError, read_toml
 from chemlab.scenario import load_scenario, scenario_names
@@ -432,6 +434,19 @@ def test_bad_numbers_of_seeds_members_and_threads() -> None:
         batch("chemlab/WurtzReaction-v0", 0)
     with pytest.raises(ValueError, match="threads"):
         batch("chemlab/WurtzReaction-v0", 1, threads=0)
+
+
+def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gymnasium closes every environment in the end, also those that have never been made."""
+    noise: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", noise.append)
+    for arguments in ({"threads": 0}, {"goals": "gold"}):
+        with pytest.raises((ValueError, DataError)):
+            BenchVectorEnv(2, **arguments)
+        with pytest.raises((ValueError, DataError)):
+            FocalVectorEnv(0)
+    gc.collect()
+    assert noise == []
 
 
 @pytest.mark.parametrize("name", IDS)
