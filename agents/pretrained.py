@@ -141,7 +141,10 @@ class PretrainedPolicy:
             raise ValueError(f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ...; found {sorted(weights)}")
         if card.activation not in ("tanh", "relu") or card.output not in ("argmax", "clip", "tanh"):
             raise ValueError(f"{card.name}: unknown activation {card.activation!r} or output {card.output!r}")
-        self._layers = [(np.ascontiguousarray(weights[f"{i}.weight"].T), weights[f"{i}.bias"]) for i in range(depth)]
+        self._layers = [
+            (weights[f"{i}.weight"].T.astype(np.float64, order="C"), weights[f"{i}.bias"].astype(np.float64))
+            for i in range(depth)
+        ]
         sizes = [self._layers[0][0].shape[0], self._layers[-1][0].shape[1]]
         if sizes != [card.observation_size, card.action_size]:
             raise ValueError(
@@ -181,11 +184,14 @@ class PretrainedPolicy:
                 f"pretrained {self.card.name!r} sees [B, {self.card.observation_size}] numbers, given {x.shape}; "
                 "check(bench) says what differs"
             )
+        # Sums of products depend on how long the batch is and where it lies in memory, in their last digits. With twice
+        # as many digits none of that is left in the result, which chooses among actions that may be worth the same.
+        y = x.astype(np.float64)
         for i, (weight, bias) in enumerate(self._layers):
-            x = x @ weight + bias
+            y = y @ weight + bias
             if i < len(self._layers) - 1:
-                x = np.tanh(x) if self.card.activation == "tanh" else np.maximum(x, np.float32(0.0))
-        return x
+                y = np.tanh(y) if self.card.activation == "tanh" else np.maximum(y, 0.0)
+        return y.astype(np.float32)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray

@@ -77,7 +77,8 @@ class ManagerHeuristic:
         self._orders = [name for name, _ in order_channels(scenario)]
         kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
         self._rxn, self._ext, self._dit = (kinds.get(kind) for kind in ("reaction", "extraction", "distillation"))
-        self._salts = {salt.solid for salt in scenario.family.salt}
+        # In order: that of a set of names is another in every process.
+        self._salts = tuple(salt.solid for salt in scenario.family.salt)
         self._balance = next((n for n, spec in scenario.instruments.items() if spec.kind == "balance"), None)
         self._gc = next((n for n, spec in scenario.instruments.items() if spec.kind == "gas_chromatograph"), None)
         names = list(scenario.materials)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import gc
+import os
+import subprocess
+import sys
 import weakref
 from typing import Any
 
@@ -196,3 +199,29 @@ def test_step_zero_makes_a_policy_forget(name: str) -> None:
         seen, mask = env.observe("manager_0")[None], env.infos["manager_0"]["action_mask"][None]
         env.step(used["manager_0"].act(seen, mask, np.array([step]), members)[0])
     assert play_episode(env, used, 2).as_dict() == play_episode(env, fresh, 2).as_dict()
+
+
+def test_the_manager_does_the_same_in_every_process() -> None:
+    """An episode that hangs on a reading: of what does not fly it has to take the same salt in every process.
+
+    Hash seeds 0 and 4 order a set of the two salts' names in two ways.
+    """
+    code = (
+        "from chemlab.agents.evaluation.play import LaboratoryTarget\n"
+        "from chemlab.scenario import load_scenario\n"
+        "target = LaboratoryTarget(load_scenario('wurtz_any'))\n"
+        "played = target.play('pretrained,manager=heuristic', '4,5-diethyloctane', 1, 2_000_023)\n"
+        "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"
+    )
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for seed in ("0", "4")
+    ]
+    assert said[0][0] != said[1][0]
+    assert said[0][1] == said[1][1]

@@ -283,6 +283,20 @@ def test_it_needs_neither_torch_nor_sb3() -> None:
 
 
 @pytest.mark.parametrize("name", pretrained_names())
+def test_what_it_puts_out_depends_on_what_it_sees_alone(name: str) -> None:
+    """Not on the batch, nor on where that lies in memory: actions of nearly equal worth would be drawn by lot."""
+    policy = load_pretrained(name)
+    size = policy.card.observation_size
+    seen = np.random.default_rng(0).random((200, size), dtype=np.float32)
+    together = policy.values(seen)
+    np.testing.assert_array_equal(together, np.concatenate([policy.values(row[None]) for row in seen]))
+    for offset in range(4):
+        moved = np.empty(seen.size + 4, dtype=np.float32)[offset : offset + seen.size].reshape(seen.shape)
+        moved[:] = seen
+        np.testing.assert_array_equal(together, policy.values(moved))
+
+
+@pytest.mark.parametrize("name", pretrained_names())
 def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     policy = load_pretrained(name)
     card = policy.card
