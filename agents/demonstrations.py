@@ -36,7 +36,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.manager import TERMINATED
+from chemlab.laboratory.state import TERMINATED
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, Retold
 from chemlab.scenario import Scenario, load_scenario, scenario_names

@@ -19,12 +19,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from chemlab.bench.base import Bench, Channel, MaskArray, ObservationArray, channel_slices
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Bench, Channel, channel_slices
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.text import action_words, measured_words
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
-from chemlab.shelf import FloatArray, IntArray
 
 __all__ = ["HumanPolicy", "Left", "Menu", "Shades", "parse_numbers", "sparkline"]
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import Bench, MaskArray, ObservationArray
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
+from chemlab.bench.base import Bench
+from chemlab.jit import kernel
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
-from chemlab.physics.jit import kernel
-from chemlab.physics.layers import uniform
-from chemlab.shelf import FloatArray, IntArray, StreamArray
+from chemlab.rng import uniform
 
 from .pretrained import pretrained_for
 from .roles import role_of

@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 from safetensors.numpy import load_file, save
 
-from chemlab.bench.base import Bench, MaskArray, ObservationArray
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Bench
 from chemlab.files import write_text
 from chemlab.laboratory.core import ManagerRole
-from chemlab.shelf import IntArray
 
 __all__ = [
     "Card",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.manager import COST_ITEMS
+from chemlab.laboratory.state import COST_ITEMS
 from chemlab.record import Play, Recorder
 from chemlab.scenario import SAFETY_EVENTS
 

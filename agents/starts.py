@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from chemlab.bench.base import MaskArray, ObservationArray
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.starts import SUBMIT, Start
 from chemlab.scenario import Scenario
-from chemlab.shelf import IntArray
 
 from .policy import Policy, make_policies, manager_heuristic
 from .run import play_episode

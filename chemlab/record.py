@@ -44,14 +44,15 @@ import numpy as np
 import numpy.typing as npt
 
 from . import __version__
-from .bench.base import BENCH_KINDS, MaskArray, ObservationArray
+from .arrays import IntArray, MaskArray, ObservationArray
+from .bench.base import BENCH_KINDS
 from .bench.models import ReactionModel, SeparationModel
+from .chemistry import AMOUNTS, PRESENT, TEMPERATURE
 from .laboratory.actions import MEASURE
 from .laboratory.core import Laboratories
-from .laboratory.manager import RUNNING
+from .laboratory.state import RUNNING
 from .materials import DataError
 from .scenario import SAFETY_EVENTS, Scenario, dump_scenario, load_scenario, restore_scenario, scenario_names
-from .shelf import AMOUNTS, PRESENT, TEMPERATURE, IntArray
 
 __all__ = [
     "EXIT_CODES",

@@ -26,6 +26,7 @@ __all__ = [
     "CostSpec",
     "InstrumentSpec",
     "LimitSpec",
+    "ManagerSpec",
     "RewardSpec",
     "SafetySpec",
     "Scenario",
@@ -118,6 +119,10 @@ class BenchSpec(BaseModel):
     """How many of this kind, each with an agent of its own."""
     step_limit: int = Field(ge=1, le=10_000)
     """Steps after which an experiment is over."""
+    observe: tuple[str, ...] = ()
+    """Observation channels of your own, ``my_parts.py:Name`` each, after the bench's."""
+    reward: tuple[str, ...] = ()
+    """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
@@ -172,14 +177,19 @@ class SafetySpec(BaseModel):
 
     weights: dict[str, float]
     """Weight of each kind of event in the cost."""
+    events: dict[str, str] = Field(default_factory=dict)
+    """Kinds of event of your own, with what they mean; a bench or operation of your own says when they happen."""
     reward_price: float = Field(default=0.0, ge=0.0)
     """Taken off the agent's reward for each unit of that cost."""
 
     @model_validator(mode="after")
     def _known(self) -> SafetySpec:
         for key, value in self.weights.items():
-            if key not in SAFETY_EVENTS:
-                raise ValueError(f"weights.{key}: unknown safety event; known: {', '.join(SAFETY_EVENTS)}")
+            if key not in (*SAFETY_EVENTS, *self.events):
+                raise ValueError(
+                    f"weights.{key}: unknown safety event; known: {', '.join((*SAFETY_EVENTS, *self.events))}; "
+                    "declare your own under safety.events"
+                )
             if value < 0.0:
                 raise ValueError(f"weights.{key} = {value} must be at least 0")
         return self
@@ -217,6 +227,17 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
+class ManagerSpec(BaseModel):
+    """What the manager sees and earns beyond what every manager does."""
+
+    model_config = _FROZEN
+
+    observe: tuple[str, ...] = ()
+    """Observation channels of your own, ``my_parts.py:Name`` each, after the manager's."""
+    reward: tuple[str, ...] = ()
+    """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
+
+
 class Scenario(BaseModel):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
@@ -251,6 +272,8 @@ class Scenario(BaseModel):
     """Moles in the reagent and solvent bottles, shared by all benches."""
     shelf: ShelfSpec
     """The shared shelf of vessels."""
+    manager: ManagerSpec = ManagerSpec()
+    """Parts of your own for the manager."""
     benches: dict[str, BenchSpec] = Field(min_length=1)
     """Kinds of benches by key; a bench's agents are called after it (``rxn_0``)."""
     instruments: dict[str, InstrumentSpec] = Field(default_factory=dict)
@@ -289,6 +312,11 @@ class Scenario(BaseModel):
     def origin(self) -> str:
         """The file this scenario came from, for error messages."""
         return self._origin
+
+    @property
+    def safety_events(self) -> tuple[str, ...]:
+        """Kinds of safety event, in the order of every events array: chemlab's, then the scenario's own."""
+        return (*SAFETY_EVENTS, *self.safety.events)
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""

@@ -13,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 import chemlab.scenarios
+from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.materials import read_toml
-from chemlab.physics.events import EVENT_KINDS
-from chemlab.physics.layers import SOLIDS, profile
-from chemlab.physics.partition import partition, turn_clock
-from chemlab.physics.phases import settle_phases
-from chemlab.physics.thermal import heat
-from chemlab.physics.transfer import add, drain, pour
+from chemlab.physics.constants import SOLIDS
+from chemlab.scenario import SAFETY_EVENTS
+from chemlab.physics.laws import heat, partition, settle_phases
+from chemlab.physics.layers import profile
+from chemlab.physics.transfer import add, drain, pour, turn_clock
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import AMOUNTS, CLOCK, CLOCK_WAS, T_MIX, TEMPERATURE, Shelf
+from chemlab.shelf import T_MIX, Shelf
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -122,7 +122,7 @@ class Glassware:
         self.layout, self.chem = self.shelf.layout, self.shelf.chemistry
         self.rows = self.shelf.rows
         self.waste: FloatArray = self.shelf.waste[0]
-        self.events = np.zeros(EVENT_KINDS)
+        self.events = np.zeros(len(SAFETY_EVENTS))
         columns = self.layout.fluid_columns
         self.layers = np.zeros(columns + 1, dtype=np.int64)
         self.shares = np.zeros((columns, PIXELS))

@@ -163,8 +163,8 @@ def test_spread_keeps_order_distance_and_bounds() -> None:
 
 def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
     """Before: 4 mol ether in its own volume; after: as the bench's agent saw it last. Peaks of what is there alone."""
+    from chemlab.chemistry import WAVELENGTHS_NM
     from chemlab.render.charts import draw_spectra
-    from chemlab.shelf import WAVELENGTHS_NM
 
     (axes,) = draw_spectra(read_record(scripted)).axes
     lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}

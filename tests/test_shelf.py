@@ -7,19 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, TEMPERATURE, build_chemistry
 from chemlab.laboratory.aec import raw_env
 from chemlab.scenario import load_scenario, scenario_names
-from chemlab.shelf import (
-    AMOUNTS,
-    CAPACITY,
-    CLOCK_SETTLED,
-    PRESENT,
-    T_MIX,
-    TEMPERATURE,
-    Shelf,
-    build_chemistry,
-    build_network,
-)
+from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf, build_network
 
 SCENARIO = "wurtz_dodecane"
 

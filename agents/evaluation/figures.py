@@ -26,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.arrays import FloatArray
 from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
-from chemlab.shelf import FloatArray
 
 from .results import EXPERIMENTS, Cell, Results, display_name
 

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 import chemlab
+from chemlab.arrays import FloatArray, IntArray
 from chemlab.bench.base import Bench
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.manager import COST_ITEMS
 from chemlab.laboratory.policy import play_on
+from chemlab.laboratory.state import COST_ITEMS
 from chemlab.materials import DataError
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import FloatArray, IntArray
 
 from ..policy import Policy, RandomPolicy, bench_heuristic, make_policies
 from ..pretrained import pretrained_for

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.arrays import FloatArray
 from chemlab.scenario import load_scenario
-from chemlab.shelf import FloatArray
 
 from ..roles import MANAGER_ROLE, role_of
 from ..training.arguments import TrainArguments

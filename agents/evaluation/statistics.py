@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chemlab.shelf import FloatArray
+from chemlab.arrays import FloatArray
 
 __all__ = [
     "CONFIDENCE",

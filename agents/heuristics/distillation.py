@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import CAMERA_PIXELS, MaskArray, ObservationArray, channel_slices
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import CAMERA_PIXELS, channel_slices
 from chemlab.bench.distillation import DistillationBench
-from chemlab.shelf import IntArray
 
 __all__ = ["DistillationHeuristic"]
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import CAMERA_PIXELS, MaskArray, ObservationArray
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import CAMERA_PIXELS
 from chemlab.bench.extraction import ExtractionBench
-from chemlab.shelf import IntArray
 
 __all__ = ["ExtractionHeuristic"]
 

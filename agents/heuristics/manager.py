@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import Channel, MaskArray, ObservationArray, channel_slices
-from chemlab.bench.instruments import BALANCE_RANGE_KG, InstrumentTable
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel, channel_slices
+from chemlab.instruments.balance import RANGE_KG
+from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
-from chemlab.shelf import IntArray
 
 __all__ = ["ManagerHeuristic"]
 
@@ -81,8 +82,7 @@ class ManagerHeuristic:
         self._salts = tuple(salt.solid for salt in scenario.family.salt)
         self._balance = next((n for n, spec in scenario.instruments.items() if spec.kind == "balance"), None)
         self._gc = next((n for n, spec in scenario.instruments.items() if spec.kind == "gas_chromatograph"), None)
-        names = list(scenario.materials)
-        self._analytes = [names[i] for i in instruments.analytes]
+        self._analytes = instruments.analytes[instruments.names.index(self._gc)] if self._gc else ()
         self._molar_mass = np.array([scenario.materials[name].molar_mass_g_mol for name in self._analytes])
         self._lines: dict[int, list[_Line]] = {}
 
@@ -263,6 +263,6 @@ class ManagerHeuristic:
         if self._balance is None:
             grams = 1000.0 * self._value(observation, f"slot_{slot}_fill")
         else:
-            grams = 1000.0 * BALANCE_RANGE_KG * self._value(observation, f"slot_{slot}_{self._balance}")
+            grams = 1000.0 * RANGE_KG * self._value(observation, f"slot_{slot}_{self._balance}")
         purity = float(fractions[self._analytes.index(goal)] if goal in self._analytes else fractions[-1])
         return (grams / gram_per_mol * purity if gram_per_mol > 0.0 else 0.0), purity

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import MaskArray, ObservationArray, channel_slices
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import channel_slices
 from chemlab.bench.reaction import ReactionBench
-from chemlab.shelf import IntArray
 
 __all__ = ["ReactionHeuristic"]
 

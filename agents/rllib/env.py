@@ -28,7 +28,7 @@ import gymnasium
 import numpy as np
 
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.manager import RUNNING
+from chemlab.laboratory.state import RUNNING
 
 from ..policy import Policy, agent_policy
 from ..roles import chosen_roles, role_of

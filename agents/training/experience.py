@@ -12,8 +12,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import BoolArray, MaskArray, ObservationArray
-from chemlab.shelf import FloatArray, IntArray
+from chemlab.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 
 __all__ = ["Experience"]
 

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import ObservationArray
+from chemlab.arrays import ObservationArray
 
 from ..policy import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, interface, save_policy

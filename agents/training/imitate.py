@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from chemlab.bench.base import BoolArray
+from chemlab.arrays import BoolArray, FloatArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
-from chemlab.shelf import FloatArray
 
 from ..policy import Policy
 

@@ -22,12 +22,11 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import MaskArray, ObservationArray
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.manager import RUNNING
 from chemlab.laboratory.policy import play_pass
+from chemlab.laboratory.state import RUNNING
 from chemlab.scenario import load_scenario
-from chemlab.shelf import IntArray
 
 from ..evaluation.play import play_laboratory
 from ..policy import Policy, agent_policy

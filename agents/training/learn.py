@@ -25,9 +25,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import MaskArray, ObservationArray
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.files import write_text
-from chemlab.shelf import IntArray
 
 from ..evaluation.play import versions as evaluation_versions
 from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved

@@ -12,12 +12,12 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from chemlab.arrays import FloatArray
 from chemlab.bench.base import Bench
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import FloatArray
 
 from ..evaluation.play import bench_policy, play_bench, play_laboratory
 from ..policy import Policy, agent_policy

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import copy
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
+from ..arrays import (
+    BoolArray,
+    Field,
+    FloatArray,
+    Handle,
+    IntArray,
+    MaskArray,
+    ObservationArray,
+    StreamArray,
+    merged,
+)
+from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
+from ..jit import helper, kernel, opened
 from ..materials import DataError, validated
-from ..physics.events import EVENT_KINDS
-from ..physics.jit import helper, kernel
-from ..physics.partition import partition
-from ..physics.phases import settle_phases
+from ..parts import load_part
+from ..physics.laws import partition, settle_phases
 from ..physics.transfer import place
-from ..scenario import SAFETY_EVENTS, BenchSpec, Scenario
-from ..shelf import AMOUNTS, WAVELENGTHS_NM, Chemistry, FloatArray, IntArray, Layout, Shelf, StreamArray
+from ..scenario import BenchSpec, Scenario
+from ..shelf import Shelf, ShelfArrays
+from ..tables import Table
 
 if TYPE_CHECKING:
     from .models import ReactionModel, SeparationModel
@@ -30,7 +41,9 @@ __all__ = [
     "BENCH_KINDS",
     "CAMERA_PIXELS",
     "Bench",
+    "BenchRules",
     "Channel",
+    "ExperimentState",
     "Goals",
     "Station",
     "build_bench",
@@ -38,13 +51,8 @@ __all__ = [
     "check_box",
     "check_discrete",
     "goal_amount",
-    "seed_streams",
     "weighted_amount",
 ]
-
-BoolArray = npt.NDArray[np.bool_]
-ObservationArray = npt.NDArray[np.float32]
-MaskArray = npt.NDArray[np.int8]
 
 CAMERA_PIXELS = 100
 
@@ -70,11 +78,11 @@ class Channel:
 
 def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
     """Where each channel stands in the flat observation."""
-    found, start = {}, 0
+    slices, start = {}, 0
     for channel in channels:
-        found[channel.name] = slice(start, start + channel.size)
+        slices[channel.name] = slice(start, start + channel.size)
         start += channel.size
-    return found
+    return slices
 
 
 @dataclass(frozen=True)
@@ -83,8 +91,8 @@ class Goals:
 
     Attributes:
         parts: [G, 3] material index of the goal and, where it is a salt, of its ions (else -1).
-        solute_counts: [G, M] weight of each material in the goal's solute purity: solvents 0; an ion 1 and undissolved
-            salt as its two ions, but where the goal is a salt a pair of ions counts as one.
+        solute_counts: [G, M] weight of each material in the goal's solute purity: solvents 0 (but for the goal itself);
+            an ion 1 and undissolved salt as its two ions, but where the goal is a salt a pair of ions counts as one.
         absolute_counts: [G, M] weight in the absolute purity: everything 1, an ion 1/2 (a pair is one formula unit of
             salt, dissolved or not, so that precipitation does not change a purity).
     """
@@ -110,9 +118,55 @@ class Goals:
             ion = 0.5 if goal in salts else 1.0
             for i, (name, role) in enumerate(zip(names, roles, strict=True)):
                 if role != "gas":
+                    counted = role != "solvent" or name == goal
                     absolute[g, i] = 0.5 if role == "ion" else 1.0
-                    solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(role != "solvent")
+                    solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
         return cls(tuple(scenario.goals), parts, solute, absolute)
+
+
+class ExperimentState(NamedTuple):
+    """The arrays of one bench's experiments in N laboratories; P positions, E kinds of safety event. A bench declares
+    its own besides (:attr:`Bench.own_state`)."""
+
+    places: Annotated[IntArray, Field("N P", first=None, kept=False)]
+    """[N, P] row of each position's vessel in ``shelf.rows``"""
+    busy: Annotated[BoolArray, Field("N")]
+    """[N] whether an experiment is running"""
+    goal: Annotated[IntArray, Field("N")]
+    """[N] index of the experiment's goal"""
+    steps: Annotated[IntArray, Field("N")]
+    """[N] steps the experiment has taken"""
+    ended: Annotated[BoolArray, Field("N")]
+    """[N] whether the last action ended the experiment"""
+    illegal: Annotated[BoolArray, Field("N")]
+    """[N] whether the last action was masked (and so lost)"""
+    baseline: Annotated[FloatArray, Field("N")]
+    """[N] the bench's measure of the contents when the experiment began"""
+    events: Annotated[FloatArray, Field("N E")]
+    """[N, E] safety events of the last action"""
+    stream: Annotated[StreamArray, Field("N 1", first=None)]
+    """[N, 1] random stream of the bench's own draws (camera)"""
+
+
+class BenchRules(NamedTuple):
+    """A scenario's numbers that every bench's kernels need; G goals, M materials, E kinds of safety event. A bench
+    declares its own besides (:attr:`Bench.own_rules`)."""
+
+    parts: Annotated[IntArray, Field("G 3")]
+    """see :class:`Goals`"""
+    solute_counts: Annotated[FloatArray, Field("G M")]
+    absolute_counts: Annotated[FloatArray, Field("G M")]
+    event_weights: Annotated[FloatArray, Field("E")]
+    """[E] what each kind of event weighs in the cost"""
+    event_price: Annotated[float, Field("")]
+    """taken off the reward for a unit of cost"""
+    illegal_price: Annotated[float, Field("")]
+    """taken off the reward for a lost turn"""
+    step_limit: Annotated[int, Field("")]
+    auxiliary_capacity: Annotated[float, Field("")]
+    """L, of the clean vessels it provides"""
+    work: Annotated[FloatArray, Field("A B")]
+    """scratch of the bench's kernels, which allocate nothing"""
 
 
 @helper
@@ -136,142 +190,84 @@ def weighted_amount(row: FloatArray, weights: FloatArray) -> float:
 
 @kernel
 def _purity_scores(
-    members: IntArray,
-    places: IntArray,
-    goal: IntArray,
-    rows: FloatArray,
-    parts: IntArray,
-    counts: FloatArray,
-    out: FloatArray,
+    members: IntArray, experiment: Handle, shelf: Handle, parts: IntArray, counts: FloatArray, out: FloatArray
 ) -> None:
+    state, arrays = opened(ExperimentState, experiment), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
+        goal = state.goal[m]
         out[b] = 0.0
-        for p in range(places.shape[1]):
-            row = rows[places[m, p]]
-            amount = goal_amount(row, parts[goal[m]])
+        for p in range(state.places.shape[1]):
+            row = arrays.rows[state.places[m, p]]
+            amount = goal_amount(row, parts[goal])
             if amount > 0.0:
-                out[b] += amount * amount / weighted_amount(row, counts[goal[m]])
+                out[b] += amount * amount / weighted_amount(row, counts[goal])
 
 
 @kernel
-def _consequences(
-    members: IntArray,
-    events: FloatArray,
-    illegal: BoolArray,
-    weights: FloatArray,
-    event_price: float,
-    illegal_price: float,
-    cost: FloatArray,
-    reward: FloatArray,
-) -> None:
+def _consequences(members: IntArray, experiment: Handle, bench: Handle, cost: FloatArray, reward: FloatArray) -> None:
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
     for b in range(members.shape[0]):
         m = members[b]
         happened = 0.0
-        for k in range(weights.shape[0]):
-            happened += weights[k] * events[m, k]
+        for k in range(rules.event_weights.shape[0]):
+            happened += rules.event_weights[k] * state.events[m, k]
         cost[m] += happened
-        reward[m] -= event_price * happened + illegal_price * illegal[m]
+        reward[m] -= rules.event_price * happened + rules.illegal_price * state.illegal[m]
 
 
 @kernel
-def _provide(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    chem: Chemistry,
-    capacity: float,
-    waste: FloatArray,
-    events: FloatArray,
-    work: FloatArray,
-) -> None:
+def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
     """Clean vessels for every position but the first, and the first one brought to its phase equilibrium."""
+    state, rules, arrays = opened(ExperimentState, experiment), opened(BenchRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
-        main = rows[places[m, 0]]
-        settle_phases(main, chem, waste[m], events[m], work[0])
-        partition(main, chem, work)
-        for p in range(1, places.shape[1]):
-            place(rows[places[m, p]], capacity, chem)
+        chem = chemistry[arrays.variant[m]]
+        state.busy[m] = True
+        state.steps[m] = 0
+        state.ended[m] = False
+        state.illegal[m] = False
+        state.events[m, :] = 0.0
+        main = arrays.rows[state.places[m, 0]]
+        settle_phases(main, chem, arrays.waste[m], state.events[m], rules.work[0])
+        partition(main, chem, rules.work)
+        for p in range(1, state.places.shape[1]):
+            place(arrays.rows[state.places[m, p]], rules.auxiliary_capacity, chem)
 
 
-@dataclass
 class Station:
-    """One bench of N laboratories: the arrays of its running experiments. N laboratories, P positions.
+    """One bench of N laboratories: the arrays of its running experiments (:class:`ExperimentState` and the bench's own,
+    as attributes).
 
-    Attributes:
+    Args:
         agent: id of the agent that operates it.
+        bench: which bench.
         places: [N, P] row of each position's vessel in ``shelf.rows``.
-        busy: [N] whether an experiment is running.
-        goal: [N] index of the experiment's goal.
-        steps: [N] steps the experiment has taken.
-        ended: [N] whether the last action ended the experiment.
-        illegal: [N] whether the last action was masked (and so lost).
-        baseline: [N] the bench's measure of the contents when the experiment began.
-        events: [N, E] safety events of the last action.
-        stream: [N, 1] random stream of the bench's own draws (camera).
-        supply: [N, R] mol each reagent the experiment may still take.
-        changed: [N, P] whether the last action changed a vessel, so that its layers have to be worked out again.
-        layers: [N, P, C + 1] and profile: [N, P, C, pixels], the layers of its vessels.
-        image: [N, P, pixels] what the camera saw last.
+        shared: arrays that others keep, by field.
     """
 
-    agent: str
-    places: IntArray
-    busy: BoolArray
-    goal: IntArray
-    steps: IntArray
-    ended: BoolArray
-    illegal: BoolArray
-    baseline: FloatArray
-    events: FloatArray
-    stream: StreamArray
-    supply: FloatArray
-    changed: BoolArray
-    layers: IntArray
-    profile: FloatArray
-    image: FloatArray
+    def __init__(self, agent: str, bench: Bench, places: IntArray, **shared: npt.NDArray[Any]) -> None:
+        self.agent = agent
+        empty: Any = Table.empty(bench.state_declaration, **bench.state_sizes(*places.shape))
+        self.table = Table(empty.arrays._replace(places=places, **shared))
 
-    @classmethod
-    def empty(cls, agent: str, bench: Bench, places: IntArray) -> Station:
-        """An idle bench for every laboratory of ``places`` [N, P]."""
-        n, positions = places.shape
-        columns = bench.layout.fluid_columns if bench.camera else 0
-        return cls(
-            agent=agent,
-            places=places,
-            busy=np.zeros(n, dtype=np.bool_),
-            goal=np.zeros(n, dtype=np.int64),
-            steps=np.zeros(n, dtype=np.int64),
-            ended=np.zeros(n, dtype=np.bool_),
-            illegal=np.zeros(n, dtype=np.bool_),
-            baseline=np.zeros(n),
-            events=np.zeros((n, EVENT_KINDS)),
-            stream=np.zeros((n, 1), dtype=np.uint64),
-            supply=np.zeros((n, bench.reagents)),
-            changed=np.ones((n, positions), dtype=np.bool_),
-            layers=np.zeros((n, positions, columns + 1), dtype=np.int64),
-            profile=np.zeros((n, positions, columns, CAMERA_PIXELS)),
-            image=np.zeros((n, positions, CAMERA_PIXELS if bench.camera else 0)),
-        )
+    @property
+    def handle(self) -> Handle:
+        """What kernels take: the state."""
+        return self.table.handle
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "table" or name.startswith("__"):
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self.table.arrays, name)
+
+    def share(self, **shared: npt.NDArray[Any]) -> None:
+        """Let others keep some of the arrays."""
+        self.table = Table(self.table.arrays._replace(**shared))
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes while experiments run, for snapshots."""
-        return [
-            self.busy,
-            self.goal,
-            self.steps,
-            self.ended,
-            self.illegal,
-            self.baseline,
-            self.events,
-            self.stream,
-            self.supply,
-            self.changed,
-            self.layers,
-            self.profile,
-            self.image,
-        ]
+        return self.table.changing()
 
 
 class Bench(ABC):
@@ -279,54 +275,92 @@ class Bench(ABC):
 
     A bench holds no experiment: its methods work on a :class:`Shelf` and a :class:`Station`, for the laboratories
     ``members`` [B] of them. The same object therefore serves single environments, batches and laboratories. To add a
-    bench, subclass this in a module of your own and name it in the scenario (``kind = "package.module:Class"``).
+    bench, subclass this in a file of your own and name it in the scenario (``kind = "my_bench.py:Class"``, or
+    ``package.module:Class``).
     """
 
     options_model: ClassVar[type[BaseModel]]
     """Pydantic model of the scenario keys that are this bench's own."""
     positions: ClassVar[tuple[str, ...]] = ("main",)
     """Names of the vessels it works on, the one that is brought first."""
+    own_state: ClassVar[tuple[type, ...]] = ()
+    """Declarations of arrays that its experiments have besides :class:`ExperimentState`."""
+    own_rules: ClassVar[tuple[type, ...]] = ()
+    """Declarations of numbers that its kernels need besides :class:`BenchRules`; see :meth:`rules_values`."""
     kernels: ClassVar[tuple[Callable[..., Any], ...]] = ()
     """The bench's largest kernels: what a first step waits for while they compile."""
     score_meaning: ClassVar[str] = "score"
     """What an experiment's score is, for people."""
     camera: ClassVar[bool] = False
     """Whether it looks at its vessels with a layer camera."""
-    scratch_names: ClassVar[tuple[str, ...]] = ("work",)
-    """Attributes that kernels write into while they run."""
     reagents: int = 0
     """Number of reagents an experiment has a supply of."""
 
-    def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         self.key = key
         self.scenario = scenario
         self.spec: BenchSpec = scenario.benches[key]
-        self.layout = layout
         self.chemistry = chemistry
         self.goals = Goals.of(scenario)
-        columns = layout.fluid_columns
-        self.work = np.zeros((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))))
-        """Scratch of the bench's kernels, which allocate nothing."""
         self.options: Any = validated(
             self.options_model, self.spec.model_extra or {}, f"{scenario.origin}: benches.{key}"
         )
         self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
-        weights = scenario.safety.weights
-        # Looked up once: reading a field of a scenario takes as long as a small kernel.
-        self._prices = scenario.safety.reward_price, scenario.costs.illegal_action
         self.step_limit = self.spec.step_limit
-        self._event_weights = np.array([weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
+        self.state_declaration = merged(ExperimentState, *self.own_state)
+        self.rules: Table[Any]
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
         self.observation_space: gymnasium.spaces.Box
+        self._added = [load_part(name, scenario, f"benches.{key}.observe") for name in self.spec.observe]
+        self._terms = [load_part(name, scenario, f"benches.{key}.reward") for name in self.spec.reward]
+
+    @property
+    def layout(self) -> Layout:
+        """Where things stand in a vessel row."""
+        return self.chemistry.layout
+
+    @property
+    def known(self) -> Chemistry:
+        """The chemistry as the data files have it."""
+        return self.chemistry.world()
+
+    def state_sizes(self, members: int, positions: int) -> dict[str, int]:
+        """Length of every axis of the experiments' arrays, by name."""
+        return {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1}
+
+    def rules_values(self) -> dict[str, Any]:
+        """Values of the bench's own rules, by field."""
+        return {}
+
+    def _set_rules(self) -> None:
+        """Put together what kernels need to know of the scenario."""
+        scenario, columns = self.scenario, self.layout.fluid_columns
+        safety = scenario.safety
+        declaration = merged(BenchRules, *self.own_rules)
+        values = {
+            "parts": self.goals.parts,
+            "solute_counts": self.goals.solute_counts,
+            "absolute_counts": self.goals.absolute_counts,
+            "event_weights": np.array([safety.weights.get(kind, 0.0) for kind in scenario.safety_events]),
+            "event_price": safety.reward_price,
+            "illegal_price": scenario.costs.illegal_action,
+            "step_limit": self.step_limit,
+            "auxiliary_capacity": self.auxiliary_capacity_l,
+            "work": np.zeros((columns + 9, max(columns + 1, len(WAVELENGTHS_NM)))),
+        }
+        self.rules = Table(declaration(**values, **self.rules_values()))
 
     def _set_spaces(self, channels: Sequence[Channel], action_space: gymnasium.Space[Any]) -> None:
-        """Declare the observation channels (the goal's one-hot is added) and the action space."""
+        """Declare the observation channels (the goal's one-hot is added, and then what the scenario's ``observe`` adds)
+        and the action space."""
         goal = Channel("goal", len(self.goals.names), "one-hot", 0.0, 1.0, "goal: " + ", ".join(self.goals.names))
-        self.channels = (*channels, goal)
+        self._added_from = sum(channel.size for channel in (*channels, goal))
+        self.channels = (*channels, goal, *(part.channel(self) for part in self._added))
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
+        self._set_rules()
 
     @property
     def kind(self) -> str:
@@ -359,21 +393,7 @@ class Bench(ABC):
 
     def begin(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         """Start experiments: the first position's vessel is there, ``station.goal`` is set."""
-        station.busy[members] = True
-        station.steps[members] = 0
-        station.ended[members] = False
-        station.illegal[members] = False
-        station.events[members] = 0.0
-        _provide(
-            members,
-            station.places,
-            shelf.rows,
-            self.chemistry,
-            self.auxiliary_capacity_l,
-            shelf.waste,
-            station.events,
-            self.work,
-        )
+        _begin(members, *self._handles(shelf, station))
         self.prepare(shelf, station, members)
         station.baseline[members] = self.measure(shelf, station, members)
 
@@ -399,8 +419,17 @@ class Bench(ABC):
         """One step of the experiments of ``members``; fills the station's steps, ended, illegal and events."""
 
     @abstractmethod
+    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+        """Write the bench's own channels and the goal's into ``out`` [B, size]; an idle bench sees zeros."""
+
     def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
         """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
+        self.see(shelf, station, members, out)
+        at = self._added_from
+        for part, channel in zip(self._added, self.channels[len(self.channels) - len(self._added) :], strict=True):
+            seen = np.clip(part.see(self, shelf, station, members), 0.0, 1.0)
+            out[:, at : at + channel.size] = np.where(station.busy[members][:, None], seen, 0.0)
+            at += channel.size
 
     @abstractmethod
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
@@ -410,23 +439,29 @@ class Bench(ABC):
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
 
-    def consequences(self, station: Station, members: IntArray, cost: FloatArray, reward: FloatArray) -> None:
+    def consequences(
+        self, shelf: Shelf, station: Station, members: IntArray, cost: FloatArray, reward: FloatArray
+    ) -> None:
         """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
-        a lost turn take off."""
-        _consequences(members, station.events, station.illegal, self._event_weights, *self._prices, cost, reward)
+        a lost turn take off, and the scenario's own terms."""
+        _consequences(members, station.handle, self.rules.handle, cost, reward)
+        for term in self._terms:
+            reward[members] += term(self, shelf, station, members)
+
+    def _handles(self, shelf: Shelf, station: Station) -> tuple[Handle, Handle, Handle, Handle]:
+        """What most of a bench's kernels take."""
+        return station.handle, self.rules.handle, shelf.handle, shelf.chemistry.handles
 
     def separate_scratch(self) -> Bench:
         """The same bench with scratch arrays of its own, for use in another thread."""
         other = copy.copy(self)
-        for name, value in vars(self).items():
-            if name in self.scratch_names:
-                setattr(other, name, value.copy())
+        other.rules = self.rules.copy()
         return other
 
     def purity_measure(self, shelf: Shelf, station: Station, members: IntArray, counts: FloatArray) -> FloatArray:
         """[B] sum over the positions of (mol of the goal x its purity there)."""
         out = np.empty(len(members))
-        _purity_scores(members, station.places, station.goal, shelf.rows, self.goals.parts, counts, out)
+        _purity_scores(members, station.handle, shelf.handle, self.goals.parts, counts, out)
         return out
 
 
@@ -456,8 +491,7 @@ def check_box(agent: str, action: Any, size: int) -> FloatArray:
 def build_bench(
     key: str,
     scenario: Scenario,
-    layout: Layout,
-    chemistry: Chemistry,
+    chemistry: ChemistryTable,
     reaction_model: ReactionModel | None = None,
     separation_model: SeparationModel | None = None,
 ) -> Bench:
@@ -466,27 +500,10 @@ def build_bench(
     Raises:
         DataError: the bench kind cannot be found, or its options are wrong.
     """
-    kind = scenario.benches[key].kind
-    target = BENCH_KINDS.get(kind, kind)
-    module, _, name = target.partition(":")
-    try:
-        cls = getattr(importlib.import_module(module), name)
-        if not (isinstance(cls, type) and issubclass(cls, Bench)):
-            raise TypeError(f"{name} is not a Bench")
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        raise DataError(
-            f"{scenario.origin}: benches.{key}.kind: cannot load {kind!r} ({error}); "
-            f"known kinds: {', '.join(BENCH_KINDS)}; or name a class as 'package.module:Class'"
-        ) from error
-    bench: Bench = cls(key, scenario, layout, chemistry)
+    cls = load_part(scenario.benches[key].kind, scenario, f"benches.{key}.kind", BENCH_KINDS, Bench)
+    bench: Bench = cls(key, scenario, chemistry)
     if reaction_model is not None and hasattr(bench, "reaction_model"):
         bench.reaction_model = reaction_model
     if separation_model is not None and hasattr(bench, "separation_model"):
         bench.separation_model = separation_model
     return bench
-
-
-def seed_streams(seed: np.random.SeedSequence, streams: Sequence[StreamArray], member: int) -> None:
-    """Set the random stream of one member in each of ``streams`` from one seed sequence."""
-    for stream, state in zip(streams, seed.generate_state(len(streams), np.uint64), strict=True):
-        stream[member, 0] = state

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..shelf import FloatArray, IntArray, Shelf
+from ..arrays import FloatArray, IntArray
+from ..shelf import Shelf
 from .base import Station
 from .operations import OperationBench
 

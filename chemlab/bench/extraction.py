@@ -7,7 +7,8 @@
 
 from __future__ import annotations
 
-from ..shelf import FloatArray, IntArray, Shelf
+from ..arrays import FloatArray, IntArray
+from ..shelf import Shelf
 from .base import Station
 from .operations import OperationBench
 

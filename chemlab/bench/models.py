@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..shelf import FloatArray
+from ..arrays import FloatArray
 
 __all__ = ["ReactionModel", "SeparationModel", "checked_reaction"]
 

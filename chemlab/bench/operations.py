@@ -6,42 +6,34 @@ One table, from the scenario, decodes, masks, documents and carries out every ac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from .. import operations
+from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
+from ..arrays import Field as Array
+from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, ChemistryTable
+from ..jit import helper, kernel, opened
 from ..materials import DataError
-from ..physics.jit import helper, kernel
-from ..physics.layers import SOLIDS, camera, layer_volumes, profile
-from ..physics.partition import partition, turn_clock
-from ..physics.phases import settle_phases
-from ..physics.thermal import heat, vapor_pressure
-from ..physics.transfer import TRACE_MOL, add, drain, pour, volume
+from ..operations import OPERATIONS, Operation, Turn
+from ..parts import load_part
+from ..physics.constants import SOLIDS
+from ..physics.laws import find_layers, partition, settle_phases, vapor_pressure
+from ..physics.layers import camera, profile
+from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
-from ..shelf import (
-    AMOUNTS,
-    CLOCK,
-    CLOCK_WAS,
-    TEMPERATURE,
-    Chemistry,
-    FloatArray,
-    IntArray,
-    Layout,
-    Shelf,
-    StreamArray,
-)
-from .base import CAMERA_PIXELS, Bench, BoolArray, Channel, MaskArray, ObservationArray, Station, check_discrete
+from ..shelf import Shelf, ShelfArrays
+from .base import CAMERA_PIXELS, Bench, BenchRules, Channel, ExperimentState, Station, check_discrete
 from .models import SeparationModel
 
-__all__ = ["OperationBench", "OperationOptions", "Process", "separate"]
+__all__ = ["OperationBench", "OperationOptions", "Process"]
 
-DRAIN, MIX, POUR, ADD, SETTLE, HEAT, END = range(7)
-_KINDS = {"drain": DRAIN, "mix": MIX, "pour": POUR, "add": ADD, "settle": SETTLE, "heat": HEAT}
-_UNITS = {"drain": "% of the height", "mix": "clock", "pour": "fraction", "add": "L", "settle": "clock", "heat": "kJ"}
-_COLUMNS = 5  # kind, vessel, target, material, magnitude
+END = -1
+_KIND, _VESSEL, _TARGET, _MATERIAL, _MAGNITUDE, _TOUCHES, _COLUMNS = range(7)
 
 
 class Process(BaseModel):
@@ -49,7 +41,9 @@ class Process(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    kind: Literal["drain", "mix", "pour", "add", "settle", "heat"]
+    kind: str
+    """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, or an operation of your own,
+    ``my_parts.py:NAME``."""
     vessel: str
     """Position the process works on (``settle`` works on all of the bench's vessels)."""
     target: str | None = None
@@ -81,251 +75,206 @@ class OperationOptions(BaseModel):
         return self
 
 
+class ImageState(NamedTuple):
+    """What a bench with layer cameras keeps of its vessels. N laboratories, P positions, C layers."""
+
+    changed: Annotated[BoolArray, Array("N P", first=True)]
+    """[N, P] whether the last action changed a vessel, so that its layers have to be worked out again"""
+    layers: Annotated[IntArray, Array("N P C+1", first=None)]
+    """[N, P, C + 1] and profile [N, P, C, pixels]: the layers of its vessels"""
+    profile: Annotated[FloatArray, Array("N P C pixels", first=None)]
+    image: Annotated[FloatArray, Array("N P pixels", first=None)]
+    """[N, P, pixels] what the camera saw last"""
+    elapsed: Annotated[FloatArray, Array("N", kept=False)]
+    """[N] how far the vessels settle during the action that is being carried out"""
+
+
+class ApparatusRules(NamedTuple):
+    """A scenario's numbers of a bench with a table of operations. A actions."""
+
+    table: Annotated[FloatArray, Array("A 6")]
+    """[A, 6] kind, vessel, target, material, magnitude, whether vessels are touched; kind -1 ends the experiment"""
+    gauges: Annotated[FloatArray, Array("g 2")]
+    """[3, 2] low and high of T (K), V (L), P (kPa); [0, 2] where the bench shows none"""
+    limits: Annotated[FloatArray, Array("2")]
+    """K, temperatures of the heating mantle and of the coolant"""
+    settle_per_step: Annotated[float, Array("")]
+
+
+OperationState: Any = merged(ExperimentState, ImageState)
+OperationRules: Any = merged(BenchRules, ApparatusRules)
+
+
 @helper
-def _legal(
-    table: FloatArray, action: int, m: int, places: IntArray, rows: FloatArray, stock: FloatArray, chem: Chemistry
-) -> bool:
-    kind = int(table[action, 0])
-    if kind == ADD:
-        return bool(stock[m, int(table[action, 3])] > TRACE_MOL)
-    if kind in (SETTLE, HEAT, END):
-        return True
-    return volume(rows[places[m, int(table[action, 1])]], chem) > 0.0
+def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
+    """What action ``a`` works on in laboratory ``m``."""
+    vessel, target = int(rules.table[a, _VESSEL]), int(rules.table[a, _TARGET])
+    return Turn(
+        shelf.rows[state.places[m, vessel]],
+        shelf.rows[state.places[m, target]],
+        rules.table[a, _MAGNITUDE],
+        int(rules.table[a, _MATERIAL]),
+        shelf.stock[m],
+        shelf.waste[m],
+        state.events[m],
+        state.layers[m, vessel],
+        state.profile[m, vessel],
+        rules.limits,
+    )
 
 
-@kernel
-def _operate(
-    table: FloatArray,
-    action: int,
-    m: int,
-    knobs: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    layers: IntArray,
-    profiles: FloatArray,
-    changed: BoolArray,
-    chem: Chemistry,
-    share: FloatArray,
-) -> None:
-    """Carry out one operation on amounts, temperatures and clocks. knobs: hottest, coolest, settling per step."""
-    kind, magnitude = int(table[action, 0]), table[action, 4]
-    p, t = int(table[action, 1]), int(table[action, 2])
-    row, target = rows[places[m, p]], rows[places[m, t]]
-    if kind == DRAIN:
-        pixels = magnitude / 100.0 * profiles.shape[3]
-        drain(row, target, pixels, profiles[m, p], layers[m, p], chem, waste[m], events[m], share)
-    elif kind == MIX:
-        turn_clock(row, -magnitude)
-    elif kind == POUR:
-        pour(row, target, magnitude, chem, waste[m], events[m])
-    elif kind == ADD:
-        material = int(table[action, 3])
-        mol = min(magnitude / chem.molar_volume[material], stock[m, material])
-        stock[m, material] -= mol
-        add(row, material, mol, chem.ambient_temperature, chem, waste[m], events[m])
-    elif kind == HEAT:
-        heat(row, target, 1000.0 * magnitude, knobs[0], knobs[1], chem, waste[m], events[m])
-    for q in range(places.shape[1]):
-        changed[m, q] = kind != SETTLE and q in (p, t)
-    elapsed = knobs[2] + (magnitude if kind == SETTLE else 0.0)
-    if elapsed > 0.0:
-        for q in range(places.shape[1]):
-            before = rows[places[m, q], CLOCK]
-            turn_clock(rows[places[m, q]], elapsed)
-            changed[m, q] = changed[m, q] or rows[places[m, q], CLOCK] != before
+@helper
+def _perform(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """Carry out one of chemlab's operations, if it is legal."""
+    state.events[m, :] = 0.0
+    state.elapsed[m] = 0.0
+    kind = int(rules.table[a, _KIND])
+    if kind == END:
+        state.illegal[m] = False
+        return
+    turn = _turn(m, a, state, rules, shelf)
+    state.illegal[m] = not operations.legal(kind, turn, chem)
+    if not state.illegal[m]:
+        state.elapsed[m] = operations.act(kind, turn, chem)
 
 
-@kernel
-def _operations(
-    members: IntArray,
-    actions: IntArray,
-    table: FloatArray,
-    knobs: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    layers: IntArray,
-    profiles: FloatArray,
-    changed: BoolArray,
-    steps: IntArray,
-    ended: BoolArray,
-    illegal: BoolArray,
-    limit: int,
-    chem: Chemistry,
-    work: FloatArray,
-) -> None:
-    share = work[0]
-    for b in range(members.shape[0]):
-        m = members[b]
-        events[m, :] = 0.0
-        illegal[m] = not _legal(table, actions[b], m, places, rows, stock, chem)
-        ended[m] = int(table[actions[b], 0]) == END
-        if not illegal[m] and not ended[m]:
-            _operate(
-                table, actions[b], m, knobs, places, rows, stock, waste, events, layers, profiles, changed, chem, share
-            )
-            for p in range(places.shape[1]):
-                if changed[m, p]:
-                    settle_phases(rows[places[m, p]], chem, waste[m], events[m], share)
-        steps[m] += 1
-        ended[m] = ended[m] or steps[m] >= limit
+@helper
+def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """What follows from an operation: clocks, phases, the end of the experiment."""
+    ended = int(rules.table[a, _KIND]) == END
+    if not state.illegal[m] and not ended:
+        touches = rules.table[a, _TOUCHES] > 0.0
+        vessel, target = int(rules.table[a, _VESSEL]), int(rules.table[a, _TARGET])
+        elapsed = rules.settle_per_step + state.elapsed[m]
+        for p in range(state.places.shape[1]):
+            row = shelf.rows[state.places[m, p]]
+            state.changed[m, p] = touches and p in (vessel, target)
+            if elapsed > 0.0:
+                before = row[CLOCK]
+                turn_clock(row, elapsed)
+                state.changed[m, p] = state.changed[m, p] or row[CLOCK] != before
+            if state.changed[m, p]:
+                settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
+    state.steps[m] += 1
+    state.ended[m] = ended or state.steps[m] >= rules.step_limit
 
 
-@kernel
-def separate(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    layers: IntArray,
-    profiles: FloatArray,
-    changed: BoolArray,
-    chem: Chemistry,
-    work: FloatArray,
-) -> None:
+@helper
+def _separate(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """Bring dissolved amounts and layer profiles of the vessels that have changed up to date."""
-    for b in range(members.shape[0]):
-        m = members[b]
-        for p in range(places.shape[1]):
-            if changed[m, p]:
-                row = rows[places[m, p]]
-                partition(row, chem, work)
-                profile(row, chem, layers[m, p], profiles[m, p], work)
-                changed[m, p] = False
+    for p in range(state.places.shape[1]):
+        if state.changed[m, p]:
+            row = shelf.rows[state.places[m, p]]
+            partition(row, chem, rules.work)
+            profile(row, chem, state.layers[m, p], state.profile[m, p], rules.work)
+            state.changed[m, p] = False
 
 
-@kernel
-def _look(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    layers: IntArray,
-    profiles: FloatArray,
-    stream: StreamArray,
-    image: FloatArray,
-    chem: Chemistry,
-) -> None:
-    for b in range(members.shape[0]):
-        m = members[b]
-        for p in range(places.shape[1]):
-            camera(rows[places[m, p]], profiles[m, p], layers[m, p], chem, stream[m], image[m, p])
+@helper
+def _look(m: int, state: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """A new picture of every vessel."""
+    for p in range(state.places.shape[1]):
+        row = shelf.rows[state.places[m, p]]
+        camera(row, state.profile[m, p], state.layers[m, p], chem, state.stream[m], state.image[m, p])
 
 
 @kernel
 def _step(
-    members: IntArray,
-    actions: IntArray,
-    table: FloatArray,
-    knobs: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    layers: IntArray,
-    profiles: FloatArray,
-    changed: BoolArray,
-    steps: IntArray,
-    ended: BoolArray,
-    illegal: BoolArray,
-    stream: StreamArray,
-    image: FloatArray,
-    limit: int,
-    chem: Chemistry,
-    work: FloatArray,
+    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
-    """Operate, separate and look in one call: handing a Chemistry over from Python takes as long as the physics."""
-    _operations(
-        members,
-        actions,
-        table,
-        knobs,
-        places,
-        rows,
-        stock,
-        waste,
-        events,
-        layers,
-        profiles,
-        changed,
-        steps,
-        ended,
-        illegal,
-        limit,
-        chem,
-        work,
-    )
-    separate(members, places, rows, layers, profiles, changed, chem, work)
-    _look(members, places, rows, layers, profiles, stream, image, chem)
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        m, a = members[b], actions[b]
+        chem = chemistry[arrays.variant[m]]
+        _perform(m, a, state, rules, arrays, chem)
+        _conclude(m, a, state, rules, arrays, chem)
+        _separate(m, state, rules, arrays, chem)
+        _look(m, state, arrays, chem)
+
+
+@kernel
+def _perform_all(
+    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+) -> None:
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _perform(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
+
+
+@kernel
+def _conclude_all(
+    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+) -> None:
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _conclude(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
+
+
+@kernel
+def _separate_all(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _separate(members[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
+
+
+@kernel
+def _look_all(members: IntArray, experiment: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, arrays = opened(OperationState, experiment), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _look(members[b], state, arrays, chemistry[arrays.variant[members[b]]])
 
 
 @kernel
 def _observe(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    busy: BoolArray,
-    goal: IntArray,
-    image: FloatArray,
-    gauges: FloatArray,
-    chem: Chemistry,
-    out: ObservationArray,
+    members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
 ) -> None:
-    """gauges: [3, 2] low and high of T (K), V (L), P (kPa); empty where the bench shows none."""
-    positions, pixels = image.shape[1], image.shape[2]
+    """Pictures of every vessel, gauges of the first, the goal."""
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
         out[b, :] = 0.0
-        if not busy[m]:
+        if not state.busy[m]:
             continue
         at = 0
-        for p in range(positions):
-            for x in range(pixels):
-                out[b, at] = image[m, p, x]
+        for p in range(state.image.shape[1]):
+            for x in range(state.image.shape[2]):
+                out[b, at] = state.image[m, p, x]
                 at += 1
-        if gauges.shape[0] == 3:
-            row = rows[places[m, 0]]
-            readings = (
-                row[TEMPERATURE],
-                volume(row, chem),
-                min(vapor_pressure(row, chem), chem.ambient_pressure),
-            )
+        if rules.gauges.shape[0] == 3:
+            row, chem = arrays.rows[state.places[m, 0]], chemistry[arrays.variant[m]]
+            ambient = opened(Chemistry, chem).ambient_pressure
+            readings = (row[TEMPERATURE], volume(row, chem), min(vapor_pressure(row, chem), ambient))
             for g in range(3):
-                value = (readings[g] - gauges[g, 0]) / (gauges[g, 1] - gauges[g, 0])
+                value = (readings[g] - rules.gauges[g, 0]) / (rules.gauges[g, 1] - rules.gauges[g, 0])
                 out[b, at] = min(max(value, 0.0), 1.0)
                 at += 1
-        out[b, at + goal[m]] = 1.0
+        out[b, at + state.goal[m]] = 1.0
 
 
 @kernel
 def _mask(
-    members: IntArray,
-    table: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    busy: BoolArray,
-    stock: FloatArray,
-    chem: Chemistry,
-    out: MaskArray,
+    members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: MaskArray
 ) -> None:
+    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
+    table = rules.table
     for b in range(members.shape[0]):
         m = members[b]
-        before, legal = -1, False
+        chem = chemistry[arrays.variant[m]]
+        before, allowed = -1, False
         for a in range(table.shape[0]):
             # Magnitudes of one process stand together and are legal or not together.
             if (
                 before < 0
-                or table[a, 0] != table[before, 0]
-                or table[a, 1] != table[before, 1]
-                or table[a, 3] != table[before, 3]
+                or table[a, _KIND] != table[before, _KIND]
+                or table[a, _VESSEL] != table[before, _VESSEL]
+                or table[a, _MATERIAL] != table[before, _MATERIAL]
             ):
-                legal = int(table[a, 0]) == END or (busy[m] and _legal(table, a, m, places, rows, stock, chem))
+                kind = int(table[a, _KIND])
+                allowed = kind == END or (
+                    state.busy[m] and operations.legal(kind, _turn(m, a, state, rules, arrays), chem)
+                )
                 before = a
-            out[b, a] = legal
+            out[b, a] = allowed
 
 
 class OperationBench(Bench):
@@ -336,18 +285,21 @@ class OperationBench(Bench):
     """
 
     options_model = OperationOptions
+    own_state = (ImageState,)
+    own_rules = (ApparatusRules,)
     kernels = (_step,)
     camera = True
-    process_kinds: ClassVar[tuple[str, ...]] = ("drain", "mix", "pour", "add", "settle", "heat")
+    process_kinds: ClassVar[tuple[str, ...]] = tuple(OPERATIONS)
     """Processes this bench has the apparatus for."""
 
-    def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
-        super().__init__(key, scenario, layout, chemistry)
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        super().__init__(key, scenario, chemistry)
         options: OperationOptions = self.options
         self.separation_model: SeparationModel | None = None
         """Replaces the built-in layers and partition where set."""
+        self._others: list[Operation] = []
+        """Operations that are not chemlab's; numbered after those."""
         self.table, self._meanings = self._build_table(options.process)
-        self._knobs = np.array([options.hottest_k, options.coolest_k, options.settle_per_step])
         self.gauges = self._gauges()
         shown = tuple(
             Channel(f"layers_{name}", CAMERA_PIXELS, "grey", 0.0, 1.0, f"layers of {name}, bottom first")
@@ -360,46 +312,69 @@ class OperationBench(Bench):
         )
         self._set_spaces((*shown, *gauges), gymnasium.spaces.Discrete(len(self.table)))
 
+    def state_sizes(self, members: int, positions: int) -> dict[str, int]:
+        columns = self.layout.fluid_columns
+        sizes = {"C": columns, "C+1": columns + 1, "pixels": CAMERA_PIXELS}
+        return {**super().state_sizes(members, positions), **sizes}
+
+    def rules_values(self) -> dict[str, Any]:
+        options: OperationOptions = self.options
+        return {
+            "table": self.table,
+            "gauges": self.gauges,
+            "limits": np.array([options.hottest_k, options.coolest_k]),
+            "settle_per_step": options.settle_per_step,
+        }
+
     def _gauges(self) -> FloatArray:
         """[3, 2] range of the temperature, volume and pressure gauges, or [0, 2] for none."""
         return np.zeros((0, 2))
+
+    def _operation(self, process: Process, where: str) -> tuple[int, Operation]:
+        """(number, operation) of a process."""
+        if process.kind in self.process_kinds:
+            return list(OPERATIONS).index(process.kind), OPERATIONS[process.kind]
+        if ":" not in process.kind:
+            raise DataError(
+                f"{where}: kind: this bench can {', '.join(self.process_kinds)}, or one of your own, "
+                f"'file.py:NAME'; given {process.kind!r}"
+            )
+        operation = load_part(process.kind, self.scenario, f"benches.{self.key}.process")
+        if not isinstance(operation, Operation):
+            raise DataError(f"{where}: kind: {process.kind!r} is no chemlab.operations.Operation, but {operation!r}")
+        if operation not in self._others:
+            self._others.append(operation)
+        return len(OPERATIONS) + self._others.index(operation), operation
 
     def _build_table(self, processes: Sequence[Process]) -> tuple[FloatArray, list[str]]:
         rows: list[tuple[float, ...]] = []
         meanings = []
         for i, process in enumerate(processes):
             where = f"{self.scenario.origin}: benches.{self.key}.process.{i}"
-            if process.kind not in self.process_kinds:
-                raise DataError(
-                    f"{where}: kind: this bench can {', '.join(self.process_kinds)}, given {process.kind!r}"
-                )
+            number, operation = self._operation(process, where)
             for position in (process.vessel, process.target):
                 if position is not None and position not in self.positions:
                     raise DataError(f"{where}: unknown vessel {position!r}; this bench has {', '.join(self.positions)}")
-            if (process.target is None) == (process.kind in ("drain", "pour", "heat")):
-                raise DataError(f"{where}: target: needed by drain, pour and heat, and by no other process")
-            if (process.material is None) == (process.kind == "add"):
-                raise DataError(f"{where}: material: needed by add, and by no other process")
+            for name, given in (("target", process.target), ("material", process.material)):
+                if (given is None) == (name in operation.takes):
+                    takers = ", ".join(kind for kind, known in OPERATIONS.items() if name in known.takes)
+                    raise DataError(f"{where}: {name}: needed by {takers}, and by no other process")
             if process.target == process.vessel:
                 raise DataError(f"{where}: target: must differ from vessel, given {process.target!r}")
             material = -1 if process.material is None else self.material(process.material, f"process.{i}.material")
-            top = {"pour": 1.0, "drain": 100.0}.get(process.kind, 1e4)
             for magnitude in process.magnitudes:
-                if not (magnitude > 0.0 or (process.kind == "heat" and magnitude != 0.0)) or abs(magnitude) > top:
-                    raise DataError(f"{where}: magnitudes: must be above 0 and at most {top:g}, given {magnitude}")
+                signed = operation.negative is not None and magnitude != 0.0
+                if not (magnitude > 0.0 or signed) or abs(magnitude) > operation.top:
+                    raise DataError(
+                        f"{where}: magnitudes: must be above 0 and at most {operation.top:g}, given {magnitude}"
+                    )
                 vessel = self.positions.index(process.vessel)
                 target = self.positions.index(process.target) if process.target else vessel
-                rows.append((_KINDS[process.kind], vessel, target, material, magnitude))
-                what = {
-                    "drain": f"drain {process.vessel} -> {process.target}",
-                    "pour": f"pour {process.vessel} -> {process.target}",
-                    "mix": f"mix {process.vessel}",
-                    "add": f"add {process.material} to {process.vessel}",
-                    "settle": "settle",
-                    "heat": f"{'cool' if magnitude < 0 else 'heat'} {process.vessel}",
-                }[process.kind]
-                meanings.append(f"{what}, {abs(magnitude):g} {_UNITS[process.kind]}")
-        rows.append((END, 0, 0, -1, 0.0))
+                rows.append((number, vessel, target, material, magnitude, float(operation.touches)))
+                words = operation.words if magnitude > 0.0 else operation.negative or ""
+                what = words.format(vessel=process.vessel, target=process.target, material=process.material)
+                meanings.append(f"{what}, {abs(magnitude):g} {operation.unit}")
+        rows.append((END, 0, 0, -1, 0.0, 0.0))
         return np.array(rows, dtype=np.float64).reshape(-1, _COLUMNS), [*meanings, "end the experiment"]
 
     @property
@@ -411,50 +386,56 @@ class OperationBench(Bench):
         self._show(shelf, station, members)
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        s = station
-        args = (
-            members,
-            actions,
-            self.table,
-            self._knobs,
-            s.places,
-            shelf.rows,
-            shelf.stock,
-            shelf.waste,
-            s.events,
-            s.layers,
-            s.profile,
-            s.changed,
-            s.steps,
-            s.ended,
-            s.illegal,
-        )
-        if self.separation_model is None:
-            _step(*args, s.stream, s.image, self.step_limit, self.chemistry, self.work)
-        else:
-            _operations(*args, self.step_limit, self.chemistry, self.work)
-            self._show(shelf, station, members)
+        handles = self._handles(shelf, station)
+        if self.separation_model is None and not self._others:
+            _step(members, actions, *handles)
+            return
+        _perform_all(members, actions, *handles)
+        if self._others:
+            self._perform_others(shelf, station, members, actions)
+        _conclude_all(members, actions, *handles)
+        self._show(shelf, station, members)
+
+    def _own_turn(self, shelf: Shelf, station: Station, member: int, action: int) -> tuple[Operation, Turn]:
+        """The operation of an action that is not chemlab's, and what it works on."""
+        operation = self._others[int(self.table[action, _KIND]) - len(OPERATIONS)]
+        turn = _turn.py_func if hasattr(_turn, "py_func") else _turn
+        return operation, turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
+
+    def _perform_others(
+        self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]
+    ) -> None:
+        """Carry out operations that are not chemlab's."""
+        others = self.table[actions, _KIND] >= len(OPERATIONS)
+        for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
+            operation, turn = self._own_turn(shelf, station, m, a)
+            chem = shelf.chem(m)
+            station.illegal[m] = not operation.legal(turn, chem)
+            if not station.illegal[m]:
+                station.elapsed[m] = operation.act(turn, chem)
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        s = station
         if self.separation_model is None:
-            separate(members, s.places, shelf.rows, s.layers, s.profile, s.changed, self.chemistry, self.work)
+            _separate_all(members, *self._handles(shelf, station))
         else:
             for m in members:
-                for p in range(s.places.shape[1]):
-                    self._separate_by_model(shelf.rows[s.places[m, p]], s.layers[m, p], s.profile[m, p])
-        _look(members, s.places, shelf.rows, s.layers, s.profile, s.stream, s.image, self.chemistry)
+                for p in range(station.places.shape[1]):
+                    place = station.places[m, p]
+                    self._separate_by_model(shelf.rows[place], shelf.known(m), shelf.chem(m), station.layers[m, p], station.profile[m, p])
+        _look_all(members, station.handle, shelf.handle, shelf.chemistry.handles)
 
-    def _separate_by_model(self, row: FloatArray, layers: IntArray, shares: FloatArray) -> None:
+    def _separate_by_model(
+        self, row: FloatArray, known: Chemistry, chem: Handle, layers: IntArray, shares: FloatArray
+    ) -> None:
         """The same as the built-in separation of one vessel, by the user's model."""
-        chem, model = self.chemistry, self.separation_model
+        model = self.separation_model
         assert model is not None
-        m, k, n_solvents = len(self.layout.materials), len(chem.dissolved), len(chem.solvents)
+        m, k, n_solvents = len(self.layout.materials), len(known.dissolved), len(known.solvents)
         amounts = row[AMOUNTS : AMOUNTS + m]
         dissolved = row[AMOUNTS + m :].reshape(k, n_solvents)
-        solvent_volume = amounts[chem.solvents] * chem.molar_volume[chem.solvents]
+        solvent_volume = amounts[known.solvents] * known.molar_volume[known.solvents]
         if solvent_volume.sum() > 0.0:
-            total = amounts[chem.dissolved]
+            total = amounts[known.dissolved]
             result = model.partition(dissolved.copy(), total, solvent_volume, float(row[CLOCK_WAS]), float(row[CLOCK]))
             result = np.asarray(result, dtype=np.float64)
             fits = result.shape == dissolved.shape and np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9)
@@ -468,8 +449,8 @@ class OperationBench(Bench):
             dissolved[...] = 0.0
         row[CLOCK_WAS] = row[CLOCK]
         volumes = np.zeros(shares.shape[0])
-        count = layer_volumes(row, chem, layers, volumes)
-        density = np.array([0.0 if i == SOLIDS else chem.density[i] for i in layers[1 : 1 + count]])
+        count = find_layers(row, chem, layers, volumes)
+        density = np.array([0.0 if i == SOLIDS else known.density[i] for i in layers[1 : 1 + count]])
         picture = np.asarray(model.profile(volumes[:count], density, float(row[CLOCK]), shares.shape[1]))
         expected = volumes[:count] / volumes[:count].sum() * shares.shape[1]
         fits = picture.shape == (count, shares.shape[1]) and np.allclose(picture.sum(axis=1), expected, atol=1e-6)
@@ -480,13 +461,15 @@ class OperationBench(Bench):
             )
         shares[:count] = picture
 
-    def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
-        s = station
-        _observe(members, s.places, shelf.rows, s.busy, s.goal, s.image, self.gauges, self.chemistry, out)
+    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+        _observe(members, *self._handles(shelf, station), out)
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
-        s = station
-        _mask(members, self.table, s.places, shelf.rows, s.busy, shelf.stock, self.chemistry, out)
+        _mask(members, *self._handles(shelf, station), out)
+        for a in np.flatnonzero(self.table[:, _KIND] >= len(OPERATIONS)) if self._others else ():
+            for row, m in zip(out, members.tolist(), strict=True):
+                operation, turn = self._own_turn(shelf, station, m, int(a))
+                row[a] = station.busy[m] and operation.legal(turn, shelf.chem(m))
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return np.array([check_discrete(agent, action, len(self.table))])

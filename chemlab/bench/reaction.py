@@ -7,44 +7,39 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..physics.jit import helper, kernel
-from ..physics.kinetics import react, react_work_size
-from ..physics.partition import partition
-from ..physics.phases import settle_phases
-from ..physics.spectra import spectrum
-from ..physics.thermal import pressure, seal, vent
-from ..physics.transfer import liquid_volume, spill, volume
-from ..scenario import Scenario
-from ..shelf import (
+from ..arrays import Field as Array
+from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
+from ..chemistry import (
     AIR,
     AMOUNTS,
     CAPACITY,
     CLOCK,
-    T_MIX,
     TEMPERATURE,
     WAVELENGTHS_NM,
     Chemistry,
-    FloatArray,
-    IntArray,
-    Layout,
-    Network,
-    Shelf,
-    build_network,
+    ChemistryTable,
     element_matrix,
 )
+from ..jit import helper, kernel, opened
+from ..physics.kinetics import react, react_work_size
+from ..physics.laws import partition, settle_phases, vent
+from ..physics.spectra import spectrum
+from ..physics.thermal import pressure, seal
+from ..physics.transfer import liquid_volume, spill, volume
+from ..scenario import Scenario
+from ..shelf import T_MIX, Shelf, ShelfArrays
 from .base import (
     Bench,
-    BoolArray,
+    BenchRules,
     Channel,
-    MaskArray,
-    ObservationArray,
+    ExperimentState,
     Station,
     check_box,
     goal_amount,
@@ -52,7 +47,7 @@ from .base import (
 )
 from .models import ReactionModel, checked_reaction
 
-__all__ = ["ReactionBench", "ReactionOptions", "Span", "act"]
+__all__ = ["ReactionBench", "ReactionOptions", "Span"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FULLEST = 0.98
@@ -95,181 +90,162 @@ class ReactionOptions(BaseModel):
     """Score lost per mol of a by-product, unless it is the goal itself."""
 
 
-@helper
-def _load(
-    m: int,
-    action: FloatArray,
-    row: FloatArray,
-    knobs: FloatArray,
-    reagents: IntArray,
-    supply: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    chem: Chemistry,
-) -> None:
-    """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat).
+class SupplyState(NamedTuple):
+    """What a reaction bench keeps of its experiments. N laboratories, Q reagents."""
 
-    knobs: T low, high, step; V low, high, step; rated; dt;
-    rtol; atol."""
-    n = reagents.shape[0]
-    temperature = row[TEMPERATURE] + (2.0 * action[0] - 1.0) * knobs[2]
+    supply: Annotated[FloatArray, Array("N Q")]
+    """[N, Q] mol each reagent the experiment may still take"""
+
+
+class ReactorRules(NamedTuple):
+    """A scenario's numbers of a reaction bench. Q reagents, G goals, M materials."""
+
+    coldest: Annotated[float, Array("")]
+    """K, and so on: how far the agent may go, and how far in a step"""
+    hottest: Annotated[float, Array("")]
+    temperature_step: Annotated[float, Array("")]
+    smallest: Annotated[float, Array("")]
+    """L, and so on"""
+    largest: Annotated[float, Array("")]
+    volume_step: Annotated[float, Array("")]
+    vessel_volume: Annotated[float, Array("")]
+    """L, where the piston stands when an experiment begins and ends"""
+    rated_pressure: Annotated[float, Array("")]
+    """kPa"""
+    pressure_scale: Annotated[float, Array("")]
+    """kPa that the pressure gauge shows as 1"""
+    tick: Annotated[float, Array("")]
+    """reaction time of a step"""
+    rtol: Annotated[float, Array("")]
+    atol: Annotated[float, Array("")]
+    """mol/L"""
+    reagents: Annotated[IntArray, Array("Q")]
+    """[Q] material indices"""
+    full: Annotated[FloatArray, Array("Q")]
+    """[Q] mol that an experiment may take"""
+    penalty: Annotated[FloatArray, Array("G M")]
+    """[G, M] score lost per mol, by goal"""
+    scratch: Annotated[FloatArray, Array("x y")]
+    """see react_work_size"""
+
+
+ReactionState: Any = merged(ExperimentState, SupplyState)
+ReactionRules: Any = merged(BenchRules, ReactorRules)
+
+
+@helper
+def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat)."""
+    row = shelf.rows[state.places[m, 0]]
+    state.events[m, :] = 0.0
+    temperature = row[TEMPERATURE] + (2.0 * action[0] - 1.0) * rules.temperature_step
+    molar_volume = opened(Chemistry, chem).molar_volume
     arriving = 0.0
-    for i in range(n):
-        arriving += action[2 + i] * min(supply[m, i], stock[m, reagents[i]]) * chem.molar_volume[reagents[i]]
-    lowest = max(knobs[3], (volume(row, chem) + arriving) / _FULLEST)
-    row[CAPACITY] = min(max(row[CAPACITY] + (2.0 * action[1] - 1.0) * knobs[5], lowest), knobs[4])
-    for i in range(n):
-        mol = action[2 + i] * min(supply[m, i], stock[m, reagents[i]])
-        supply[m, i] -= mol
-        stock[m, reagents[i]] -= mol
-        row[AMOUNTS + reagents[i]] += mol
-    spill(row, chem, waste[m], events[m])
-    row[TEMPERATURE] = min(max(temperature, knobs[0]), knobs[1])
+    for i in range(rules.reagents.shape[0]):
+        material = rules.reagents[i]
+        arriving += action[2 + i] * min(state.supply[m, i], shelf.stock[m, material]) * molar_volume[material]
+    lowest = max(rules.smallest, (volume(row, chem) + arriving) / _FULLEST)
+    row[CAPACITY] = min(max(row[CAPACITY] + (2.0 * action[1] - 1.0) * rules.volume_step, lowest), rules.largest)
+    for i in range(rules.reagents.shape[0]):
+        material = rules.reagents[i]
+        mol = action[2 + i] * min(state.supply[m, i], shelf.stock[m, material])
+        state.supply[m, i] -= mol
+        shelf.stock[m, material] -= mol
+        row[AMOUNTS + material] += mol
+    spill(row, chem, shelf.waste[m], state.events[m])
+    row[TEMPERATURE] = min(max(temperature, rules.coldest), rules.hottest)
 
 
 @helper
-def _settle(
-    m: int, row: FloatArray, knobs: FloatArray, waste: FloatArray, events: FloatArray, chem: Chemistry, work: FloatArray
-) -> None:
+def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """After the reaction: phases, stirred contents, relief valve."""
-    settle_phases(row, chem, waste[m], events[m], work[0])
+    row = shelf.rows[state.places[m, 0]]
+    settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
     row[CLOCK] = T_MIX
-    partition(row, chem, work)
-    vent(row, knobs[6], chem, waste[m], events[m])
+    partition(row, chem, rules.work)
+    vent(row, rules.rated_pressure, chem, shelf.waste[m], state.events[m])
+    state.steps[m] += 1
+    state.ended[m] = state.steps[m] >= rules.step_limit
 
 
 @kernel
-def _before(
-    members: IntArray,
-    actions: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    knobs: FloatArray,
-    reagents: IntArray,
-    supply: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    chem: Chemistry,
+def _load_all(
+    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
-        m = members[b]
-        events[m, :] = 0.0
-        _load(m, actions[b], rows[places[m, 0]], knobs, reagents, supply, stock, waste, events, chem)
+        _load(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
 
 
 @kernel
-def _after(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    knobs: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    steps: IntArray,
-    ended: BoolArray,
-    limit: int,
-    chem: Chemistry,
-    work: FloatArray,
-) -> None:
+def _conclude_all(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
-        m = members[b]
-        _settle(m, rows[places[m, 0]], knobs, waste, events, chem, work)
-        steps[m] += 1
-        ended[m] = steps[m] >= limit
+        _conclude(members[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
 
 
 @kernel
-def act(
-    members: IntArray,
-    actions: FloatArray,
-    places: IntArray,
-    rows: FloatArray,
-    knobs: FloatArray,
-    reagents: IntArray,
-    supply: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    events: FloatArray,
-    steps: IntArray,
-    ended: BoolArray,
-    limit: int,
-    chem: Chemistry,
-    network: Network,
-    scratch: FloatArray,
-    work: FloatArray,
+def _step(
+    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
-    """One step of every member with the built-in kinetics: load, react, settle (see ReactionBench.act)."""
+    """One step of every member with the built-in kinetics: load, react, conclude."""
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
-        row = rows[places[m, 0]]
-        events[m, :] = 0.0
-        _load(m, actions[b], row, knobs, reagents, supply, stock, waste, events, chem)
-        react(row, network, liquid_volume(row, chem), row[TEMPERATURE], knobs[7], knobs[8], knobs[9], scratch)
-        _settle(m, row, knobs, waste, events, chem, work)
-        steps[m] += 1
-        ended[m] = steps[m] >= limit
+        chem = chemistry[arrays.variant[m]]
+        row = arrays.rows[state.places[m, 0]]
+        _load(m, actions[b], state, rules, arrays, chem)
+        react(
+            row, chem, liquid_volume(row, chem), row[TEMPERATURE], rules.tick, rules.rtol, rules.atol, rules.scratch
+        )
+        _conclude(m, state, rules, arrays, chem)
 
 
 @kernel
 def _observe(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    busy: BoolArray,
-    goal: IntArray,
-    supply: FloatArray,
-    stock: FloatArray,
-    reagents: IntArray,
-    full: FloatArray,
-    knobs: FloatArray,
-    scale: float,
-    chem: Chemistry,
-    work: FloatArray,
-    out: ObservationArray,
+    members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
 ) -> None:
-    size = chem.basis.shape[1]
-    light = work[0, :size]
+    """Spectrum, gauges, what is left of the supply, the goal."""
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
         out[b, :] = 0.0
-        if not busy[m]:
+        if not state.busy[m]:
             continue
-        row = rows[places[m, 0]]
+        chem = chemistry[arrays.variant[m]]
+        row = arrays.rows[state.places[m, 0]]
+        at = opened(Chemistry, chem).basis.shape[1]
+        light = rules.work[0, :at]
         spectrum(row, chem, light)
-        for w in range(size):
+        for w in range(at):
             out[b, w] = light[w]
-        out[b, size] = min(max((row[TEMPERATURE] - knobs[0]) / (knobs[1] - knobs[0]), 0.0), 1.0)
-        out[b, size + 1] = min(max((row[CAPACITY] - knobs[3]) / (knobs[4] - knobs[3]), 0.0), 1.0)
-        out[b, size + 2] = min(pressure(row, chem) / scale, 1.0)
-        for i in range(reagents.shape[0]):
-            left = min(supply[m, i], stock[m, reagents[i]])
-            out[b, size + 3 + i] = min(max(left / full[i], 0.0), 1.0)
-        out[b, size + 3 + reagents.shape[0] + goal[m]] = 1.0
+        out[b, at] = min(max((row[TEMPERATURE] - rules.coldest) / (rules.hottest - rules.coldest), 0.0), 1.0)
+        out[b, at + 1] = min(max((row[CAPACITY] - rules.smallest) / (rules.largest - rules.smallest), 0.0), 1.0)
+        out[b, at + 2] = min(pressure(row, chem) / rules.pressure_scale, 1.0)
+        at += 3
+        for i in range(rules.reagents.shape[0]):
+            left = min(state.supply[m, i], arrays.stock[m, rules.reagents[i]])
+            out[b, at] = min(max(left / rules.full[i], 0.0), 1.0)
+            at += 1
+        out[b, at + state.goal[m]] = 1.0
 
 
 @kernel
-def _measure(
-    members: IntArray,
-    places: IntArray,
-    rows: FloatArray,
-    goal: IntArray,
-    parts: IntArray,
-    penalty: FloatArray,
-    out: FloatArray,
-) -> None:
+def _measure(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, out: FloatArray) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
-        row = rows[places[m, 0]]
-        out[b] = goal_amount(row, parts[goal[m]]) - weighted_amount(row, penalty[goal[m]])
+        row, goal = arrays.rows[state.places[m, 0]], state.goal[m]
+        out[b] = goal_amount(row, rules.parts[goal]) - weighted_amount(row, rules.penalty[goal])
 
 
 @kernel
-def _seal(members: IntArray, places: IntArray, rows: FloatArray, capacity: float, chem: Chemistry) -> None:
+def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
-        row = rows[places[members[b], 0]]
-        row[CAPACITY] = max(capacity, volume(row, chem) / _FULLEST)
+        chem = chemistry[arrays.variant[members[b]]]
+        row = arrays.rows[state.places[members[b], 0]]
+        row[CAPACITY] = max(rules.vessel_volume, volume(row, chem) / _FULLEST)
         seal(row, chem)
 
 
@@ -286,43 +262,22 @@ class ReactionBench(Bench):
     """
 
     options_model = ReactionOptions
-    kernels = (act,)
-    scratch_names = ("work", "_scratch")
+    own_state = (SupplyState,)
+    own_rules = (ReactorRules,)
+    kernels = (_step,)
     score_meaning = "mol of the goal produced"
 
-    def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
-        super().__init__(key, scenario, layout, chemistry)
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        super().__init__(key, scenario, chemistry)
         options: ReactionOptions = self.options
         self.reaction_model: ReactionModel | None = None
         """Replaces the built-in kinetics where set."""
-        self.network = build_network(scenario)
         self.reagent_names = tuple(options.reagents)
         self.reagents = len(options.reagents)
-        self._reagent_index = np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64)
         self._full = np.array(list(options.reagents.values()))
         t, v = options.temperature_k, options.volume_l
-        self._knobs = np.array(
-            [
-                t.low,
-                t.high,
-                t.step,
-                v.low,
-                v.high,
-                v.step,
-                options.rated_pressure_kpa,
-                options.tick,
-                options.rtol,
-                options.atol,
-            ]
-        )
         self._pressure_scale = 1.25 * options.rated_pressure_kpa
-        self._scratch = np.zeros(react_work_size(self.network))
         self._elements = element_matrix(scenario)
-        self._penalty = np.zeros((len(self.goals.names), len(layout.materials)))
-        for name, price in options.penalty.items():
-            for g, goal in enumerate(self.goals.names):
-                if goal != name:
-                    self._penalty[g, self.material(name, "penalty")] = price
         channels = (
             Channel("spectrum", len(WAVELENGTHS_NM), "absorption", 0.0, 1.0, "UV-Vis absorption, 200 to 800 nm"),
             Channel("temperature", 1, "K", t.low, t.high, "temperature of the contents"),
@@ -343,62 +298,73 @@ class ReactionBench(Bench):
             *(f"add this fraction of the {name} that is left" for name in self.reagent_names),
         ]
 
+    def state_sizes(self, members: int, positions: int) -> dict[str, int]:
+        return {**super().state_sizes(members, positions), "Q": self.reagents}
+
+    def rules_values(self) -> dict[str, Any]:
+        options: ReactionOptions = self.options
+        t, v = options.temperature_k, options.volume_l
+        penalty = np.zeros((len(self.goals.names), len(self.layout.materials)))
+        for name, price in options.penalty.items():
+            for g, goal in enumerate(self.goals.names):
+                if goal != name:
+                    penalty[g, self.material(name, "penalty")] = price
+        return {
+            "coldest": t.low,
+            "hottest": t.high,
+            "temperature_step": t.step,
+            "smallest": v.low,
+            "largest": v.high,
+            "volume_step": v.step,
+            "vessel_volume": options.vessel_volume_l,
+            "rated_pressure": options.rated_pressure_kpa,
+            "pressure_scale": self._pressure_scale,
+            "tick": options.tick,
+            "rtol": options.rtol,
+            "atol": options.atol,
+            "reagents": np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64),
+            "full": self._full,
+            "penalty": penalty,
+            "scratch": np.zeros(react_work_size(self.known)),
+        }
+
     def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         station.supply[members] = self._full
-        _seal(members, station.places, shelf.rows, self.options.vessel_volume_l, self.chemistry)
+        _seal(members, *self._handles(shelf, station))
 
     def release(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        _seal(members, station.places, shelf.rows, self.options.vessel_volume_l, self.chemistry)
+        _seal(members, *self._handles(shelf, station))
         shelf.rows[station.places[members, 0], AIR] = 0.0
 
     def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
         out = np.empty(len(members))
-        _measure(members, station.places, shelf.rows, station.goal, self.goals.parts, self._penalty, out)
+        _measure(members, station.handle, self.rules.handle, shelf.handle, out)
         return out
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return check_box(agent, action, self.reagents + 2)[None]
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        s, chem, limit = station, self.chemistry, self.step_limit
-        args = (s.places, shelf.rows, self._knobs, self._reagent_index, s.supply, shelf.stock, shelf.waste, s.events)
+        handles = self._handles(shelf, station)
         if self.reaction_model is None:
-            act(members, actions, *args, s.steps, s.ended, limit, chem, self.network, self._scratch, self.work)
+            _step(members, actions, *handles)
             return
-        _before(members, actions, *args, chem)
-        for place in station.places[members, 0]:
-            row = shelf.rows[place]
+        _load_all(members, actions, *handles)
+        for m in members.tolist():
+            row = shelf.rows[station.places[m, 0]]
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
             amounts[:] = checked_reaction(
                 self.reaction_model,
                 amounts,
                 float(row[TEMPERATURE]),
-                liquid_volume(row, chem),
+                liquid_volume(row, shelf.chem(m)),
                 self.options.tick,
                 self._elements,
             )
-        _after(
-            members, s.places, shelf.rows, self._knobs, shelf.waste, s.events, s.steps, s.ended, limit, chem, self.work
-        )
+        _conclude_all(members, *handles)
 
-    def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
-        s = station
-        _observe(
-            members,
-            s.places,
-            shelf.rows,
-            s.busy,
-            s.goal,
-            s.supply,
-            shelf.stock,
-            self._reagent_index,
-            self._full,
-            self._knobs,
-            self._pressure_scale,
-            self.chemistry,
-            self.work,
-            out,
-        )
+    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+        _observe(members, *self._handles(shelf, station), out)
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
         """Continuous actions have no mask."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import IntArray
 from ..scenario import Scenario
-from ..shelf import IntArray
 
 __all__ = ["DISCARD", "KINDS", "MEASURE", "RECALL", "START", "SUBMIT", "WAIT", "ManagerActions"]
 

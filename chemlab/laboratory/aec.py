@@ -48,8 +48,8 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from ..scenario import Scenario
 from .common import OneLaboratory
-from .manager import RUNNING, TERMINATED
 from .rendering import RENDER_MODES
+from .state import RUNNING, TERMINATED
 
 __all__ = ["env", "raw_env"]
 

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import Bench, MaskArray, ObservationArray, Station, build_bench, seed_streams
+from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..bench.base import Bench, ExperimentState, Station, build_bench
 from ..bench.models import ReactionModel, SeparationModel
+from ..chemistry import build_chemistry
+from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
-from ..physics.jit import announce_compiling, kernel
-from ..physics.layers import uniform
+from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
-from ..shelf import FloatArray, IntArray, Shelf, StreamArray, build_chemistry
+from ..shelf import Shelf, ShelfArrays
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 
 __all__ = ["BenchArena"]
@@ -28,27 +30,25 @@ __all__ = ["BenchArena"]
 def _draw_starts(
     members: IntArray,
     goals: IntArray,
-    pool: StartPool,
+    starts: Handle,
     stream: StreamArray,
-    places: IntArray,
-    rows: FloatArray,
     first_stock: FloatArray,
-    stock: FloatArray,
-    waste: FloatArray,
-    goal: IntArray,
+    experiment: Handle,
+    shelf: Handle,
 ) -> None:
     """Draw a goal of ``goals`` and one of its starting states for every member; two random numbers each."""
+    state, arrays, pool = opened(ExperimentState, experiment), opened(ShelfArrays, shelf), opened(StartPool, starts)
     for b in range(members.shape[0]):
         m = members[b]
-        goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
-        t = draw_start(pool, goal[m], stream[m])
-        for p in range(places.shape[1]):
-            rows[places[m, p], :] = 0.0
-        for i in range(rows.shape[1]):
-            rows[places[m, 0], i] = pool.rows[t, i]
-        for i in range(stock.shape[1]):
-            stock[m, i] = first_stock[i]
-            waste[m, i] = 0.0
+        state.goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
+        t = draw_start(pool, state.goal[m], stream[m])
+        for p in range(state.places.shape[1]):
+            arrays.rows[state.places[m, p], :] = 0.0
+        for i in range(arrays.rows.shape[1]):
+            arrays.rows[state.places[m, 0], i] = pool.rows[t, i]
+        for i in range(arrays.stock.shape[1]):
+            arrays.stock[m, i] = first_stock[i]
+            arrays.waste[m, i] = 0.0
 
 
 class BenchArena:
@@ -80,8 +80,8 @@ class BenchArena:
         self.scenario = load_scenario(scenario)
         if bench not in self.scenario.benches:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
-        layout, chemistry = build_chemistry(self.scenario)
-        self.bench: Bench = build_bench(bench, self.scenario, layout, chemistry, reaction_model, separation_model)
+        chemistry = build_chemistry(self.scenario)
+        self.bench: Bench = build_bench(bench, self.scenario, chemistry, reaction_model, separation_model)
         announce_compiling(*self.bench.kernels)
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
@@ -89,14 +89,14 @@ class BenchArena:
             raise DataError(f"goals: {self.scenario.name} has {', '.join(self.scenario.goals)}, given {goals!r}")
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
-        self.shelf = Shelf.empty(self.scenario, members, positions)
+        self.shelf = Shelf(chemistry, members, positions)
         self.station = Station.empty(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
-        self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in layout.materials])
-        self.pool = start_pool(self.scenario, self._starts(starts))
+        self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
+        self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
-        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.first)[g] == 0]
+        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.arrays.first)[g] == 0]
         if missing:
             raise DataError(f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}")
 
@@ -143,16 +143,7 @@ class BenchArena:
         goals = self._goals if goal is None else np.array([goal])
         shelf, station = self.shelf, self.station
         _draw_starts(
-            members,
-            goals,
-            self.pool,
-            self.start_stream,
-            station.places,
-            shelf.rows,
-            self._stock,
-            shelf.stock,
-            shelf.waste,
-            station.goal,
+            members, goals, self.pool.handle, self.start_stream, self._stock, station.handle, shelf.handle
         )
         (bench or self.bench).begin(shelf, station, members)
 
@@ -179,5 +170,4 @@ class BenchArena:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        shelf = self.shelf
-        return [shelf.vessels, shelf.stock, shelf.waste, *self.station.arrays(), self.start_stream]
+        return [*self.shelf.table.changing(), *self.station.arrays(), self.start_stream]

@@ -10,13 +10,12 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import MaskArray, ObservationArray
+from ..arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
-from ..shelf import FloatArray, IntArray
 from .batch_env import checked_actions, parsed_reset
 from .core import Laboratories
-from .manager import RUNNING, TERMINATED
+from .state import RUNNING, TERMINATED
 
 __all__ = ["BatchedLaboratory"]
 

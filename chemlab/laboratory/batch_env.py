@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from ..physics.jit import kernel
-from ..shelf import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
+from ..jit import kernel
 
 __all__ = ["BatchEnv", "State", "checked_actions", "parsed_reset"]
 

@@ -41,9 +41,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import SAFETY_EVENTS, Scenario
-from ..shelf import IntArray
 from .arena import BenchArena
 from .batch_env import BatchEnv, State
 from .rendering import RENDER_MODES, Rendered
@@ -132,7 +132,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         arena.act(checked)
         cost, reward = self._consequences
         cost[0], reward[0] = 0.0, 0.0
-        self.bench.consequences(arena.station, arena.members, cost, reward)
+        self.bench.consequences(arena.shelf, arena.station, arena.members, cost, reward)
         total = float(reward[0])
         # The last observation and mask are still of the running experiment: look first.
         observation, info = self._observe(), self._info(float(cost[0]))
@@ -179,10 +179,6 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
             array[...] = saved
         self._over, self._seeded = bool(state[-1][0]), bool(state[-1][1])
         return self._observe()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.arena.shelf.__post_init__()  # a copied view is an array of its own
 
     def _scene(self) -> Scene:
         from ..render.scene import bench_scene
@@ -298,7 +294,7 @@ class BenchVectorEnv(BatchEnv):
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
         bench.act(shelf, station, acting, chosen)
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
-        bench.consequences(station, acting, self._costs, self._rewards)
+        bench.consequences(shelf, station, acting, self._costs, self._rewards)
         self._illegal[acting] = station.illegal[acting]  # a reset in the same step forgets it there
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)

@@ -5,47 +5,32 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import (
-    CAMERA_PIXELS,
-    Bench,
-    BoolArray,
-    Channel,
-    Goals,
-    MaskArray,
-    ObservationArray,
-    Station,
-    build_bench,
-    check_discrete,
-    seed_streams,
-)
-from ..bench.instruments import InstrumentTable
+from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..bench.base import Bench, Channel, Goals, Station, build_bench, check_discrete
 from ..bench.models import ReactionModel, SeparationModel
+from ..chemistry import build_chemistry
+from ..instruments.table import InstrumentTable
+from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
-from ..physics.events import EVENT_KINDS
-from ..physics.jit import announce_compiling, kernel
-from ..physics.layers import uniform
-from ..scenario import SAFETY_EVENTS, Scenario, load_scenario
-from ..shelf import FloatArray, IntArray, Shelf, StreamArray
+from ..parts import load_part
+from ..rng import seed_streams, uniform
+from ..scenario import Scenario, load_scenario
+from ..shelf import Shelf
+from ..tables import Table
 from .actions import ManagerActions
 from .manager import (
     BEGUN,
-    COST_ITEMS,
-    MANAGER,
+    MEASURED,
     OVER,
     RECALLED,
-    RUNNING,
-    Desk,
-    MaskDesk,
-    MaskRules,
-    Rules,
     advance,
-    book,
+    charge_events,
     itemize,
     manager_act,
     manager_mask,
@@ -55,7 +40,8 @@ from .manager import (
     turns,
 )
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
-from .view import Sight, manager_channels, manager_observe
+from .state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
+from .view import manager_channels, manager_observe
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
 
@@ -74,15 +60,6 @@ class ManagerRole:
     action_count: int
     observation_space: gymnasium.spaces.Box
     action_space: gymnasium.spaces.Discrete
-
-
-class _StartDesk(NamedTuple):
-    """Fields of :class:`~chemlab.laboratory.manager.Desk` that the beginning of an episode needs."""
-
-    goal: IntArray
-    stream: StreamArray
-    last_bench: IntArray
-    last_role: IntArray
 
 
 @kernel
@@ -107,15 +84,16 @@ def _draw_stages(members: IntArray, reached: FloatArray, stream: StreamArray, ou
 
 
 @kernel
-def _put_starts(members: IntArray, pool: StartPool, desk: _StartDesk, rows: FloatArray, per_lab: int) -> None:
+def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: FloatArray) -> None:
     """Replace the first vessel on the shelf by one of the pool's for the first order's goal."""
+    state, pool = opened(ManagerState, manager), opened(StartPool, starts)
     for i in range(members.shape[0]):
         n = members[i]
-        t = draw_start(pool, desk.goal[n, 0], desk.stream[n])
-        for column in range(rows.shape[1]):
-            rows[n * per_lab, column] = pool.rows[t, column]
-        desk.last_bench[n, 0] = pool.last_bench[t]
-        desk.last_role[n, 0] = pool.last_role[t]
+        t = draw_start(pool, state.goal[n, 0], state.stream[n])
+        for column in range(vessels.shape[2]):
+            vessels[n, 0, column] = pool.rows[t, column]
+        state.last_bench[n, 0] = pool.last_bench[t]
+        state.last_role[n, 0] = pool.last_role[t]
 
 
 class Laboratories:
@@ -138,41 +116,42 @@ class Laboratories:
         self.bench_agents = spec.bench_agents()
         self.agents = [MANAGER_AGENT, *self.bench_agents]
         n, slots = laboratories, spec.shelf.slots
-        template = Shelf.empty(spec, 1, 1)
-        kinds = {
-            key: build_bench(key, spec, template.layout, template.chemistry, reaction_model, separation_model)
-            for key in spec.benches
-        }
+        chemistry = build_chemistry(spec)
+        kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
         announce_compiling(manager_act, manager_observe, *(k for bench in kinds.values() for k in bench.kernels))
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
         positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
         self.vessels_per_laboratory = int(slots + positions.sum())
-        self.shelf = Shelf.empty(spec, n, self.vessels_per_laboratory)
-        self.instruments = InstrumentTable(spec, self.shelf.layout, self.shelf.chemistry)
+        self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
+        self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
-        self.roles = int(positions.max())
-        stations = len(self.benches)
-        # One array for all stations: the manager's kernels read them together, a station sees its own row.
-        self.busy = np.zeros((stations, n), dtype=np.bool_)
-        self._goals = np.zeros((stations, n), dtype=np.int64)
-        self._steps = np.zeros((stations, n), dtype=np.int64)
+        self.state: Table[ManagerState] = Table.empty(
+            ManagerState,
+            **{"N": n, "S": slots, "B": len(self.benches), "G": len(self.agents), "O": spec.orders, "1": 1, "2": 2},
+            I=len(self.instruments.names),
+            R=int(self.instruments.rules.arrays.start[-1]),
+            M=len(chemistry.layout.materials),
+            E=len(spec.safety_events),
+            items=len(COST_ITEMS),
+        )
+        self.desk = self.state.arrays
         self.stations: list[Station] = []
         for b, bench in enumerate(self.benches):
             places = np.arange(n)[:, None] * self.vessels_per_laboratory + first[b] + np.arange(positions[b])
-            self.stations.append(Station.empty(self.bench_agents[b], bench, places))
-        readings, materials = int(self.instruments.start[-1]), len(self.shelf.layout.materials)
-        self.desk = Desk.empty(n, slots, stations, spec.orders, readings, len(self.instruments.names), materials)
-        self._first_stock = np.array([spec.stock.get(name, 0.0) for name in self.shelf.layout.materials])
-        self.rules = self._build_rules(positions, first)
-        self.channels: list[Channel] = manager_channels(spec, self.instruments, self.roles, self.rules.largest_capacity)
+            self.stations.append(Station(self.bench_agents[b], bench, places, **self._shared(b)))
+        self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
+        self.rules = Table(self._build_rules(positions, first))
+        self._terms = [load_part(name, spec, "manager.reward") for name in spec.manager.reward]
+        self._added = [load_part(name, spec, "manager.observe") for name in spec.manager.observe]
+        self.channels: list[Channel] = manager_channels(
+            spec, self.instruments, int(positions.max()), self.rules.arrays.largest_capacity
+        )
+        self._own_channels = sum(channel.size for channel in self.channels)
+        self.channels += [part.channel(self) for part in self._added]
         size = sum(channel.size for channel in self.channels)
         self.manager_observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.manager_action_space = gymnasium.spaces.Discrete(len(self.actions))
-        # An agent's numbers stand together: a bench's turn touches its own row alone.
-        self._rewards: FloatArray = np.zeros((len(self.agents), n))
-        self._cost: FloatArray = np.zeros((len(self.agents), n))
-        self._scores: FloatArray = np.full((len(self.agents), n), np.nan)
         self._ended: IntArray = np.zeros(n, dtype=np.int64)
         self.experiment_ended = False
         """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
@@ -180,53 +159,40 @@ class Laboratories:
         self.observation_sizes = [int(self.observation_space(agent).shape[0]) for agent in numbers]
         self.action_counts = [self._count_actions(agent) for agent in numbers]
         """Number of each agent's discrete actions; 0 where they are continuous."""
-        self.safety_totals: FloatArray = np.zeros((n, EVENT_KINDS))
-        """[N, E] safety events since the episode began."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
-        self._maximum = np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals])
-        columns = self.shelf.layout.fluid_columns
-        self._layers = np.zeros(columns + 1, dtype=np.int64)
-        self._shares = np.zeros((columns, CAMERA_PIXELS))
-        self._work = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
         self._start = self._starting_shelf()
-        self._prepared: tuple[FloatArray, list[StartPool]] | None = None
+        self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
         self.members: IntArray = np.arange(n)
-        # Looked up once: reading a field of a scenario takes as long as a small kernel.
-        self._manager_share = spec.rewards.manager_local + spec.rewards.manager_team
-        self._event_price = spec.safety.reward_price
-        self._share_arrays()
 
-    def _share_arrays(self) -> None:
-        """Each station's busy, goal and steps are its row of the arrays that the manager's kernels read; each agent's
-        rewards and cost a row of everybody's."""
-        for b, station in enumerate(self.stations):
-            station.busy, station.goal, station.steps = self.busy[b], self._goals[b], self._steps[b]
-        self._reward_rows, self._cost_rows = list(self._rewards), list(self._cost)
-        desk, rules = self.desk, self.rules
-        self._sight = Sight.of(desk, rules, self.shelf.chemistry)
-        self._legality = (
-            MaskDesk(desk.reserved, desk.charges, desk.filled),
-            MaskRules(rules.table, rules.slots, rules.positions, rules.price, rules.budget),
-        )
+    def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
+        """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
+        return {"busy": self.desk.busy[b], "goal": self.desk.bench_goal[b], "steps": self.desk.bench_steps[b]}
+
+    @property
+    def safety_totals(self) -> FloatArray:
+        """[N, E] safety events since the episode began."""
+        return self.desk.safety_totals
 
     @property
     def rewards(self) -> FloatArray:
         """[N, agents] what the last turn (or round) earned each agent."""
-        return self._rewards.T
+        return self.desk.rewards.T
 
     @property
     def cost(self) -> FloatArray:
         """[N, agents] weighted safety events of the last turn or round (the constrained-RL cost)."""
-        return self._cost.T
+        return self.desk.cost.T
 
     @property
     def scores(self) -> FloatArray:
         """[N, agents] score of the experiment that it ended, NaN where none ended."""
-        return self._scores.T
+        return self.desk.scores.T
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._share_arrays()
+        self.desk = self.state.arrays  # a copy has arrays of its own, which its parts share again
+        for b, station in enumerate(self.stations):
+            station.share(**self._shared(b))
 
     def _build_rules(self, positions: IntArray, first: IntArray) -> Rules:
         spec, layout = self.scenario, self.shelf.layout
@@ -235,43 +201,47 @@ class Laboratories:
         bench_of = np.array([keys.index(bench.key) for bench in self.benches], dtype=np.int64)
         capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
         capacities += [bench.auxiliary_capacity_l for bench in self.benches]
+        table = self.instruments.rules.arrays
         return Rules(
             table=self.actions.table,
             slots=spec.shelf.slots,
             first=first,
             positions=positions,
+            most_positions=int(positions.max()),
             bench_of=bench_of,
-            benches=len(keys),
+            kinds=len(keys),
             limit=np.array([bench.spec.step_limit for bench in self.benches], dtype=np.int64),
             parts=goals.parts,
             counts=goals.absolute_counts,
-            molar_mass=np.array([material.molar_mass_g_mol for material in spec.materials.values()]),
+            maximum=np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals]),
+            share=spec.rewards.manager_local + spec.rewards.manager_team,
             first_stock=self._first_stock,
             stocked=np.array([layout.index(name) for name in spec.stock], dtype=np.int64),
             stock_price=np.array([spec.costs.stock_per_mol.get(name, 0.0) for name in layout.materials]),
-            instrument_kind=self.instruments.kind,
-            reading_start=self.instruments.start,
-            price=self.instruments.price,
-            sample=self.instruments.sample,
-            noise=self.instruments.noise,
-            analytes=self.instruments.analytes,
+            reading_start=table.start,
+            price=table.price,
             waste_per_l=spec.costs.waste_per_l,
             tick_price=spec.costs.tick,
             illegal_price=spec.costs.illegal_action,
+            event_price=spec.safety.reward_price,
             budget=spec.limits.budget,
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
+            work=np.zeros((2, max(len(layout.solvents), 1))),
         )
 
     def _starting_shelf(self) -> FloatArray:
         """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
-        shelf = Shelf.empty(self.scenario, 1, self.vessels_per_laboratory)
-        work = np.zeros((2, max(len(shelf.layout.solvents), 1)))
+        shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
         for s, vessel in enumerate(self.scenario.shelf.vessel):
-            row = shelf.fill(0, s, vessel.capacity_l, vessel.contents).row
-            rest_on_shelf(row, shelf.chemistry, shelf.waste[0], np.zeros(EVENT_KINDS), work)
+            self._rest(shelf.fill(0, s, vessel.capacity_l, vessel.contents).row)
         return np.asarray(shelf.vessels[0])
+
+    def _rest(self, row: FloatArray) -> None:
+        """Let a vessel that is not in a laboratory yet come to rest."""
+        waste, events = np.zeros(len(self.shelf.layout.materials)), np.zeros(len(self.scenario.safety_events))
+        rest_on_shelf(row, self.shelf.chem(), waste, events, self.rules.arrays.work)
 
     # -- episodes ---------------------------------------------------------------------------------------------
 
@@ -286,37 +256,14 @@ class Laboratories:
         self.shelf.stock[members] = self._first_stock
         self.shelf.waste[members] = 0.0
         desk = self.desk
-        for array, value in (
-            (desk.reserved, -1),
-            (desk.last_bench, 0),
-            (desk.last_role, 0),
-            (desk.reading, 0.0),
-            (desk.age, -1),
-            (desk.origin, 0),
-            (desk.actions, 0),
-            (desk.ticks, 0),
-            (desk.cursor, MANAGER),
-            (desk.finished, False),
-            (desk.status, RUNNING),
-            (desk.charges, 0.0),
-            (desk.filled, False),
-            (desk.submitted, 0.0),
-            (desk.delivered, 0.0),
-            (desk.illegal, False),
-            (desk.begun, -1),
-            (desk.recalled, -1),
-        ):
-            array[members] = value
+        self.state.reset(members)
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         _draw_goals(members, wanted, desk.stream, desk.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
-        self.busy[:, members] = False
         for station in self.stations:
-            station.events[members] = 0.0
-            station.illegal[members] = False
-        open_turn(members, self._rewards, self._cost, self._scores)
-        self.safety_totals[members] = 0.0
+            station.table.reset(members)
+        open_turn(members, self.state.handle)
 
     def prepare(self, shares: Mapping[str, float] | None) -> None:
         """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
@@ -339,29 +286,25 @@ class Laboratories:
             raise ValueError(f"prepare: shares of {', '.join(known)} that sum to 1 at most; given {dict(shares)}")
         pools = []
         for stage in shares:
-            pool = start_pool(self.scenario, lab_starts(self.scenario, stage))
-            lacking = [g for g in self._lab_goals if pool.first[g] == pool.first[g + 1]]
+            pool = start_pool(self.shelf.chemistry, self.scenario, lab_starts(self.scenario, stage))
+            lacking = [g for g in self._lab_goals if pool.arrays.first[g] == pool.arrays.first[g + 1]]
             if lacking:
                 goal = self.scenario.goals[lacking[0]]
                 raise DataError(
                     f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.name}"
                 )
-            work = np.zeros((2, max(len(self.shelf.layout.solvents), 1)))
-            for row in pool.rows:
-                rest_on_shelf(
-                    row, self.shelf.chemistry, np.zeros_like(self.shelf.waste[0]), np.zeros(EVENT_KINDS), work
-                )
+            for row in pool.arrays.rows:
+                self._rest(row)
             pools.append(pool)
         self._prepared = np.cumsum(list(shares.values())), pools
 
-    def _begin_half_way(self, members: IntArray, reached: FloatArray, pools: list[StartPool]) -> None:
-        desk, stages = self.desk, np.empty(len(members), dtype=np.int64)
-        _draw_stages(members, reached, desk.stream, stages)
-        own = _StartDesk(desk.goal, desk.stream, desk.last_bench, desk.last_role)
+    def _begin_half_way(self, members: IntArray, reached: FloatArray, pools: list[Table[StartPool]]) -> None:
+        stages = np.empty(len(members), dtype=np.int64)
+        _draw_stages(members, reached, self.desk.stream, stages)
         for k, pool in enumerate(pools):
             some = members[stages == k]
             if len(some):
-                _put_starts(some, pool, own, self.shelf.rows, self.vessels_per_laboratory)
+                _put_starts(some, pool.handle, self.state.handle, self.shelf.vessels)
 
     def goal_index(self, goal: str) -> int:
         """Index of a laboratory goal; ``ValueError`` names the goals there are."""
@@ -390,7 +333,7 @@ class Laboratories:
         episode is over."""
         if out is None:
             out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
-        turns(members, self.busy, self.desk, out)
+        turns(members, self.state.handle, out)
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
@@ -407,7 +350,7 @@ class Laboratories:
             members: [B] laboratories.
             actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
         """
-        open_turn(members, self._rewards, self._cost, self._scores)
+        open_turn(members, self.state.handle)
         self.experiment_ended = False
         if agent == 0:
             self._act_manager(members, actions)
@@ -424,7 +367,7 @@ class Laboratories:
             members: [B] laboratories whose episodes are running.
             actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
         """
-        open_turn(members, self._rewards, self._cost, self._scores)
+        open_turn(members, self.state.handle)
         self.experiment_ended = False
         cursor = self.desk.cursor
         waiting = cursor[members] == MANAGER
@@ -438,30 +381,16 @@ class Laboratories:
                 self._act_bench(b, group, actions[b + 1][group])
 
     def _act_manager(self, members: IntArray, actions: IntArray) -> None:
-        desk, shelf = self.desk, self.shelf
-        flags = manager_act(
-            members,
-            actions,
-            self.busy,
-            desk,
-            self.rules,
-            shelf.rows,
-            self.vessels_per_laboratory,
-            shelf.waste,
-            shelf.chemistry,
-            self._layers,
-            self._shares,
-            self._maximum,
-            self._manager_share,
-            self._reward_rows[0],
-            self._work,
-        )
+        desk, shelf, handles = self.desk, self.shelf, self._handles()
+        flags = manager_act(members, actions, *handles)
+        if flags & MEASURED:
+            self._measure(members, actions)
         if flags & BEGUN:
             begun = desk.begun[members]
             for b, station in enumerate(self.stations):
                 some = members[begun == b]
                 if len(some):
-                    station.goal[some] = self.rules.table[actions[begun == b], 3]
+                    station.goal[some] = self.rules.arrays.table[actions[begun == b], 3]
                     self.benches[b].begin(shelf, station, some)
                     self._charge(b, some)
         if flags & RECALLED:
@@ -470,87 +399,65 @@ class Laboratories:
                 some = members[recalled == b]
                 if len(some):
                     self._end(b, some)
+        for term in self._terms:
+            desk.rewards[0, members] += term(self, members)
         if flags & OVER:
             self._settle_accounts(members)
+
+    def _handles(self) -> tuple[Handle, Handle, Handle, Handle]:
+        """What most of the manager's kernels take."""
+        return self.state.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
+
+    def _measure(self, members: IntArray, actions: IntArray) -> None:
+        """Let instruments read the vessels that manager actions have sent there."""
+        desk, sent = self.desk, self.desk.measured[members] >= 0
+        some, used = members[sent], self.rules.arrays.table[actions[sent], 2]
+        self.instruments.read(self.shelf, desk.reading, desk.stream, some, desk.measured[some], used)
 
     def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         self.benches[b].act(self.shelf, self.stations[b], members, actions)
         ended = self._charge(b, members)
         if ended:
             self._end(b, self._ended[:ended].copy())
-        desk, rules = self.desk, self.rules
-        arrays = desk.cursor, desk.ticks, desk.charges, desk.age, desk.status, desk.finished
-        if advance(members, self.busy, *arrays, rules.tick_price, rules.tick_limit) & OVER:
+        if advance(members, self.state.handle, self.rules.handle) & OVER:
             self._settle_accounts(members)
 
     def _charge(self, b: int, members: IntArray) -> int:
-        """Book what the bench's last action cost: safety events and lost turns; returns how many experiments have
+        """Charge what the bench's last action cost: safety events and lost turns; returns how many experiments have
         ended, the first so many of ``self._ended``."""
-        station, cost = self.stations[b], self._cost_rows[b + 1]
-        self.benches[b].consequences(station, members, cost, self._reward_rows[b + 1])
-        return book(
-            members,
-            station.events,
-            cost,
-            self._event_price,
-            self.safety_totals,
-            self.desk.charges,
-            station.ended,
-            self.desk.finished,
-            self._ended,
-        )
+        station, desk = self.stations[b], self.desk
+        self.benches[b].consequences(self.shelf, station, members, desk.cost[b + 1], desk.rewards[b + 1])
+        return charge_events(members, b, station.handle, self.state.handle, self.rules.handle, self._ended)
 
     def _end(self, b: int, members: IntArray) -> None:
-        """End the experiment of station ``b``: its reward, and its vessels back to the shelf."""
+        """End the experiment of bench ``b``: its reward, and its vessels back to the shelf."""
         station, shelf = self.stations[b], self.shelf
         score = self.benches[b].finish(shelf, station, members)
-        self._scores[b + 1, members] = score
+        self.desk.scores[b + 1, members] = score
         self.experiment_ended = True
-        self._rewards[b + 1, members] += self.scenario.rewards.bench_local * score
-        return_vessels(
-            members,
-            b,
-            self.desk,
-            self.rules,
-            shelf.rows,
-            self.vessels_per_laboratory,
-            shelf.waste,
-            station.events,
-            shelf.chemistry,
-            self._work,
-        )
+        self.desk.rewards[b + 1, members] += self.scenario.rewards.bench_local * score
+        state, rules, *rest = self._handles()
+        return_vessels(members, b, state, rules, station.handle, *rest)
 
     def _settle_accounts(self, members: IntArray) -> None:
         """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
         over = members[self.desk.status[members] != RUNNING]
         mix = self.scenario.rewards
         self.desk.charges[over] = self._charges(over)
-        self._rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
-        self._rewards[1:, over] += mix.bench_team * self.result(over)
+        self.desk.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
+        self.desk.rewards[1:, over] += mix.bench_team * self.result(over)
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
         submission is worth nothing."""
         desk = self.desk
-        shares = desk.submitted[members, :, 0] * desk.submitted[members, :, 1] / self._maximum[desk.goal[members]]
+        shares = desk.submitted[members, :, 0] * desk.submitted[members, :, 1] / self.rules.arrays.maximum[desk.goal[members]]
         return np.asarray(shares.mean(axis=1) - self._charges(members).sum(axis=1))
 
     def _charges(self, members: IntArray) -> FloatArray:
         """[B, items] all costs so far."""
-        rules, shelf = self.rules, self.shelf
         out = np.empty((len(members), len(COST_ITEMS)))
-        itemize(
-            members,
-            rules.first_stock,
-            rules.stock_price,
-            shelf.stock,
-            rules.waste_per_l,
-            shelf.waste,
-            shelf.chemistry.role,
-            shelf.chemistry.molar_volume,
-            self.desk.charges,
-            out,
-        )
+        itemize(members, *self._handles(), out)
         return out
 
     def role(self, agent: int) -> Bench | ManagerRole:
@@ -582,22 +489,15 @@ class Laboratories:
         """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros."""
         if out is None:
             out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
-        shelf = self.shelf
-        if agent == 0:
-            manager_observe(
-                members,
-                self.busy,
-                self._goals,
-                self._steps,
-                self._sight,
-                shelf.rows,
-                self.vessels_per_laboratory,
-                shelf.stock,
-                self.roles,
-                out,
-            )
-        else:
-            self.benches[agent - 1].observe(shelf, self.stations[agent - 1], members, out)
+        if agent > 0:
+            self.benches[agent - 1].observe(self.shelf, self.stations[agent - 1], members, out)
+            return out
+        manager_observe(members, *self._handles(), out)
+        at = self._own_channels
+        for part in self._added:
+            seen = np.clip(part.see(self, members), 0.0, 1.0)
+            out[:, at : at + seen.shape[1]] = seen
+            at += seen.shape[1]
         return out
 
     @property
@@ -618,7 +518,7 @@ class Laboratories:
         if out is None:
             out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
         if agent == 0:
-            manager_mask(members, self.busy, *self._legality, self.shelf.rows, self.vessels_per_laboratory, out)
+            manager_mask(members, self.state.handle, self.rules.handle, self.shelf.handle, out)
         else:
             self.benches[agent - 1].mask(self.shelf, self.stations[agent - 1], members, out)
         return out
@@ -646,7 +546,7 @@ class Laboratories:
     def info(self, agent: int, member: int = 0) -> dict[str, Any]:
         """What an agent's last turn led to: ``cost``, ``events`` and ``illegal_action``."""
         return {
-            "cost": self._cost.item(agent, member),
+            "cost": self.desk.cost.item(agent, member),
             "events": self.events(agent, member),
             "illegal_action": self.illegal(agent).item(member),
         }
@@ -656,7 +556,7 @@ class Laboratories:
         if agent == 0:
             return {}
         row = self.stations[agent - 1].events[member].tolist()
-        return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value} if any(row) else {}
+        return {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value} if any(row) else {}
 
     def total(self) -> FloatArray:
         """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""
@@ -666,10 +566,10 @@ class Laboratories:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        state = [self.shelf.vessels, self.shelf.stock, self.shelf.waste, *self.desk]
+        state = [*self.shelf.table.changing(), *self.state.changing()]
         for station in self.stations:
             state += station.arrays()
-        return [*state, self.rewards, self.cost, self.scores, self.safety_totals]
+        return state
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

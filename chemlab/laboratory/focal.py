@@ -40,14 +40,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import SAFETY_EVENTS, RewardSpec, Scenario, load_scenario
-from ..shelf import IntArray
 from .batch_env import BatchEnv, State
 from .core import MANAGER_AGENT, Laboratories
-from .manager import RUNNING, TERMINATED
 from .policy import as_policy, play_on
 from .rendering import RENDER_MODES, Rendered
+from .state import RUNNING, TERMINATED
 from .text import describe_laboratory
 
 if TYPE_CHECKING:

@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from ..bench.base import BoolArray, MaskArray, goal_amount, weighted_amount
-from ..bench.instruments import read_instrument
-from ..physics.jit import helper, kernel
-from ..physics.partition import partition
-from ..physics.phases import settle_phases
+from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray
+from ..bench.base import ExperimentState, goal_amount, weighted_amount
+from ..chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
+from ..jit import helper, kernel, opened
+from ..physics.laws import partition, settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
-from ..shelf import (
-    CLOCK,
-    CLOCK_SETTLED,
-    PRESENT,
-    ROLE_GAS,
-    TEMPERATURE,
-    Chemistry,
-    FloatArray,
-    IntArray,
-    StreamArray,
-)
+from ..shelf import CLOCK_SETTLED, ShelfArrays
 from .actions import DISCARD, MEASURE, RECALL, START, SUBMIT
+from .state import (
+    ILLEGAL,
+    INSTRUMENTS,
+    MANAGER,
+    RUNNING,
+    SAFETY,
+    STOCK,
+    TERMINATED,
+    TIME,
+    TRUNCATED,
+    WASTE,
+    ManagerState,
+    Rules,
+)
 
 __all__ = [
     "BEGUN",
-    "COST_ITEMS",
+    "MEASURED",
     "OVER",
     "RECALLED",
-    "Desk",
-    "MaskDesk",
-    "MaskRules",
-    "Rules",
     "advance",
-    "book",
+    "charge_events",
     "itemize",
     "manager_act",
     "manager_mask",
@@ -45,191 +43,46 @@ __all__ = [
     "turns",
 ]
 
-COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
-"""What the manager's score is charged for, in units of the score."""
-
-RUNNING, TERMINATED, TRUNCATED = range(3)
-MANAGER = -1
-"""Cursor value while the manager has the turn."""
-BEGUN, RECALLED, OVER = 1, 2, 4
-"""What a turn led to: an experiment begun, one recalled, an episode over."""
-
-
-class Desk(NamedTuple):
-    """The manager's arrays. N laboratories, S slots, B stations, O orders, I instruments, R numbers of all
-    readings, M materials."""
-
-    reserved: IntArray
-    """[N, S] station a slot is reserved for, -1 if none"""
-    last_bench: IntArray
-    """[N, S] 0 for none, else 1 + index of the bench kind the vessel last was at"""
-    last_role: IntArray
-    """[N, S] position it had there"""
-    reading: FloatArray
-    """[N, S, R] last reading of every instrument"""
-    age: IntArray
-    """[N, S, I] ticks since that reading, -1 for never"""
-    origin: IntArray
-    """[N, B] slot the running experiment's main vessel came from"""
-    goal: IntArray
-    """[N, O] what each order asks for, an index into the scenario's goals"""
-    filled: BoolArray
-    """[N, O] whether a vessel has been submitted for the order"""
-    actions: IntArray
-    """[N] manager actions so far"""
-    ticks: IntArray
-    """[N] ticks so far"""
-    cursor: IntArray
-    """[N] station whose turn it is, or MANAGER"""
-    finished: BoolArray
-    """[N] whether an experiment has ended in this tick"""
-    status: IntArray
-    """[N] RUNNING, TERMINATED or TRUNCATED"""
-    charges: FloatArray
-    """[N, len(COST_ITEMS)] costs so far (stock and waste, which follow from amounts, at the end: see itemize)"""
-    submitted: FloatArray
-    """[N, O, 2] mol of the goal and its purity in the vessel submitted for each order"""
-    delivered: FloatArray
-    """[N, M] mol that have left with submitted vessels while the episode goes on"""
-    stream: StreamArray
-    """[N, 1] random stream of goals and instruments"""
-    illegal: BoolArray
-    """[N] whether the manager's last action was masked"""
-    begun: IntArray
-    """[N] station that the manager's last action started, -1 if none"""
-    recalled: IntArray
-    """[N] station that it recalled, -1 if none"""
-
-    @classmethod
-    def empty(
-        cls, laboratories: int, slots: int, stations: int, orders: int, readings: int, instruments: int, materials: int
-    ) -> Desk:
-        """Zeroed arrays."""
-        n = laboratories
-        whole = np.int64
-        return cls(
-            np.full((n, slots), -1, dtype=whole),
-            np.zeros((n, slots), dtype=whole),
-            np.zeros((n, slots), dtype=whole),
-            np.zeros((n, slots, readings)),
-            np.full((n, slots, instruments), -1, dtype=whole),
-            np.zeros((n, stations), dtype=whole),
-            np.zeros((n, orders), dtype=whole),
-            np.zeros((n, orders), dtype=np.bool_),
-            np.zeros(n, dtype=whole),
-            np.zeros(n, dtype=whole),
-            np.full(n, MANAGER, dtype=whole),
-            np.zeros(n, dtype=np.bool_),
-            np.zeros(n, dtype=whole),
-            np.zeros((n, len(COST_ITEMS))),
-            np.zeros((n, orders, 2)),
-            np.zeros((n, materials)),
-            np.zeros((n, 1), dtype=np.uint64),
-            np.zeros(n, dtype=np.bool_),
-            np.full(n, -1, dtype=whole),
-            np.full(n, -1, dtype=whole),
-        )
-
-
-class Rules(NamedTuple):
-    """The scenario's numbers that manager kernels need."""
-
-    table: IntArray
-    """[A, 4] the manager's actions"""
-    slots: int
-    first: IntArray
-    """[B] first vessel position of each station"""
-    positions: IntArray
-    """[B] number of vessels each station works on"""
-    bench_of: IntArray
-    """[B] index of the station's bench kind"""
-    benches: int
-    """number of bench kinds"""
-    limit: IntArray
-    """[B] step limits"""
-    parts: IntArray
-    """[G, 3] see Goals.parts"""
-    counts: FloatArray
-    """[G, M] see Goals.absolute_counts"""
-    molar_mass: FloatArray
-    """[M] g/mol"""
-    first_stock: FloatArray
-    """[M] mol in the bottles when an episode begins"""
-    stocked: IntArray
-    """indices of materials that have a bottle"""
-    stock_price: FloatArray
-    """[M] score per mol"""
-    instrument_kind: IntArray
-    reading_start: IntArray
-    price: FloatArray
-    sample: FloatArray
-    noise: FloatArray
-    analytes: IntArray
-    waste_per_l: float
-    tick_price: float
-    illegal_price: float
-    budget: float
-    action_limit: int
-    tick_limit: int
-    largest_capacity: float
-
-
-class MaskDesk(NamedTuple):
-    """What of a :class:`Desk` decides what is legal: handing over all of it takes longer than finding out."""
-
-    reserved: IntArray
-    charges: FloatArray
-    filled: BoolArray
-
-
-class MaskRules(NamedTuple):
-    """What of the :class:`Rules` decides what is legal."""
-
-    table: IntArray
-    slots: int
-    positions: IntArray
-    price: FloatArray
-    budget: float
+BEGUN, RECALLED, OVER, MEASURED = 1, 2, 4, 8
+"""What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured."""
 
 
 @helper
-def _count_slots(
-    n: int, base: int, desk: Desk | MaskDesk, rules: Rules | MaskRules, rows: FloatArray
-) -> tuple[int, int]:
+def _first_row(n: int, shelf: ShelfArrays) -> int:
+    """Row of a laboratory's first vessel."""
+    return int(n * (shelf.rows.shape[0] // shelf.stock.shape[0]))
+
+
+@helper
+def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> tuple[int, int]:
     """(free slots, occupied slots); a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
     for s in range(rules.slots):
-        if rows[base + s, PRESENT] > 0.0:
+        if shelf.rows[base + s, PRESENT] > 0.0:
             occupied += 1
-        elif desk.reserved[n, s] < 0:
+        elif state.reserved[n, s] < 0:
             free += 1
     return free, occupied
 
 
 @helper
 def _allowed(
-    n: int,
-    a: int,
-    base: int,
-    slots: tuple[int, int],
-    any_busy: bool,
-    busy: BoolArray,
-    desk: Desk | MaskDesk,
-    rules: Rules | MaskRules,
-    rows: FloatArray,
+    n: int, a: int, slots: tuple[int, int], any_busy: bool, state: ManagerState, rules: Rules, shelf: ShelfArrays
 ) -> bool:
     kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
+    base = _first_row(n, shelf)
     if kind == START:
-        return not busy[x, n] and rows[base + y, PRESENT] > 0.0 and slots[0] >= rules.positions[x] - 1
+        free = slots[0] >= rules.positions[x] - 1
+        return not state.busy[x, n] and shelf.rows[base + y, PRESENT] > 0.0 and free
     if kind == MEASURE:
-        affordable = desk.charges[n, 0] + rules.price[y] <= rules.budget + 1e-12
-        return bool(rows[base + x, PRESENT] > 0.0 and affordable)
+        affordable = state.charges[n, INSTRUMENTS] + rules.price[y] <= rules.budget + 1e-12
+        return bool(shelf.rows[base + x, PRESENT] > 0.0 and affordable)
     if kind == DISCARD:  # the last vessel stays: without one there would be nothing left to do
-        return bool(rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
+        return bool(shelf.rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        return bool(rows[base + x, PRESENT] > 0.0 and not desk.filled[n, y])
+        return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y])
     if kind == RECALL:
-        return bool(busy[x, n])
+        return bool(state.busy[x, n])
     return any_busy
 
 
@@ -242,305 +95,260 @@ def _any_busy(n: int, busy: BoolArray) -> bool:
 
 
 @kernel
-def manager_mask(
-    members: IntArray, busy: BoolArray, desk: MaskDesk, rules: MaskRules, rows: FloatArray, per_lab: int, out: MaskArray
-) -> None:
+def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, out: MaskArray) -> None:
     """Write the manager's legal actions into ``out`` [B, A]."""
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
-        base = n * per_lab
-        slots, any_busy = _count_slots(n, base, desk, rules, rows), _any_busy(n, busy)
+        slots = _count_slots(n, _first_row(n, arrays), state, rules, arrays)
+        any_busy = _any_busy(n, state.busy)
         for a in range(rules.table.shape[0]):
-            out[i, a] = _allowed(n, a, base, slots, any_busy, busy, desk, rules, rows)
+            out[i, a] = _allowed(n, a, slots, any_busy, state, rules, arrays)
 
 
 @kernel
-def rest_on_shelf(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
+def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """A vessel put on the shelf: ambient temperature, settled, at precipitation equilibrium. ``work`` is [2, L]."""
-    row[TEMPERATURE] = chem.ambient_temperature
+    row[TEMPERATURE] = opened(Chemistry, chem).ambient_temperature
     row[CLOCK] = CLOCK_SETTLED
     settle_phases(row, chem, waste, events, work[0])
     partition(row, chem, work)
 
 
 @helper
-def _forget(n: int, s: int, desk: Desk) -> None:
+def _forget(n: int, s: int, state: ManagerState) -> None:
     """The slot holds another vessel, or none: its history and readings are gone."""
-    desk.last_bench[n, s] = 0
-    desk.last_role[n, s] = 0
-    desk.reading[n, s, :] = 0.0
-    desk.age[n, s, :] = -1
+    state.last_bench[n, s] = 0
+    state.last_role[n, s] = 0
+    state.reading[n, s, :] = 0.0
+    state.age[n, s, :] = -1
+
+
+@helper
+def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> None:
+    """Bring the vessel of slot ``y`` to bench ``x``, and keep slots for what will come back."""
+    base = _first_row(n, shelf)
+    move(shelf.rows[base + y], shelf.rows[base + rules.first[x]])
+    _forget(n, y, state)  # what comes back is not what was measured
+    state.origin[n, x] = y
+    state.reserved[n, y] = x
+    wanted = rules.positions[x] - 1
+    for s in range(rules.slots):
+        if wanted > 0 and shelf.rows[base + s, PRESENT] <= 0.0 and state.reserved[n, s] < 0:
+            state.reserved[n, s] = x
+            wanted -= 1
+    state.begun[n] = x
+
+
+@helper
+def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, into: FloatArray) -> None:
+    """Take a vessel off the shelf."""
+    remove_fraction(row, 1.0, chem, into)
+    clear(row)
+    _forget(n, x, state)
+
+
+@helper
+def _submit(
+    n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle, last: bool
+) -> None:
+    """Fill order ``y`` with the vessel of slot ``x``; the episode is over with the last order, or where nothing is left
+    to fill another one with (``last``)."""
+    row, goal = shelf.rows[_first_row(n, shelf) + x], state.goal[n, y]
+    amount = goal_amount(row, rules.parts[goal])
+    total = weighted_amount(row, rules.counts[goal])
+    purity = amount / total if total > 0.0 else 0.0
+    state.submitted[n, y, 0] = amount
+    state.submitted[n, y, 1] = purity
+    state.filled[n, y] = True
+    state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
+    open_orders = 0
+    for o in range(state.goal.shape[1]):
+        open_orders += not state.filled[n, o]
+    if open_orders == 0 or last:
+        state.status[n] = TERMINATED
+    else:
+        _remove(n, x, state, chem, row, state.delivered[n])
 
 
 @kernel
 def manager_act(
-    members: IntArray,
-    actions: IntArray,
-    busy: BoolArray,
-    desk: Desk,
-    rules: Rules,
-    rows: FloatArray,
-    per_lab: int,
-    waste: FloatArray,
-    chem: Chemistry,
-    layers: IntArray,
-    shares: FloatArray,
-    maximum: FloatArray,
-    share: float,
-    reward: FloatArray,
-    work: FloatArray,
+    members: IntArray, actions: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle
 ) -> int:
     """Carry out one manager action in each laboratory of ``members``.
 
-    ``maximum`` [G] is the theoretical maximum of each goal in mol; ``share`` of what a submission is worth is added to
-    ``reward`` [N]. Returns the flags BEGUN, RECALLED and OVER of what it led to in any of them; the desk says in which.
+    Returns the flags BEGUN, RECALLED, OVER and MEASURED of what it led to in any of them; the state says in which.
     """
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
     for i in range(members.shape[0]):
         n, a = members[i], actions[i]
-        base = n * per_lab
-        desk.begun[n], desk.recalled[n] = -1, -1
-        desk.actions[n] += 1
-        slots = _count_slots(n, base, desk, rules, rows)
-        desk.illegal[n] = not _allowed(n, a, base, slots, _any_busy(n, busy), busy, desk, rules, rows)
-        if desk.illegal[n]:
-            desk.charges[n, 4] += rules.illegal_price
-            if desk.actions[n] >= rules.action_limit:
-                desk.status[n] = TRUNCATED
-                flags |= OVER
-            continue
+        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
+        state.begun[n], state.recalled[n], state.measured[n] = -1, -1, -1
+        state.actions[n] += 1
+        slots, any_busy = _count_slots(n, base, state, rules, arrays), _any_busy(n, state.busy)
+        state.illegal[n] = not _allowed(n, a, slots, any_busy, state, rules, arrays)
         kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
-        if kind == START:
-            move(rows[base + y], rows[base + rules.first[x]])
-            _forget(n, y, desk)  # what comes back is not what was measured
-            desk.origin[n, x] = y
-            desk.reserved[n, y] = x
-            wanted = rules.positions[x] - 1
-            for s in range(rules.slots):
-                if wanted > 0 and rows[base + s, PRESENT] <= 0.0 and desk.reserved[n, s] < 0:
-                    desk.reserved[n, s] = x
-                    wanted -= 1
-            desk.begun[n] = x
+        if state.illegal[n]:
+            state.charges[n, ILLEGAL] += rules.illegal_price
+        elif kind == START:
+            _start(n, x, y, state, rules, arrays)
             flags |= BEGUN
         elif kind == MEASURE:
-            start, stop = rules.reading_start[y], rules.reading_start[y + 1]
-            read_instrument(
-                rules.instrument_kind[y],
-                rows[base + x],
-                rules.sample[y],
-                rules.noise[y],
-                rules.analytes,
-                rules.molar_mass,
-                chem,
-                desk.stream[n],
-                waste[n],
-                layers,
-                shares,
-                work,
-                desk.reading[n, x, start:stop],
-            )
-            desk.age[n, x, y] = 0
-            desk.charges[n, 0] += rules.price[y]
+            state.measured[n] = x
+            state.age[n, x, y] = 0
+            state.charges[n, INSTRUMENTS] += rules.price[y]
+            flags |= MEASURED
         elif kind == DISCARD:
-            remove_fraction(rows[base + x], 1.0, chem, waste[n])
-            clear(rows[base + x])
-            _forget(n, x, desk)
+            _remove(n, x, state, chem, arrays.rows[base + x], arrays.waste[n])
         elif kind == SUBMIT:
-            goal = desk.goal[n, y]
-            amount = goal_amount(rows[base + x], rules.parts[goal])
-            total = weighted_amount(rows[base + x], rules.counts[goal])
-            purity = amount / total if total > 0.0 else 0.0
-            desk.submitted[n, y, 0] = amount
-            desk.submitted[n, y, 1] = purity
-            desk.filled[n, y] = True
-            reward[n] += share * amount * purity / maximum[goal] / desk.goal.shape[1]
-            open_orders = 0
-            for o in range(desk.goal.shape[1]):
-                open_orders += not desk.filled[n, o]
             # What is left of the shelf cannot fill an order once it and the benches are empty.
-            if open_orders == 0 or (slots[1] == 1 and not _any_busy(n, busy)):
-                desk.status[n] = TERMINATED
-                flags |= OVER
-            else:
-                remove_fraction(rows[base + x], 1.0, chem, desk.delivered[n])
-                clear(rows[base + x])
-                _forget(n, x, desk)
+            _submit(n, x, y, state, rules, arrays, chem, slots[1] == 1 and not any_busy)
         elif kind == RECALL:
-            desk.recalled[n] = x
+            state.recalled[n] = x
             flags |= RECALLED
         else:
             first = 0
-            while not busy[first, n]:
+            while not state.busy[first, n]:
                 first += 1
-            desk.cursor[n] = first
-            desk.finished[n] = False
-        if desk.status[n] == RUNNING and desk.actions[n] >= rules.action_limit:
-            desk.status[n] = TRUNCATED
+            state.cursor[n] = first
+            state.finished[n] = False
+        if state.status[n] == RUNNING and state.actions[n] >= rules.action_limit:
+            state.status[n] = TRUNCATED
+        if state.status[n] != RUNNING:
             flags |= OVER
     return flags
 
 
 @kernel
 def return_vessels(
-    members: IntArray,
-    b: int,
-    desk: Desk,
-    rules: Rules,
-    rows: FloatArray,
-    per_lab: int,
-    waste: FloatArray,
-    events: FloatArray,
-    chem: Chemistry,
-    work: FloatArray,
+    members: IntArray, b: int, manager: Handle, scenario: Handle, experiment: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
-    """Bring what station ``b`` worked on back to the shelf: the main vessel to where it came from, the others to the
+    """Bring what bench ``b`` worked on back to the shelf: the main vessel to where it came from, the others to the
     slots reserved for them; empty ones are washed and gone."""
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
+    events = opened(ExperimentState, experiment).events
     for i in range(members.shape[0]):
         n = members[i]
-        base = n * per_lab
+        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
         for p in range(rules.positions[b]):
-            row = rows[base + rules.first[b] + p]
-            slot = desk.origin[n, b]
+            row = arrays.rows[base + rules.first[b] + p]
+            slot = state.origin[n, b]
             if p > 0:
                 slot = -1
                 if volume(row, chem) > 0.0:
                     for s in range(rules.slots - 1, -1, -1):
-                        if desk.reserved[n, s] == b and s != desk.origin[n, b]:
+                        if state.reserved[n, s] == b and s != state.origin[n, b]:
                             slot = s
             if slot >= 0:
-                rest_on_shelf(row, chem, waste[n], events[n], work)
-                move(row, rows[base + slot])
+                rest_on_shelf(row, chem, arrays.waste[n], events[n], rules.work)
+                move(row, arrays.rows[base + slot])
                 if p > 0:
-                    _forget(n, slot, desk)
-                desk.last_bench[n, slot] = 1 + rules.bench_of[b]
-                desk.last_role[n, slot] = p
-                desk.reserved[n, slot] = -1
+                    _forget(n, slot, state)
+                state.last_bench[n, slot] = 1 + rules.bench_of[b]
+                state.last_role[n, slot] = p
+                state.reserved[n, slot] = -1
             clear(row)
         for s in range(rules.slots):
-            if desk.reserved[n, s] == b:
-                desk.reserved[n, s] = -1
+            if state.reserved[n, s] == b:
+                state.reserved[n, s] = -1
 
 
 @kernel
-def open_turn(members: IntArray, rewards: FloatArray, cost: FloatArray, scores: FloatArray) -> None:
-    """Nobody has earned anything yet: clear the laboratories' columns of the [agents, N] arrays."""
+def open_turn(members: IntArray, manager: Handle) -> None:
+    """Nobody has earned anything yet: clear the laboratories' columns of what agents have earned."""
+    state = opened(ManagerState, manager)
     for i in range(members.shape[0]):
         n = members[i]
-        for a in range(rewards.shape[0]):
-            rewards[a, n] = 0.0
-            cost[a, n] = 0.0
-            scores[a, n] = np.nan
+        for a in range(state.rewards.shape[0]):
+            state.rewards[a, n] = 0.0
+            state.cost[a, n] = 0.0
+            state.scores[a, n] = np.nan
 
 
 @kernel
-def turns(members: IntArray, busy: BoolArray, desk: Desk, out: BoolArray) -> None:
+def turns(members: IntArray, manager: Handle, out: BoolArray) -> None:
     """Write into ``out`` [agents, B] who plays in the laboratories' next round: the manager, or every busy bench that
     has not had its turn in this tick."""
+    state = opened(ManagerState, manager)
     for i in range(members.shape[0]):
         n = members[i]
-        running = desk.status[n] == RUNNING
-        out[0, i] = running and desk.cursor[n] == MANAGER
-        for b in range(busy.shape[0]):
-            out[b + 1, i] = running and desk.cursor[n] != MANAGER and b >= desk.cursor[n] and busy[b, n]
+        running = state.status[n] == RUNNING
+        out[0, i] = running and state.cursor[n] == MANAGER
+        for b in range(state.busy.shape[0]):
+            out[b + 1, i] = running and state.cursor[n] != MANAGER and b >= state.cursor[n] and state.busy[b, n]
 
 
 @kernel
-def book(
-    members: IntArray,
-    events: FloatArray,
-    cost: FloatArray,
-    price: float,
-    totals: FloatArray,
-    charges: FloatArray,
-    ended: BoolArray,
-    finished: BoolArray,
-    which: IntArray,
+def charge_events(
+    members: IntArray, b: int, experiment: Handle, manager: Handle, scenario: Handle, which: IntArray
 ) -> int:
-    """After a bench's turn: its safety events into the episode's totals and the manager's charges. Writes the members
-    whose experiment has ended into ``which`` and returns their number."""
+    """After a turn of bench ``b``: its safety events into the episode's totals and the manager's charges. Writes the
+    members whose experiment has ended into ``which`` and returns their number."""
+    state, rules, own = opened(ManagerState, manager), opened(Rules, scenario), opened(ExperimentState, experiment)
     count = 0
     for i in range(members.shape[0]):
         n = members[i]
-        for k in range(events.shape[1]):
-            totals[n, k] += events[n, k]
-        charges[n, 5] += price * cost[n]
-        if ended[n]:
-            finished[n] = True
+        for k in range(own.events.shape[1]):
+            state.safety_totals[n, k] += own.events[n, k]
+        state.charges[n, SAFETY] += rules.event_price * state.cost[b + 1, n]
+        if own.ended[n]:
+            state.finished[n] = True
             which[count] = n
             count += 1
     return count
 
 
 @kernel
-def advance(
-    members: IntArray,
-    busy: BoolArray,
-    cursor: IntArray,
-    ticks: IntArray,
-    charges: FloatArray,
-    age: IntArray,
-    status: IntArray,
-    finished: BoolArray,
-    tick_price: float,
-    tick_limit: int,
-) -> int:
+def advance(members: IntArray, manager: Handle, scenario: Handle) -> int:
     """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
-    an experiment has ended. Returns OVER if an episode has been truncated by it.
-
-    Takes the desk's arrays one by one: handing all of it over takes longer than the work.
-    """
+    an experiment has ended. Returns OVER if an episode has been truncated by it."""
+    state, rules = opened(ManagerState, manager), opened(Rules, scenario)
     flags = 0
     for i in range(members.shape[0]):
         n = members[i]
-        b = cursor[n] + 1
-        while b < busy.shape[0] and not busy[b, n]:
+        b = state.cursor[n] + 1
+        while b < state.busy.shape[0] and not state.busy[b, n]:
             b += 1
-        if b < busy.shape[0]:
-            cursor[n] = b
+        if b < state.busy.shape[0]:
+            state.cursor[n] = b
             continue
-        ticks[n] += 1
-        charges[n, 3] += tick_price
-        for s in range(age.shape[1]):
-            for k in range(age.shape[2]):
-                if age[n, s, k] >= 0:
-                    age[n, s, k] += 1
-        if ticks[n] >= tick_limit:
-            status[n] = TRUNCATED
-            cursor[n] = MANAGER
+        state.ticks[n] += 1
+        state.charges[n, TIME] += rules.tick_price
+        for s in range(state.age.shape[1]):
+            for k in range(state.age.shape[2]):
+                if state.age[n, s, k] >= 0:
+                    state.age[n, s, k] += 1
+        if state.ticks[n] >= rules.tick_limit:
+            state.status[n] = TRUNCATED
+            state.cursor[n] = MANAGER
             flags |= OVER
-        elif finished[n] or not _any_busy(n, busy):
-            cursor[n] = MANAGER
+        elif state.finished[n] or not _any_busy(n, state.busy):
+            state.cursor[n] = MANAGER
         else:
             b = 0
-            while not busy[b, n]:
+            while not state.busy[b, n]:
                 b += 1
-            cursor[n] = b
+            state.cursor[n] = b
     return flags
 
 
 @kernel
 def itemize(
-    members: IntArray,
-    first_stock: FloatArray,
-    stock_price: FloatArray,
-    stock: FloatArray,
-    waste_per_l: float,
-    waste: FloatArray,
-    role: IntArray,
-    molar_volume: FloatArray,
-    charges: FloatArray,
-    out: FloatArray,
+    members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle, out: FloatArray
 ) -> None:
     """Write all costs so far into ``out`` [B, items]: what has been charged, and what follows from amounts, the stock
     used and the waste made."""
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
+        known = opened(Chemistry, chemistry[arrays.variant[n]])
         used, litres = 0.0, 0.0
-        for m in range(stock.shape[1]):
-            used += max(first_stock[m] - stock[n, m], 0.0) * stock_price[m]
-            if role[m] != ROLE_GAS:
-                litres += waste[n, m] * molar_volume[m]
-        for item in range(charges.shape[1]):
-            out[i, item] = charges[n, item]
-        out[i, 1] = used
-        out[i, 2] = litres * waste_per_l
+        for m in range(arrays.stock.shape[1]):
+            used += max(rules.first_stock[m] - arrays.stock[n, m], 0.0) * rules.stock_price[m]
+            if known.role[m] != ROLE_GAS:
+                litres += arrays.waste[n, m] * known.molar_volume[m]
+        for item in range(state.charges.shape[1]):
+            out[i, item] = state.charges[n, item]
+        out[i, STOCK] = used
+        out[i, WASTE] = litres * rules.waste_per_l

@@ -32,8 +32,8 @@ import numpy.typing as npt
 from pettingzoo import ParallelEnv
 
 from .common import OneLaboratory
-from .manager import RUNNING, TERMINATED
 from .rendering import RENDER_MODES
+from .state import RUNNING, TERMINATED
 
 __all__ = ["parallel_env"]
 

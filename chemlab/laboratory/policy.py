@@ -9,11 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import MaskArray, ObservationArray
-from ..shelf import IntArray
+from ..arrays import IntArray, MaskArray, ObservationArray
 from .batch_env import checked_actions
 from .core import Laboratories
-from .manager import RUNNING
+from .state import RUNNING
 
 __all__ = ["Policy", "as_policy", "play_on", "play_pass"]
 

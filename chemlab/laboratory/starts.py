@@ -11,16 +11,19 @@ import itertools
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Field, FloatArray, IntArray, StreamArray
+from ..chemistry import ChemistryTable
 from ..files import write_text
+from ..jit import helper
 from ..materials import DataError
-from ..physics.jit import kernel
-from ..physics.layers import uniform
+from ..rng import uniform
 from ..scenario import Scenario, scenario_names
-from ..shelf import FloatArray, IntArray, Shelf, StreamArray
+from ..shelf import Shelf
+from ..tables import Table
 
 __all__ = ["SUBMIT", "Start", "StartPool", "draw_start", "lab_starts", "start_pool", "starts_file", "write_starts"]
 
@@ -45,21 +48,21 @@ class Start(NamedTuple):
 class StartPool(NamedTuple):
     """Starting states to draw from: T vessels, grouped by the goal they are for; G goals."""
 
-    rows: FloatArray
+    rows: Annotated[FloatArray, Field("T W")]
     """[T, W] vessel rows"""
-    first: IntArray
+    first: Annotated[IntArray, Field("G+1")]
     """[G + 1] where each goal's vessels begin"""
-    reached: FloatArray
+    reached: Annotated[FloatArray, Field("T")]
     """[T] cumulative probability within the goal"""
-    last_bench: IntArray
+    last_bench: Annotated[IntArray, Field("T")]
     """[T] 0 for none, else 1 + index of the bench"""
-    last_role: IntArray
+    last_role: Annotated[IntArray, Field("T")]
     """[T] position there"""
 
 
-def start_pool(scenario: Scenario, vessels: Sequence[Start]) -> StartPool:
+def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[Start]) -> Table[StartPool]:
     """Vessels as rows to draw from."""
-    draft, benches = Shelf.empty(scenario, 1, 1), list(scenario.benches)
+    draft, benches = Shelf(chemistry, 1, 1), list(scenario.benches)
     found = [(g, vessel) for g, goal in enumerate(scenario.goals) for vessel in vessels if vessel.goal == goal]
     rows = [draft.fill(0, 0, vessel.capacity_l, vessel.contents_mol).row.copy() for _, vessel in found]
     owner = np.array([g for g, _ in found], dtype=np.int64)
@@ -68,16 +71,16 @@ def start_pool(scenario: Scenario, vessels: Sequence[Start]) -> StartPool:
     for start, stop in itertools.pairwise(first):
         shares = np.array([vessel.weight for _, vessel in found[start:stop]])
         reached[start:stop] = np.cumsum(shares) / shares.sum() if stop > start else 0.0
-    return StartPool(
+    return Table(StartPool(
         np.array(rows).reshape(len(rows), draft.layout.width),
         first.astype(np.int64),
         reached,
         np.array([0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64),
         np.array([vessel.last_role for _, vessel in found], dtype=np.int64),
-    )
+    ))
 
 
-@kernel
+@helper
 def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
     """Which of a goal's vessels; takes one random number. The goal must have some."""
     draw = uniform(state)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .core import Laboratories
-from .manager import RUNNING
+from .state import RUNNING
 
 __all__ = ["action_words", "describe_laboratory", "measured_words", "reading_words"]
 
@@ -56,15 +56,7 @@ def measured_words(laboratories: Laboratories, instrument: int, values: Any) -> 
         instrument: number of the instrument.
         values: the reading, in [0, 1].
     """
-    labs, table = laboratories, laboratories.instruments
-    channel = table.channels[instrument]
-    if channel.size == 1:
-        return f"{values[0] * channel.high:.3f} {channel.unit}"
-    if channel.unit == "mole fraction":
-        names = [*(labs.shelf.layout.materials[a] for a in table.analytes), "residue"]
-        parts = [f"{name} {value:.1%}" for name, value in zip(names, values, strict=True) if value >= 5e-4]
-        return ", ".join(parts) or "empty"
-    return f"{channel.size} values of {channel.unit}"
+    return laboratories.instruments.words(instrument, values)
 
 
 def describe_laboratory(laboratories: Laboratories, member: int) -> str:

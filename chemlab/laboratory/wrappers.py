@@ -22,8 +22,8 @@ import numpy.typing as npt
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 
+from ..arrays import FloatArray
 from ..bench.base import Bench, channel_slices
-from ..shelf import FloatArray
 from .bench_env import BenchEnv, BenchVectorEnv
 
 __all__ = [

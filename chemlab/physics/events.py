@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["BOILED_DRY", "DRY_HEATING", "EVENT_KINDS", "METAL_IN_WATER", "RELIEF", "SPILL"]
+__all__ = ["BOILED_DRY", "DRY_HEATING", "METAL_IN_WATER", "RELIEF", "SPILL"]
 
 SPILL, RELIEF, BOILED_DRY, DRY_HEATING, METAL_IN_WATER = range(5)
-EVENT_KINDS = 5
+

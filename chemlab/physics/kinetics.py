@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 
-from ..shelf import AMOUNTS, FloatArray, Network
-from .jit import helper, kernel
+from ..arrays import FloatArray, Handle
+from ..chemistry import AMOUNTS, Chemistry
+from ..jit import helper, kernel, opened
+from .laws import rate_constant
 
-__all__ = ["GAS_CONSTANT", "react", "react_work_size"]
-
-GAS_CONSTANT = 8.31446261815324
-"""J/mol/K (CODATA 2018, exact)."""
+__all__ = ["react", "react_work_size"]
 
 _A21 = 1 / 5
 _A31, _A32 = 3 / 40, 9 / 40
@@ -31,36 +30,37 @@ _FIRST_SHARE = 0.3
 _WORK_ROWS = 14
 
 
-def react_work_size(network: Network) -> tuple[int, int]:
+def react_work_size(chemistry: Chemistry) -> tuple[int, int]:
     """Shape of the scratch array :func:`react` needs."""
-    return _WORK_ROWS, max(network.stoichiometry.shape[0], network.species.shape[0], 1)
+    return _WORK_ROWS, max(chemistry.stoichiometry.shape[0], chemistry.species.shape[0], 1)
 
 
 @helper
 def _rates(
-    constants: FloatArray, network: Network, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
+    constants: FloatArray, chem: Handle, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
 ) -> float:
     """Concentrations and rates at the given extents; returns the lowest concentration, which an overlong trial step
     makes negative."""
-    n_reactions, n_species = network.stoichiometry.shape
+    chemistry = opened(Chemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
     for j in range(n_species):
         conc[j] = start[j]
     for r in range(n_reactions):
-        for c in range(network.changes.shape[1]):
-            j = network.changes[r, c]
+        for c in range(chemistry.changes.shape[1]):
+            j = chemistry.changes[r, c]
             if j >= 0:
-                conc[j] += network.stoichiometry[r, j] * extent[r]
+                conc[j] += chemistry.stoichiometry[r, j] * extent[r]
     lowest = 0.0
     for j in range(n_species):
         lowest = min(lowest, conc[j])
     for r in range(n_reactions):
         rate = constants[r]
-        for f in range(network.factors.shape[1]):
-            if network.factors[r, f] >= 0:
-                rate *= max(conc[network.factors[r, f]], 0.0)
-        for j in range(network.fractions.shape[1]):
-            if network.fractions[r, j] > 0.0:
-                rate *= max(conc[j], 0.0) ** network.fractions[r, j]
+        for f in range(chemistry.factors.shape[1]):
+            if chemistry.factors[r, f] >= 0:
+                rate *= max(conc[chemistry.factors[r, f]], 0.0)
+        for j in range(chemistry.fractions.shape[1]):
+            if chemistry.fractions[r, j] > 0.0:
+                rate *= max(conc[j], 0.0) ** chemistry.fractions[r, j]
         out[r] = rate
     return lowest
 
@@ -68,7 +68,7 @@ def _rates(
 @kernel
 def react(
     row: FloatArray,
-    network: Network,
+    chem: Handle,
     volume: float,
     temperature: float,
     dt: float,
@@ -80,7 +80,7 @@ def react(
 
     Args:
         row: vessel row; its amounts (mol) change in place.
-        network: the reactions.
+        chem: the chemistry.
         volume: liquid volume, L; nothing happens without liquid.
         temperature: K.
         dt: time, in the unit of the rate constants.
@@ -90,27 +90,26 @@ def react(
     Returns:
         Number of steps taken, rejected ones included.
     """
-    n_reactions, n_species = network.stoichiometry.shape
+    chemistry = opened(Chemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
     if n_reactions == 0 or volume <= 0.0 or dt <= 0.0:
         return 0
     constants, start, extent, trial, conc, now = work[0], work[1], work[2], work[3], work[4], work[5]
     k1, k2, k3, k4, k5, k6, k7, defect = work[6], work[7], work[8], work[9], work[10], work[11], work[12], work[13]
     for r in range(n_reactions):
-        constants[r] = network.pre_exponential[r] * math.exp(
-            -network.activation_energy[r] / (GAS_CONSTANT * temperature)
-        )
+        constants[r] = rate_constant(r, temperature, chem)
         extent[r] = 0.0
     for j in range(n_species):
-        start[j] = row[AMOUNTS + network.species[j]] / volume
+        start[j] = row[AMOUNTS + chemistry.species[j]] / volume
         now[j] = start[j]
-    _rates(constants, network, start, extent, conc, k1)
+    _rates(constants, chem, start, extent, conc, k1)
     running = False
     for j in range(n_species):
         defect[j] = 0.0
     for r in range(n_reactions):
         running = running or k1[r] > 0.0
         for j in range(n_species):
-            defect[j] += network.stoichiometry[r, j] * k1[r]
+            defect[j] += chemistry.stoichiometry[r, j] * k1[r]
     if not running:
         return 0
     # A first step that would use up much of a reactant tells nothing about its own error: start well below that.
@@ -125,30 +124,30 @@ def react(
         h = min(h, dt - done)
         for r in range(n_reactions):
             trial[r] = extent[r] + h * _A21 * k1[r]
-        stage = _rates(constants, network, start, trial, conc, k2)
+        stage = _rates(constants, chem, start, trial, conc, k2)
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A31 * k1[r] + _A32 * k2[r])
-        stage = min(stage, _rates(constants, network, start, trial, conc, k3))
+        stage = min(stage, _rates(constants, chem, start, trial, conc, k3))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A41 * k1[r] + _A42 * k2[r] + _A43 * k3[r])
-        stage = min(stage, _rates(constants, network, start, trial, conc, k4))
+        stage = min(stage, _rates(constants, chem, start, trial, conc, k4))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A51 * k1[r] + _A52 * k2[r] + _A53 * k3[r] + _A54 * k4[r])
-        stage = min(stage, _rates(constants, network, start, trial, conc, k5))
+        stage = min(stage, _rates(constants, chem, start, trial, conc, k5))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_A61 * k1[r] + _A62 * k2[r] + _A63 * k3[r] + _A64 * k4[r] + _A65 * k5[r])
-        stage = min(stage, _rates(constants, network, start, trial, conc, k6))
+        stage = min(stage, _rates(constants, chem, start, trial, conc, k6))
         for r in range(n_reactions):
             trial[r] = extent[r] + h * (_B1 * k1[r] + _B3 * k3[r] + _B4 * k4[r] + _B5 * k5[r] + _B6 * k6[r])
-        stage = min(stage, _rates(constants, network, start, trial, conc, k7))
+        stage = min(stage, _rates(constants, chem, start, trial, conc, k7))
         for j in range(n_species):
             defect[j] = 0.0
         for r in range(n_reactions):
             gap = _E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r]
-            for c in range(network.changes.shape[1]):
-                j = network.changes[r, c]
+            for c in range(chemistry.changes.shape[1]):
+                j = chemistry.changes[r, c]
                 if j >= 0:
-                    defect[j] += network.stoichiometry[r, j] * gap
+                    defect[j] += chemistry.stoichiometry[r, j] * gap
         error, lowest = 0.0, 0.0
         for j in range(n_species):
             ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
@@ -177,7 +176,7 @@ def react(
     for j in range(n_species):
         change = 0.0
         for r in range(n_reactions):
-            change += network.stoichiometry[r, j] * extent[r]
-        column = AMOUNTS + network.species[j]
+            change += chemistry.stoichiometry[r, j] * extent[r]
+        column = AMOUNTS + chemistry.species[j]
         row[column] = max(row[column] + volume * change, 0.0)
     return steps

@@ -9,29 +9,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
+from ..arrays import FloatArray, Handle, IntArray, StreamArray
+from ..chemistry import AMOUNTS, CLOCK, PRESENT, ROLE_SOLID, Chemistry
+from ..jit import helper, kernel, opened
+from ..rng import uniform
+from ..shelf import CLOCK_SETTLED, T_MIX
+from .laws import find_layers
 
-from ..shelf import (
-    AMOUNTS,
-    CAPACITY,
-    CLOCK,
-    CLOCK_SETTLED,
-    PRESENT,
-    ROLE_ION,
-    ROLE_SOLID,
-    T_MIX,
-    Chemistry,
-    FloatArray,
-    IntArray,
-    StreamArray,
-)
-from .jit import helper, kernel
-from .transfer import TRACE_MOL
-
-__all__ = ["SOLIDS", "camera", "layer_volumes", "profile"]
-
-SOLIDS = -2
-"""What a profile's columns say where they stand for the solids at the bottom."""
+__all__ = ["camera", "profile"]
 
 _STEEPEST = 600.0
 """Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
@@ -45,55 +30,6 @@ _NEGLIGIBLE = -60.0
 """Log of a relative height that counts as none ..."""
 _FARTHEST_SHIFT = 20.0
 """... as long as the offsets have moved by less than this since; then the heights are worked out again."""
-
-
-@helper
-def layer_volumes(row: FloatArray, chem: Chemistry, layers: IntArray, volumes: FloatArray) -> int:
-    """Volumes of solids, fluid layers and air, densest fluid first.
-
-    Args:
-        row: vessel row.
-        chem: material constants.
-        layers: [C + 1] out: number of columns, then SOLIDS and a material index each (air last).
-        volumes: [C] out: litres, of at most the vessel's capacity in total.
-
-    Returns:
-        Number of columns.
-    """
-    n, n_solvents, n_dissolved = chem.role.shape[0], chem.solvents.shape[0], chem.dissolved.shape[0]
-    layers[1], volumes[0] = SOLIDS, 0.0
-    count = 1
-    for layer in range(n_solvents):
-        i = chem.solvents[layer]
-        if row[AMOUNTS + i] > TRACE_MOL:
-            litres = row[AMOUNTS + i] * chem.molar_volume[i]
-            for k in range(n_dissolved):
-                litres += row[AMOUNTS + n + k * n_solvents + layer] * chem.molar_volume[chem.dissolved[k]]
-            layers[1 + count], volumes[count] = i, litres
-            count += 1
-    no_solvent = count == 1
-    for i in range(n):
-        moles = row[AMOUNTS + i]
-        if chem.role[i] == ROLE_SOLID or (no_solvent and chem.role[i] == ROLE_ION):
-            volumes[0] += moles * chem.molar_volume[i]
-    if no_solvent:
-        for k in range(n_dissolved):
-            i = chem.dissolved[k]
-            if chem.role[i] != ROLE_ION and row[AMOUNTS + i] > TRACE_MOL:
-                layers[1 + count], volumes[count] = i, row[AMOUNTS + i] * chem.molar_volume[i]
-                count += 1
-    for a in range(2, count):  # insertion sort, densest first
-        b = a
-        while b > 1 and chem.density[layers[1 + b]] > chem.density[layers[b]]:
-            layers[1 + b], layers[b] = layers[b], layers[1 + b]
-            volumes[b], volumes[b - 1] = volumes[b - 1], volumes[b]
-            b -= 1
-    filled = 0.0
-    for c in range(count):
-        filled += volumes[c]
-    layers[1 + count], volumes[count] = chem.air, max(row[CAPACITY] - filled, 0.0)
-    layers[0] = count + 1
-    return count + 1
 
 
 @helper
@@ -135,12 +71,12 @@ def _solve(matrix: FloatArray, rhs: FloatArray, size: int) -> None:
 
 
 @kernel
-def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray, work: FloatArray) -> int:
+def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, work: FloatArray) -> int:
     """Share of every layer in every pixel of a vessel.
 
     Args:
         row: vessel row; its CLOCK says how far the layers have separated.
-        chem: material constants.
+        chem: the chemistry.
         layers: [C + 1] out: number of columns, then what each stands for (SOLIDS or a material; air last).
         out: [C, pixels] out: shares; columns in use sum to one over each pixel, and each to its layer's
             share of the vessel times the number of pixels (1e-9). Pixels from the bottom up.
@@ -149,11 +85,12 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
     Returns:
         Number of columns in use; 0 where no vessel stands.
     """
+    chemistry = opened(Chemistry, chem)
     if row[PRESENT] <= 0.0:
         layers[0] = 0
         return 0
     volumes = work[0]
-    count = layer_volumes(row, chem, layers, volumes)
+    count = find_layers(row, chem, layers, volumes)
     pixels = out.shape[1]
     total = 0.0
     for c in range(count):
@@ -179,7 +116,7 @@ def profile(row: FloatArray, chem: Chemistry, layers: IntArray, out: FloatArray,
     for i in range(fluids):
         target[i] = volumes[1 + i] / total * pixels
     for i in range(fluids - 1):
-        lighter = chem.density[layers[1 + 1 + i]] - chem.density[layers[1 + 2 + i]]
+        lighter = chemistry.density[layers[1 + 1 + i]] - chemistry.density[layers[1 + 2 + i]]
         slope[i] = min(kappa * lighter, _STEEPEST)
         # The two layers alone, in the heights they occupy: there the boundary has a closed form.
         height = (target[i] + target[i + 1]) / pixels
@@ -318,26 +255,9 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             out[1 + i, p] *= weight[p]
 
 
-@helper
-def random_bits(state: StreamArray) -> np.uint64:
-    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    bits: np.uint64 = z ^ (z >> np.uint64(31))
-    return bits
-
-
-@helper
-def uniform(state: StreamArray) -> float:
-    """Next number in [0, 1) of the stream."""
-    return (random_bits(state) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
 @kernel
 def camera(
-    row: FloatArray, shares: FloatArray, layers: IntArray, chem: Chemistry, stream: StreamArray, out: FloatArray
+    row: FloatArray, shares: FloatArray, layers: IntArray, chem: Handle, stream: StreamArray, out: FloatArray
 ) -> None:
     """A picture of the vessel: one layer drawn per pixel from the profile, shown as its grey value.
 
@@ -345,10 +265,11 @@ def camera(
         row: vessel row (which solids there are).
         shares: [C, pixels] the vessel's profile.
         layers: [C + 1] the profile's columns.
-        chem: material constants.
+        chem: the chemistry.
         stream: random stream, advanced by one number a pixel where there is anything in the vessel.
         out: [pixels] grey values, bottom first; 0 where no vessel stands.
     """
+    chemistry = opened(Chemistry, chem)
     count = layers[0]
     if count <= 2:
         solid = 0.0
@@ -356,7 +277,7 @@ def camera(
             solid += shares[0, p] if count == 2 else 0.0
         if solid == 0.0:  # no vessel, or an empty one: nothing to draw
             for p in range(out.shape[0]):
-                out[p] = chem.shade[chem.air] if count == 2 else 0.0
+                out[p] = chemistry.shade[chemistry.air] if count == 2 else 0.0
             return
     for p in range(out.shape[0]):
         draw = uniform(stream)
@@ -368,21 +289,22 @@ def camera(
         if chosen == 0 and shares[0, p] > 0.0:
             out[p] = _solid_shade(row, chem, draw / shares[0, p])
         else:
-            out[p] = chem.shade[layers[1 + chosen]]
+            out[p] = chemistry.shade[layers[1 + chosen]]
 
 
 @helper
-def _solid_shade(row: FloatArray, chem: Chemistry, draw: float) -> float:
+def _solid_shade(row: FloatArray, chem: Handle, draw: float) -> float:
     """Grey value of one of the solids, drawn by volume."""
+    chemistry = opened(Chemistry, chem)
     total = 0.0
-    for i in range(chem.role.shape[0]):
-        if chem.role[i] == ROLE_SOLID:
-            total += row[AMOUNTS + i] * chem.molar_volume[i]
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_SOLID:
+            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
     reached, shade = 0.0, 0.0
-    for i in range(chem.role.shape[0]):
-        if chem.role[i] == ROLE_SOLID and row[AMOUNTS + i] > 0.0:
-            shade = chem.shade[i]
-            reached += row[AMOUNTS + i] * chem.molar_volume[i]
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_SOLID and row[AMOUNTS + i] > 0.0:
+            shade = chemistry.shade[i]
+            reached += row[AMOUNTS + i] * chemistry.molar_volume[i]
             if draw * total < reached:
                 break
     return shade

@@ -7,9 +7,8 @@ caller runs :func:`chemlab.physics.partition.partition`, which brings them to CL
 
 from __future__ import annotations
 
-from typing import Protocol
-
-from ..shelf import (
+from ..arrays import FloatArray, Handle, IntArray
+from ..chemistry import (
     AMOUNTS,
     CAPACITY,
     CLOCK,
@@ -18,18 +17,15 @@ from ..shelf import (
     ROLE_GAS,
     ROLE_ION,
     ROLE_SOLID,
-    T_MIX,
     TEMPERATURE,
     Chemistry,
-    FloatArray,
-    IntArray,
 )
+from ..jit import helper, kernel, opened
+from ..shelf import CLOCK_SETTLED, T_MIX
+from .constants import TRACE_MOL
 from .events import SPILL
-from .jit import helper, kernel
 
 __all__ = [
-    "TRACE_MOL",
-    "Volumes",
     "add",
     "clear",
     "drain",
@@ -42,59 +38,46 @@ __all__ = [
     "row_has",
     "solid_volume",
     "spill",
+    "take",
+    "turn_clock",
     "volume",
 ]
 
-# Below this many moles nothing is there: what divisions leave behind must not count as a layer or a liquid.
-TRACE_MOL = 1e-12
-
-
-class Volumes(Protocol):
-    """What a volume takes to know of the materials: a :class:`~chemlab.shelf.Chemistry` has it."""
-
-    @property
-    def role(self) -> IntArray:
-        """[M] one of the ROLE constants"""
-        ...  # a protocol has no body
-
-    @property
-    def molar_volume(self) -> FloatArray:
-        """[M] L/mol"""
-        ...  # a protocol has no body
-
-
 @helper
-def volume(row: FloatArray, chem: Volumes) -> float:
+def volume(row: FloatArray, chem: Handle) -> float:
     """Volume of everything in the vessel but gases, L."""
+    chemistry = opened(Chemistry, chem)
     total = 0.0
-    for i in range(chem.role.shape[0]):
-        if chem.role[i] != ROLE_GAS:
-            total += row[AMOUNTS + i] * chem.molar_volume[i]
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] != ROLE_GAS:
+            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
     return total
 
 
 @helper
-def solid_volume(row: FloatArray, chem: Chemistry) -> float:
+def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Volume of the solids, L."""
+    chemistry = opened(Chemistry, chem)
     total = 0.0
-    for i in range(chem.role.shape[0]):
-        if chem.role[i] == ROLE_SOLID:
-            total += row[AMOUNTS + i] * chem.molar_volume[i]
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_SOLID:
+            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
     return total
 
 
 @helper
-def liquid_volume(row: FloatArray, chem: Chemistry) -> float:
+def liquid_volume(row: FloatArray, chem: Handle) -> float:
     """Volume of the liquids and what is dissolved in them, L."""
     return volume(row, chem) - solid_volume(row, chem)
 
 
 @helper
-def heat_capacity(row: FloatArray, chem: Chemistry) -> float:
+def heat_capacity(row: FloatArray, chem: Handle) -> float:
     """Heat capacity of the contents without air, J/K."""
+    chemistry = opened(Chemistry, chem)
     total = 0.0
-    for i in range(chem.role.shape[0]):
-        total += row[AMOUNTS + i] * chem.heat_capacity[i]
+    for i in range(chemistry.role.shape[0]):
+        total += row[AMOUNTS + i] * chemistry.heat_capacity[i]
     return total
 
 
@@ -112,9 +95,10 @@ def _mix_temperature(row: FloatArray, capacity_before: float, capacity_added: fl
 
 
 @helper
-def remove_fraction(row: FloatArray, fraction: float, chem: Chemistry, into: FloatArray) -> None:
+def remove_fraction(row: FloatArray, fraction: float, chem: Handle, into: FloatArray) -> None:
     """Move ``fraction`` (0 to 1) of everything in the vessel into an amounts array ``into`` [M] (mol)."""
-    n = chem.role.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n = chemistry.role.shape[0]
     for i in range(n):
         moved = row[AMOUNTS + i] * fraction
         row[AMOUNTS + i] -= moved
@@ -124,7 +108,7 @@ def remove_fraction(row: FloatArray, fraction: float, chem: Chemistry, into: Flo
 
 
 @helper
-def spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray) -> None:
+def spill(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """What does not fit goes to waste, an equal share of everything."""
     filled = volume(row, chem)
     if filled > row[CAPACITY] * (1.0 + 1e-12):
@@ -134,10 +118,11 @@ def spill(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArra
 
 @helper
 def pour(
-    source: FloatArray, target: FloatArray, fraction: float, chem: Chemistry, waste: FloatArray, events: FloatArray
+    source: FloatArray, target: FloatArray, fraction: float, chem: Handle, waste: FloatArray, events: FloatArray
 ) -> None:
     """Pour ``fraction`` (0 to 1) of everything in ``source`` into ``target``; what does not fit spills."""
-    n = chem.role.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n = chemistry.role.shape[0]
     before = volume(target, chem)
     there = heat_capacity(target, chem)
     arriving = fraction * heat_capacity(source, chem)
@@ -162,15 +147,16 @@ def add(
     material: int,
     mol: float,
     temperature: float,
-    chem: Chemistry,
+    chem: Handle,
     waste: FloatArray,
     events: FloatArray,
 ) -> None:
     """Add ``mol`` of a pure material at ``temperature`` (K); what does not fit spills."""
+    chemistry = opened(Chemistry, chem)
     if mol <= 0.0:
         return
     before = volume(row, chem)
-    _mix_temperature(row, heat_capacity(row, chem), mol * chem.heat_capacity[material], temperature)
+    _mix_temperature(row, heat_capacity(row, chem), mol * chemistry.heat_capacity[material], temperature)
     row[AMOUNTS + material] += mol
     _stir(row, before, volume(row, chem))
     spill(row, chem, waste, events)
@@ -183,10 +169,9 @@ def drain(
     pixels: float,
     profile: FloatArray,
     layers: IntArray,
-    chem: Chemistry,
+    chem: Handle,
     waste: FloatArray,
     events: FloatArray,
-    share: FloatArray,
 ) -> None:
     """Drain the lowest ``pixels`` of ``source`` into ``target``: exactly what the layer profile says is there.
 
@@ -195,14 +180,24 @@ def drain(
         pixels: number of pixels, of the profile's 100 or so; fractions of a pixel count.
         profile: [C, pixels] layer profile of ``source`` (see :mod:`chemlab.physics.layers`).
         layers: [C + 1] the profile's columns: count, then SOLIDS or a material index each.
-        chem: material constants.
+        chem: the chemistry.
         waste: [M] mol, receives what spills.
         events: safety events row.
-        share: [C] scratch.
     """
-    n, count, height = chem.role.shape[0], layers[0], profile.shape[1]
+    chemistry = opened(Chemistry, chem)
+    n, count, height = chemistry.role.shape[0], layers[0], profile.shape[1]
     whole = int(min(pixels, height))
+    before = volume(target, chem)
+    there = heat_capacity(target, chem)
+    arriving = 0.0
+    n_solvents, n_dissolved = chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
+    solvent_present = False
+    for layer in range(n_solvents):
+        solvent_present = solvent_present or row_has(source, chemistry.solvents[layer])
     for c in range(count):
+        material = layers[1 + c]
+        if material == chemistry.air:
+            continue
         low, total = 0.0, 0.0
         for p in range(height):
             if p < whole:
@@ -210,44 +205,35 @@ def drain(
             elif p == whole:
                 low += profile[c, p] * (pixels - whole)
             total += profile[c, p]
-        share[c] = min(low / total, 1.0) if total > 0.0 else 0.0
-    before = volume(target, chem)
-    there = heat_capacity(target, chem)
-    arriving = 0.0
-    n_solvents, n_dissolved = chem.solvents.shape[0], chem.dissolved.shape[0]
-    solvent_present = False
-    for layer in range(n_solvents):
-        solvent_present = solvent_present or row_has(source, chem.solvents[layer])
-    for c in range(count):
-        material = layers[1 + c]
-        if material == chem.air or share[c] <= 0.0:
+        share = min(low / total, 1.0) if total > 0.0 else 0.0
+        if share <= 0.0:
             continue
         if material < 0:  # the solids, and ions where no liquid holds them
             for i in range(n):
-                if chem.role[i] == ROLE_SOLID or (not solvent_present and chem.role[i] == ROLE_ION):
-                    moved = source[AMOUNTS + i] * share[c]
+                if chemistry.role[i] == ROLE_SOLID or (not solvent_present and chemistry.role[i] == ROLE_ION):
+                    moved = source[AMOUNTS + i] * share
                     source[AMOUNTS + i] -= moved
                     target[AMOUNTS + i] += moved
-                    arriving += moved * chem.heat_capacity[i]
+                    arriving += moved * chemistry.heat_capacity[i]
             continue
-        moved = source[AMOUNTS + material] * share[c]
+        moved = source[AMOUNTS + material] * share
         source[AMOUNTS + material] -= moved
         target[AMOUNTS + material] += moved
-        arriving += moved * chem.heat_capacity[material]
+        arriving += moved * chemistry.heat_capacity[material]
         if not solvent_present:
             continue
         for layer in range(n_solvents):
-            if chem.solvents[layer] != material:
+            if chemistry.solvents[layer] != material:
                 continue
             for k in range(n_dissolved):
-                i = chem.dissolved[k]
+                i = chemistry.dissolved[k]
                 column = AMOUNTS + n + k * n_solvents + layer
-                moved = min(source[column] * share[c], source[AMOUNTS + i])
+                moved = min(source[column] * share, source[AMOUNTS + i])
                 source[column] -= moved
                 target[column] += moved
                 source[AMOUNTS + i] -= moved
                 target[AMOUNTS + i] += moved
-                arriving += moved * chem.heat_capacity[i]
+                arriving += moved * chemistry.heat_capacity[i]
     _mix_temperature(target, there, arriving, source[TEMPERATURE])
     _stir(target, before, volume(target, chem))
     spill(target, chem, waste, events)
@@ -274,11 +260,33 @@ def clear(row: FloatArray) -> None:
 
 
 @helper
-def place(row: FloatArray, capacity: float, chem: Chemistry) -> None:
+def place(row: FloatArray, capacity: float, chem: Handle) -> None:
     """A clean, empty vessel."""
+    chemistry = opened(Chemistry, chem)
     row[:] = 0.0
-    row[TEMPERATURE] = chem.ambient_temperature
+    row[TEMPERATURE] = chemistry.ambient_temperature
     row[CAPACITY] = capacity
     row[CLOCK] = T_MIX
     row[CLOCK_WAS] = T_MIX
     row[PRESENT] = 1.0
+
+
+@helper
+def take(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
+    """Remove ``mol`` of a liquid from the vessel (from every layer alike); never more than is there."""
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
+    before = row[AMOUNTS + material]
+    left = max(before - mol, 0.0)
+    k = chemistry.dissolved_at[material]
+    if k >= 0 and before > 0.0:
+        first = AMOUNTS + n + k * n_solvents
+        for layer in range(n_solvents):
+            row[first + layer] *= left / before
+    row[AMOUNTS + material] = left
+
+
+@helper
+def turn_clock(row: FloatArray, by: float) -> None:
+    """Let the vessel settle (``by`` > 0) or mix it (< 0), within [T_MIX, CLOCK_SETTLED]."""
+    row[CLOCK] = max(min(row[CLOCK] + by, CLOCK_SETTLED), T_MIX)

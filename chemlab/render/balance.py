@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..laboratory.core import Laboratories
 from ..record import Record
-from ..shelf import FloatArray
 from .history import Move, Retold
 
 __all__ = ["PLACES", "Balance", "Group", "Stage", "mole_balance"]

@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..bench.base import channel_slices
+from ..chemistry import WAVELENGTHS_NM
 from ..laboratory.core import Laboratories
-from ..laboratory.manager import COST_ITEMS
+from ..laboratory.state import COST_ITEMS
 from ..laboratory.text import action_words
 from ..materials import Material
 from ..record import Record, RecordError
 from ..scenario import Scenario
-from ..shelf import WAVELENGTHS_NM, FloatArray
 from .balance import PLACES, Balance, Group, mole_balance
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure

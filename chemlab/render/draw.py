@@ -462,7 +462,7 @@ class _Painter:
         canvas = self.canvas
         left, right, y = rect.left, rect.right, rect.bottom - 4.0
         for reading in sorted(slot.readings, key=lambda reading: reading.age):
-            if y - (20.0 if reading.kind == "uv_vis" else 9.0) < rect.top:
+            if y - (20.0 if reading.kind == "curve" else 9.0) < rect.top:
                 continue
             if reading.labels:  # shares of materials
                 parts = [
@@ -471,7 +471,7 @@ class _Painter:
                 ]
                 canvas.stack(left, y - 6.0, right, y, parts)
                 y -= 9.0
-            elif reading.kind == "uv_vis":
+            elif reading.kind == "curve":
                 self._curve(reading.values, _Rect(left, y - 20.0, right, y))
                 y -= 23.0
             elif len(reading.values) == 1:

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..bench.base import MaskArray, ObservationArray
+from ..arrays import MaskArray, ObservationArray
 from ..laboratory.core import Laboratories
-from ..laboratory.manager import RUNNING
+from ..laboratory.state import RUNNING
 from ..record import Play, Record, RecordError, Replay
 
 __all__ = ["Look", "Move", "Retold"]

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from ..chemistry import WAVELENGTHS_NM
 from ..laboratory.core import Laboratories
-from ..laboratory.manager import COST_ITEMS
+from ..laboratory.state import COST_ITEMS
 from ..laboratory.text import action_words, reading_words
 from ..physics.transfer import liquid_volume
 from ..record import Play, Record, Replay, verify_record
-from ..shelf import WAVELENGTHS_NM
 from .scene import laboratory_scene
 
 __all__ = ["replay_data", "replay_page"]
@@ -183,7 +183,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         "materials": _materials(labs, scene),
         "largest_capacity_l": scene["largest_capacity_l"],
         "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
-        "analytes": [*(labs.shelf.layout.materials[a] for a in labs.instruments.analytes), "residue"],
+        "analytes": [*max(labs.instruments.analytes, key=len, default=()), "residue"],
         "reagents": {
             agent: list(getattr(bench, "reagent_names", ()))
             for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)

@@ -20,13 +20,16 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray, IntArray
 from ..bench.base import CAMERA_PIXELS, Bench, Station
+from ..chemistry import ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..laboratory.arena import BenchArena
 from ..laboratory.core import Laboratories
-from ..laboratory.manager import COST_ITEMS, RUNNING
-from ..physics.layers import SOLIDS, profile
+from ..laboratory.state import COST_ITEMS, RUNNING
+from ..physics.constants import SOLIDS
+from ..physics.layers import profile
 from ..scenario import SAFETY_EVENTS, Scenario
-from ..shelf import ROLE_GAS, ROLE_ION, ROLE_SOLID, FloatArray, IntArray, Shelf
+from ..shelf import Shelf
 
 __all__ = [
     "MIXTURE_SLICES",
@@ -485,18 +488,17 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
         origin = bench.key + role
     for i, name in enumerate(table.names):
         if vessel is not None and desk.age[member, s, i] >= 0:
-            channel, kind_name = table.channels[i], scenario.instruments[name].kind
-            analytes = tuple(labs.shelf.layout.materials[a] for a in table.analytes)
+            channel, picture = table.channels[i], table.kinds[i].picture
             readings.append(
                 ReadingPicture(
                     instrument=name,
-                    kind=kind_name,
+                    kind=picture,
                     age=int(desk.age[member, s, i]),
                     unit=channel.unit,
                     low=channel.low,
                     high=channel.high,
                     values=tuple(desk.reading[member, s, table.start[i] : table.start[i + 1]].tolist()),
-                    labels=(*analytes, "residue") if kind_name == "gas_chromatograph" else (),
+                    labels=(*table.analytes[i], "residue") if picture == "bars" else (),
                 )
             )
     return SlotPicture(s, vessel, labs.bench_agents[holder] if holder >= 0 else None, origin, tuple(readings))

@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from chemlab.bench.base import Bench, Channel, MaskArray, ObservationArray, Station, check_discrete
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Bench, Channel, Station, check_discrete
+from chemlab.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, Chemistry, Layout
 from chemlab.scenario import Scenario
-from chemlab.shelf import AMOUNTS, CAPACITY, ROLE_SOLID, Chemistry, FloatArray, IntArray, Layout, Shelf
+from chemlab.shelf import Shelf
 
 FILTER, END = range(2)
 

@@ -12,10 +12,10 @@ from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
 from chemlab.agents.policy import Policy, bench_heuristic
+from chemlab.chemistry import Layout
 from chemlab.laboratory import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import Layout
 
 FloatArray = npt.NDArray[np.float64]
 R = 8.31446261815324

@@ -22,12 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.agents.policy import RandomPolicy
-from chemlab.bench.base import ObservationArray
+from chemlab.arrays import FloatArray, IntArray, ObservationArray
+from chemlab.chemistry import element_matrix
+from chemlab.jit import kernel
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.physics.jit import kernel
 from chemlab.scenario import SAFETY_EVENTS, scenario_names
-from chemlab.shelf import FloatArray, IntArray, element_matrix
 
 LARGEST_DRIFT = 1e-9
 LARGEST_GROWTH_MIB = 8.0

@@ -34,7 +34,7 @@ from pettingzoo.utils.wrappers import MultiEpisodeEnv, MultiEpisodeParallelEnv
 
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, plain_infos, raw_env
-from chemlab.laboratory.manager import COST_ITEMS
+from chemlab.laboratory.state import COST_ITEMS
 from chemlab.scenario import SAFETY_EVENTS, scenario_names
 
 SCENARIOS = scenario_names()

@@ -13,13 +13,14 @@ import pytest
 from helpers import allowed, laboratory, litres, manager, mapping
 
 from chemlab.bench.base import channel_slices
-from chemlab.bench.instruments import BALANCE_RANGE_KG
+from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS
+from chemlab.instruments.balance import RANGE_KG
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.manager import COST_ITEMS
+from chemlab.laboratory.state import COST_ITEMS
 from chemlab.scenario import load_scenario, scenario_names
-from chemlab.shelf import AMOUNTS, CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX, Shelf
+from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
 WURTZ = "wurtz_dodecane"
 
@@ -231,7 +232,7 @@ def test_a_reading_arrives_with_age_zero_and_grows_old_with_ticks() -> None:
     assert seen(env, "slot_1_balance")[0] == 0.0
     manager(env, "measure", 1, "balance")
     grams = sum(mol * env.scenario.materials[name].molar_mass_g_mol for name, mol in contents.items())
-    assert seen(env, "slot_1_balance")[0] == pytest.approx(grams / 1000.0 / BALANCE_RANGE_KG, rel=1e-6)
+    assert seen(env, "slot_1_balance")[0] == pytest.approx(grams / 1000.0 / RANGE_KG, rel=1e-6)
     assert seen(env, "slot_1_balance_age")[0] == 0.0
     # Only this slot and this instrument.
     assert seen(env, "slot_1_uv_vis_age")[0] == 1.0
@@ -323,7 +324,7 @@ def test_noise_of_an_instrument_comes_from_the_seed() -> None:
         manager(env, "measure", 0, "balance")
         readings.append(float(seen(env, "slot_0_balance")[0]))
     assert readings[0] == readings[1] != readings[2]
-    truth = 4.0 * env.scenario.materials["diethyl_ether"].molar_mass_g_mol / 1000.0 / BALANCE_RANGE_KG
+    truth = 4.0 * env.scenario.materials["diethyl_ether"].molar_mass_g_mol / 1000.0 / RANGE_KG
     assert all(0.0 < abs(reading - truth) < 0.06 for reading in readings)  # six standard deviations
 
 

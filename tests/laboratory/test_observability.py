@@ -14,11 +14,12 @@ import pytest
 from helpers import litres
 
 from chemlab.bench.base import channel_slices
+from chemlab.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario, load_scenario, scenario_names
-from chemlab.shelf import CLOCK, CLOCK_SETTLED, CLOCK_WAS, PRESENT, ROLE_GAS, T_MIX, TEMPERATURE
+from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 SCENARIOS = scenario_names()
 WURTZ = "wurtz_dodecane"

@@ -18,13 +18,13 @@ from chemlab.agents.policy import make_policies
 from chemlab.agents.run import play_episode
 from chemlab.agents.views import focal_env, focal_vector_env
 from chemlab.bench.base import channel_slices
+from chemlab.chemistry import PRESENT, element_matrix
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.materials import DataError
 from chemlab.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
-from chemlab.shelf import PRESENT, element_matrix
 
 LINES = "wurtz_two_lines"
 

@@ -14,11 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from chemlab.agents.policy import RandomPolicy
+from chemlab.chemistry import AIR, CAPACITY, CLOCK, PRESENT, TEMPERATURE
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories
-from chemlab.physics.thermal import pressure, vapor_pressure
+from chemlab.physics.laws import vapor_pressure
+from chemlab.physics.thermal import pressure
 from chemlab.scenario import scenario_names
-from chemlab.shelf import AIR, CAPACITY, CLOCK, CLOCK_SETTLED, PRESENT, T_MIX, TEMPERATURE, Shelf
+from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

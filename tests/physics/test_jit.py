@@ -12,7 +12,7 @@ import pytest
 
 PLAY = """
 import numpy as np
-from chemlab.physics.layers import uniform
+from chemlab.rng import uniform
 print(uniform(np.array([7], dtype=np.uint64)))
 """
 

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
-from chemlab.physics.kinetics import GAS_CONSTANT, react, react_work_size
-from chemlab.shelf import AMOUNTS, Network, build_network
+from chemlab.chemistry import AMOUNTS
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.physics.kinetics import react, react_work_size
+from chemlab.shelf import Network, build_network
 
 FloatArray = npt.NDArray[np.float64]
 Step = tuple[Mapping[int, float], Mapping[int, float], float, float]

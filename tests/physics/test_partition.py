@@ -10,7 +10,8 @@ from helpers import Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chemlab.shelf import CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX
+from chemlab.chemistry import CLOCK, CLOCK_WAS
+from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 FOUR = Glassware(four_solvents(), 2)
 SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")

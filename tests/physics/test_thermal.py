@@ -10,9 +10,10 @@ from helpers import Glassware, molar_volume
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from chemlab.chemistry import AIR, AMOUNTS, CAPACITY, TEMPERATURE
 from chemlab.physics.events import BOILED_DRY, DRY_HEATING, RELIEF, SPILL
-from chemlab.physics.thermal import pressure, seal, vapor_pressure, vent
-from chemlab.shelf import AIR, AMOUNTS, CAPACITY, TEMPERATURE
+from chemlab.physics.laws import vapor_pressure, vent
+from chemlab.physics.thermal import pressure, seal
 
 R = 8.31446261815324
 ATMOSPHERE = 101.325

@@ -8,9 +8,10 @@ from helpers import PIXELS, Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from chemlab.chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
 from chemlab.physics.events import SPILL
 from chemlab.physics.transfer import clear, liquid_volume, place, remove_fraction, solid_volume, volume
-from chemlab.shelf import AMOUNTS, CAPACITY, CLOCK, CLOCK_SETTLED, CLOCK_WAS, PRESENT, T_MIX, TEMPERATURE
+from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 SCENARIO = four_solvents()
 MATERIALS = ["water", "diethyl_ether", "hexane", "dodecane", "1-chlorohexane", "NaCl"]

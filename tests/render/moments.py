@@ -11,13 +11,13 @@ import numpy as np
 
 from chemlab.agents.policy import bench_heuristic, make_policies
 from chemlab.agents.run import Turn, play_episode
+from chemlab.chemistry import CLOCK, CLOCK_WAS
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.core import Laboratories
 from chemlab.materials import read_toml
 from chemlab.render.scene import Scene, bench_scene, laboratory_scene
 from chemlab.scenario import Scenario, load_scenario, scenario_names
-from chemlab.shelf import CLOCK, CLOCK_WAS
 
 SCENARIOS = scenario_names()
 BENCHES = [(name, key) for name in SCENARIOS for key in load_scenario(name).benches]

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 
-from ..shelf import AMOUNTS, CLOCK, CLOCK_SETTLED, CLOCK_WAS, T_MIX, Chemistry, FloatArray
-from .jit import helper, kernel
-from .transfer import TRACE_MOL
+from ....arrays import FloatArray, Handle
+from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, Chemistry
+from ....jit import helper, kernel, opened
+from ....shelf import T_MIX
+from ...constants import TRACE_MOL
 
-__all__ = ["equilibrium", "partition", "set_dissolved_total", "turn_clock"]
+__all__ = ["equilibrium", "partition", "set_dissolved_total"]
 
 _DECAY = 30.0
 """The paper's rate at which the mixed distribution gives way to the polarity-driven one."""
 
 
 @helper
-def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, share: FloatArray) -> int:
+def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, share: FloatArray) -> int:
     """S*(clock) / [S]: the share of a solute that each solvent tends to hold; the shares add up to one.
 
     Args:
         row: vessel row (how much of each solvent there is; solvents count by volume).
-        chem: material constants.
+        chem: the chemistry.
         material: the solute.
         clock: settling clock.
         share: [L] out.
@@ -28,11 +30,12 @@ def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, s
     Returns:
         Number of solvents present; with none, every share is 0.
     """
-    n_solvents = chem.solvents.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n_solvents = chemistry.solvents.shape[0]
     present, only = 0, -1
     for layer in range(n_solvents):
         share[layer] = 0.0
-        if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:
+        if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
             present += 1
             only = layer
     if present < 2:  # the common case, and nothing to work out
@@ -41,10 +44,10 @@ def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, s
         return present
     litres, distances, weighted = 0.0, 0.0, 0.0
     for layer in range(n_solvents):
-        i = chem.solvents[layer]
+        i = chemistry.solvents[layer]
         if row[AMOUNTS + i] > TRACE_MOL:
-            volume = row[AMOUNTS + i] * chem.molar_volume[i]
-            distance = abs(chem.polarity[material] - chem.polarity[i])
+            volume = row[AMOUNTS + i] * chemistry.molar_volume[i]
+            distance = abs(chemistry.polarity[material] - chemistry.polarity[i])
             litres += volume
             distances += distance
             weighted += volume * distance
@@ -53,22 +56,23 @@ def equilibrium(row: FloatArray, chem: Chemistry, material: int, clock: float, s
     # Solvents that are all exactly as polar as the solute: nothing to tell them apart by.
     norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
     for layer in range(n_solvents):
-        i = chem.solvents[layer]
+        i = chemistry.solvents[layer]
         if row[AMOUNTS + i] > TRACE_MOL:
-            volume = row[AMOUNTS + i] * chem.molar_volume[i]
+            volume = row[AMOUNTS + i] * chemistry.molar_volume[i]
             preference = 1.0
             if norm > 0.0:
-                preference = (1.0 - abs(chem.polarity[material] - chem.polarity[i]) / distances) / norm
+                preference = (1.0 - abs(chemistry.polarity[material] - chemistry.polarity[i]) / distances) / norm
             share[layer] = volume / litres * (alpha + (1.0 - alpha) * preference)
     return present
 
 
 @helper
-def set_dissolved_total(row: FloatArray, chem: Chemistry, k: int, total: float, share: FloatArray) -> None:
+def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, share: FloatArray) -> None:
     """Set the total of dissolvable material ``k`` (mol): what leaves leaves every solvent alike, what is new
     dissolves where the solute tends to be. ``share`` is [L] scratch."""
-    n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
-    material = chem.dissolved[k]
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
+    material = chemistry.dissolved[k]
     before = row[AMOUNTS + material]
     if total == before:
         return
@@ -85,7 +89,7 @@ def set_dissolved_total(row: FloatArray, chem: Chemistry, k: int, total: float, 
 
 
 @kernel
-def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
+def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring the dissolved amounts from CLOCK_WAS to CLOCK: the paper's three-case update.
 
     Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Then amounts are clipped
@@ -93,17 +97,18 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
 
     Args:
         row: vessel row, changed in place.
-        chem: material constants.
+        chem: the chemistry.
         work: [2, L] or larger scratch.
     """
-    n, n_solvents = chem.role.shape[0], chem.solvents.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
     clock, was = row[CLOCK], row[CLOCK_WAS]
     now, then = work[0], work[1]
     keep = 1.0
     if clock < was:
         keep = (clock - T_MIX) / (was - T_MIX)
-    for k in range(chem.dissolved.shape[0]):
-        material = chem.dissolved[k]
+    for k in range(chemistry.dissolved.shape[0]):
+        material = chemistry.dissolved[k]
         total = row[AMOUNTS + material]
         first = AMOUNTS + n + k * n_solvents
         if total <= 0.0:
@@ -124,7 +129,7 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
             row[first + layer] = row[first + layer] / placed * total if placed > 0.0 else total * then[layer]
         found = 0.0
         for layer in range(n_solvents):
-            if row[AMOUNTS + chem.solvents[layer]] > TRACE_MOL:
+            if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
                 amount = total * now[layer] + keep * (row[first + layer] - total * then[layer])
                 row[first + layer] = max(amount, 0.0)
                 found += row[first + layer]
@@ -133,9 +138,3 @@ def partition(row: FloatArray, chem: Chemistry, work: FloatArray) -> None:
         for layer in range(n_solvents):
             row[first + layer] = row[first + layer] / found * total if found > 0.0 else total * now[layer]
     row[CLOCK_WAS] = clock
-
-
-@helper
-def turn_clock(row: FloatArray, by: float) -> None:
-    """Let the vessel settle (``by`` > 0) or mix it (< 0), within [T_MIX, CLOCK_SETTLED]."""
-    row[CLOCK] = max(min(row[CLOCK] + by, CLOCK_SETTLED), T_MIX)

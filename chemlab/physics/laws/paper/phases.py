@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import math
 
-from ..shelf import AMOUNTS, ROLE_GAS, Chemistry, FloatArray
-from .events import METAL_IN_WATER
-from .jit import helper
+from ....arrays import FloatArray, Handle
+from ....chemistry import AMOUNTS, ROLE_GAS, Chemistry
+from ....jit import helper, opened
+from ...events import METAL_IN_WATER
 from .partition import set_dissolved_total
 
 __all__ = ["react_violently", "settle_phases", "settle_salts"]
 
 
 @helper
-def _set_amount(row: FloatArray, chem: Chemistry, material: int, total: float, share: FloatArray) -> None:
-    k = chem.dissolved_at[material]
+def _set_amount(row: FloatArray, chem: Handle, material: int, total: float, share: FloatArray) -> None:
+    chemistry = opened(Chemistry, chem)
+    k = chemistry.dissolved_at[material]
     if k >= 0:
         set_dissolved_total(row, chem, k, total, share)
     else:
@@ -23,34 +25,35 @@ def _set_amount(row: FloatArray, chem: Chemistry, material: int, total: float, s
 
 
 @helper
-def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: FloatArray) -> float:
+def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, share: FloatArray) -> float:
     """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``.
 
     Returns:
         mol of the first reactant (the metal) that reacted.
     """
-    n = chem.role.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n = chemistry.role.shape[0]
     reacted = 0.0
-    for v in range(chem.violent.shape[0]):
+    for v in range(chemistry.violent.shape[0]):
         extent, limiting = math.inf, -1
         for i in range(n):
-            if chem.violent[v, i] < 0.0:
+            if chemistry.violent[v, i] < 0.0:
                 if row[AMOUNTS + i] <= 0.0:
                     limiting = -1
                     break
-                if row[AMOUNTS + i] / -chem.violent[v, i] < extent:
-                    extent, limiting = row[AMOUNTS + i] / -chem.violent[v, i], i
+                if row[AMOUNTS + i] / -chemistry.violent[v, i] < extent:
+                    extent, limiting = row[AMOUNTS + i] / -chemistry.violent[v, i], i
         if limiting < 0:
             continue
         first = True
         for i in range(n):
-            change = chem.violent[v, i] * extent
+            change = chemistry.violent[v, i] * extent
             if change == 0.0:
                 continue
             if change < 0.0 and first:
                 reacted += -change
                 first = False
-            if chem.role[i] == ROLE_GAS:
+            if chemistry.role[i] == ROLE_GAS:
                 waste[i] += change
             elif i == limiting:
                 _set_amount(row, chem, i, 0.0, share)
@@ -60,26 +63,27 @@ def react_violently(row: FloatArray, chem: Chemistry, waste: FloatArray, share: 
 
 
 @helper
-def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
+def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
     """Take every salt to the equilibrium [salt][solvent] = [cation][anion], all solvents counted.
 
     Salts that share a cation have one quadratic in common: with c mol of it in solution, S mol of solvent, A mol of
     their anions and C mol of the cation (dissolved and solid), c^2 + (S + A - C) c - C S = 0, and every salt has
     the same share c / (S + c) undissolved. The liquid's volume cancels.
     """
-    n_salts = chem.salts.shape[0]
+    chemistry = opened(Chemistry, chem)
+    n_salts = chemistry.salts.shape[0]
     solvent = 0.0
-    for layer in range(chem.solvents.shape[0]):
-        solvent += row[AMOUNTS + chem.solvents[layer]]
+    for layer in range(chemistry.solvents.shape[0]):
+        solvent += row[AMOUNTS + chemistry.solvents[layer]]
     start = 0
     while start < n_salts:
-        cation = chem.salts[start, 1]
+        cation = chemistry.salts[start, 1]
         stop = start
         cations, anions = row[AMOUNTS + cation], 0.0
-        while stop < n_salts and chem.salts[stop, 1] == cation:
-            solid = row[AMOUNTS + chem.salts[stop, 0]]
+        while stop < n_salts and chemistry.salts[stop, 1] == cation:
+            solid = row[AMOUNTS + chemistry.salts[stop, 0]]
             cations += solid
-            anions += solid + row[AMOUNTS + chem.salts[stop, 2]]
+            anions += solid + row[AMOUNTS + chemistry.salts[stop, 2]]
             stop += 1
         if cations > 0.0 and anions > 0.0:
             b = solvent + anions - cations
@@ -87,7 +91,7 @@ def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
             free = 2.0 * cations * solvent / (b + root) if b > 0.0 else 0.5 * (root - b)
             solids = max(min(cations - free, min(cations, anions)), 0.0)
             for s in range(start, stop):
-                solid, anion = chem.salts[s, 0], chem.salts[s, 2]
+                solid, anion = chemistry.salts[s, 0], chemistry.salts[s, 2]
                 both = row[AMOUNTS + solid] + row[AMOUNTS + anion]
                 precipitate = both * (solids / anions)
                 row[AMOUNTS + solid] = precipitate
@@ -97,12 +101,12 @@ def settle_salts(row: FloatArray, chem: Chemistry, share: FloatArray) -> None:
 
 
 @helper
-def settle_phases(row: FloatArray, chem: Chemistry, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
     """What happens by itself in any vessel, after any operation: violent reactions, then salts.
 
     Args:
         row: vessel row, changed in place.
-        chem: material constants.
+        chem: the chemistry.
         waste: [M] mol, receives vented gases.
         events: safety events row; METAL_IN_WATER grows by the mol of metal that reacted.
         share: [L] scratch.

@@ -1,0 +1,19 @@
+"""Instruments of the characterization bench: a vessel goes in, a reading comes out. One file each.
+
+To add one of chemlab's: a file with an ``INSTRUMENT``, and an entry in :data:`INSTRUMENTS`. One of your own is an
+:class:`~chemlab.instruments.base.Instrument` in a file beside your scenario, named there as
+``kind = "my_parts.py:NAME"``.
+"""
+
+from . import balance, gas_chromatograph, layer_camera, uv_vis
+from .base import Instrument, Reading
+
+__all__ = ["INSTRUMENTS", "Instrument", "Reading"]
+
+INSTRUMENTS: dict[str, Instrument] = {
+    "uv_vis": uv_vis.INSTRUMENT,
+    "layer_camera": layer_camera.INSTRUMENT,
+    "balance": balance.INSTRUMENT,
+    "gas_chromatograph": gas_chromatograph.INSTRUMENT,
+}
+"""Kinds of instrument that a scenario may name in short; their order numbers them."""

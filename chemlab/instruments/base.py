@@ -1,0 +1,66 @@
+"""What an instrument is: what its reading is, how it is taken, how it is spoken of and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..arrays import FloatArray, Handle, IntArray, StreamArray
+from ..bench.base import Channel
+from ..chemistry import Chemistry
+
+__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes"]
+
+
+class Reading(NamedTuple):
+    """What an instrument works on in one laboratory."""
+
+    row: FloatArray
+    """[W] the vessel"""
+    analytes: IntArray
+    """[A] material indices that the instrument tells apart"""
+    stream: StreamArray
+    """random stream"""
+    layers: IntArray
+    """[C + 1], ``shares`` [C, pixels] and ``work``: scratch of the layer profile"""
+    shares: FloatArray
+    work: FloatArray
+    out: FloatArray
+    """[size] the reading, to be written: values in [0, 1]"""
+
+
+def no_analytes(chemistry: Chemistry) -> IntArray:
+    """For instruments that do not tell materials apart."""
+    return np.zeros(0, dtype=np.int64)
+
+
+def in_numbers(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
+    """A reading in words: one number with its unit, or how many there are."""
+    if channel.size == 1:
+        return f"{values[0] * channel.high:.3f} {channel.unit}"
+    return f"{channel.size} values of {channel.unit}"
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """A kind of instrument.
+
+    Attributes:
+        summary: what it measures.
+        channel: what its reading is, given the instrument's name in the scenario and the analytes' names.
+        read: ``read(reading, chem)``, a kernel or a function: writes ``reading.out``. Noise is added and the sample
+            taken by whoever calls it.
+        analytes: material indices that it tells apart.
+        words: the reading in words.
+        picture: how it is drawn: as a ``number``, a ``curve``, a ``column`` of grey values, or ``bars``.
+    """
+
+    summary: str
+    channel: Callable[[str, Sequence[str]], Channel]
+    read: Callable[[Reading, Handle], float]
+    analytes: Callable[[Chemistry], IntArray] = no_analytes
+    words: Callable[[FloatArray, Channel, Sequence[str]], str] = in_numbers
+    picture: Literal["number", "curve", "column", "bars"] = "number"

@@ -1,0 +1,182 @@
+"""The scenario's instruments as arrays, and the kernel that takes their readings."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from ..arrays import Field, FloatArray, Handle, IntArray, StreamArray
+from ..bench.base import CAMERA_PIXELS, Channel
+from ..chemistry import ChemistryTable
+from ..jit import chained, helper, kernel, opened
+from ..materials import DataError
+from ..parts import load_part
+from ..physics.transfer import remove_fraction
+from ..rng import normal
+from ..scenario import Scenario
+from ..shelf import Shelf, ShelfArrays
+from ..tables import Table
+from . import INSTRUMENTS
+from .base import Instrument, Reading
+
+__all__ = ["InstrumentRules", "InstrumentTable"]
+
+_TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_role"})
+
+_read = chained([instrument.read for instrument in INSTRUMENTS.values()], 0.0)
+
+
+class InstrumentRules(NamedTuple):
+    """A scenario's instruments. I instruments, A analytes of all of them, C layers."""
+
+    kind: Annotated[IntArray, Field("I")]
+    """[I] number of the kind; those that are not chemlab's come after"""
+    start: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each reading begins among all of them"""
+    price: Annotated[FloatArray, Field("I")]
+    """[I] score for one use"""
+    sample: Annotated[FloatArray, Field("I")]
+    """[I] fraction of the contents that one use takes"""
+    noise: Annotated[FloatArray, Field("I")]
+    """[I] standard deviation added to every value"""
+    analytes: Annotated[IntArray, Field("A")]
+    """[A] material indices, those of each instrument together"""
+    first_analyte: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each instrument's begin"""
+    layers: Annotated[IntArray, Field("C+1")]
+    """scratch, as ``shares`` and ``work``"""
+    shares: Annotated[FloatArray, Field("C pixels")]
+    work: Annotated[FloatArray, Field("a b")]
+
+
+@helper
+def _reading(i: int, row: FloatArray, stream: StreamArray, out: FloatArray, rules: InstrumentRules) -> Reading:
+    analytes = rules.analytes[rules.first_analyte[i] : rules.first_analyte[i + 1]]
+    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, out)
+
+
+@kernel
+def _take(
+    members: IntArray,
+    slots: IntArray,
+    used: IntArray,
+    readings: FloatArray,
+    stream: StreamArray,
+    instruments: Handle,
+    shelf: Handle,
+    chemistry: Handle,
+) -> None:
+    """Let instrument ``used[b]`` read the vessel of slot ``slots[b]`` into ``readings`` [N, S, R], for each b of
+    ``members`` [B]. What is not chemlab's has been read already; noise and sample are everybody's."""
+    rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for b in range(members.shape[0]):
+        m, i = members[b], used[b]
+        chem, row = chemistry[arrays.variant[m]], arrays.rows[m * vessels + slots[b]]
+        out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
+        _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
+        for k in range(out.shape[0]):
+            value = out[k] + (rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0)
+            out[k] = min(max(value, 0.0), 1.0)
+        if rules.sample[i] > 0.0:
+            remove_fraction(row, rules.sample[i], chem, arrays.waste[m])
+
+
+class InstrumentTable:
+    """The scenario's instruments.
+
+    Attributes:
+        names: in the scenario's order.
+        kinds: what each is.
+        channels: what each reading is.
+        analytes: names of the materials each tells apart.
+        rules: what kernels need (:class:`InstrumentRules`).
+    """
+
+    def __init__(self, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        self.names = tuple(scenario.instruments)
+        specs = list(scenario.instruments.values())
+        self.kinds: list[Instrument] = []
+        self.channels: tuple[Channel, ...] = ()
+        self.analytes: list[tuple[str, ...]] = []
+        known, indices = chemistry.world(), []
+        for name, spec in scenario.instruments.items():
+            where = f"{scenario.origin}: instruments.{name}"
+            if name in _TAKEN or not re.fullmatch("[a-z][a-z0-9_]*", name):
+                raise DataError(
+                    f"{where}: must be lower-case letters, digits and _, and none of "
+                    f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
+                )
+            kind = self._kind(spec.kind, scenario, where)
+            own = kind.analytes(known)
+            self.kinds.append(kind)
+            indices.append(own)
+            self.analytes.append(tuple(chemistry.layout.materials[i] for i in own))
+            self.channels += (kind.channel(name, self.analytes[-1]),)
+        builtin, columns = list(INSTRUMENTS.values()), chemistry.layout.fluid_columns
+        self._own = [kind not in builtin for kind in self.kinds]
+        self.rules = Table(
+            InstrumentRules(
+                kind=np.array([builtin.index(k) if k in builtin else len(builtin) for k in self.kinds], dtype=np.int64),
+                start=np.cumsum([0, *(channel.size for channel in self.channels)]),
+                price=np.array([spec.price for spec in specs], dtype=np.float64),
+                sample=np.array([spec.sample_fraction for spec in specs], dtype=np.float64),
+                noise=np.array([spec.noise for spec in specs], dtype=np.float64),
+                analytes=np.concatenate([np.zeros(0, dtype=np.int64), *indices]),
+                first_analyte=np.cumsum([0, *(len(own) for own in indices)]),
+                layers=np.zeros(columns + 1, dtype=np.int64),
+                shares=np.zeros((columns, CAMERA_PIXELS)),
+                work=np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS))),
+            )
+        )
+
+    @property
+    def start(self) -> IntArray:
+        """[I + 1] where each reading begins among all of them."""
+        return self.rules.arrays.start
+
+    @property
+    def price(self) -> FloatArray:
+        """[I] score for one use."""
+        return self.rules.arrays.price
+
+    def words(self, instrument: int, values: FloatArray) -> str:
+        """A reading (in [0, 1]) of instrument number ``instrument`` in words."""
+        return self.kinds[instrument].words(values, self.channels[instrument], self.analytes[instrument])
+
+    @staticmethod
+    def _kind(kind: str, scenario: Scenario, where: str) -> Instrument:
+        if kind in INSTRUMENTS:
+            return INSTRUMENTS[kind]
+        if ":" not in kind:
+            raise DataError(
+                f"{where}.kind: unknown kind {kind!r}; known: {', '.join(INSTRUMENTS)}; or one of your own, "
+                "'file.py:NAME'"
+            )
+        part = load_part(kind, scenario, f"{where}.kind")
+        if not isinstance(part, Instrument):
+            raise DataError(f"{where}.kind: {kind!r} is no chemlab.instruments.Instrument, but {part!r}")
+        return part
+
+    def read(
+        self,
+        shelf: Shelf,
+        readings: FloatArray,
+        stream: StreamArray,
+        members: IntArray,
+        slots: IntArray,
+        used: IntArray,
+    ) -> None:
+        """Let instrument ``used`` [B] read the vessel of slot ``slots`` [B], in laboratories ``members`` [B], into
+        ``readings`` [N, S, R]; takes their samples."""
+        if any(self._own):
+            rules: Any = self.rules.arrays
+            reading = getattr(_reading, "py_func", _reading)
+            for m, slot, i in zip(members.tolist(), slots.tolist(), used.tolist(), strict=True):
+                if self._own[i]:
+                    out = readings[m, slot, rules.start[i] : rules.start[i + 1]]
+                    self.kinds[i].read(reading(i, shelf.vessels[m, slot], stream[m], out, rules), shelf.chem(m))
+        handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
+        _take(members, slots, used, readings, stream, *handles)

@@ -1,0 +1,178 @@
+"""The one way a chemlab function is compiled."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import pickle
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
+
+from .arrays import SLOT, Handle, declared
+
+__all__ = ["SETTINGS", "announce_compiling", "chained", "helper", "kernel", "opened"]
+
+_announced = False
+
+F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+
+
+# _nrt=False: kernels allocate nothing, so numba need not count references to the arrays handed to them; that
+# counting (atomic, twice an array, at every inner call) took ten times as long as the physics.
+SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+@functools.cache
+def _fingerprint(own: str) -> str:
+    """Hash of every source file kernels are written in, and of a kernel's ``own`` file."""
+    root = Path(__file__).resolve().parent
+    made_of = {root / name for name in ("arrays.py", "chemistry.py", "jit.py", "shelf.py")}
+    digest = hashlib.blake2b(digest_size=16)
+    for path in [*sorted(root.rglob("*.py")), Path(own)]:
+        source = path.read_bytes()
+        # An edit to a file without kernels, or what they are made of, must not have all of them compiled again.
+        if path in made_of or (root / "physics") in path.parents or b"jit import" in source:
+            digest.update(source)
+    return digest.hexdigest()
+
+
+def kernel(function: F, **options: Any) -> F:
+    """Compile ``function`` with numba on first use, cached on disk, releasing the GIL.
+
+    With ``NUMBA_DISABLE_JIT=1`` the plain Python function runs instead, slowly, for debugging.
+    """
+    compiled: Any = numba.njit(**{"cache": True, **SETTINGS, **options})(function)
+    # numba invalidates a cached kernel by its own file's time stamp alone: a kernel that inlines an edited
+    # function from another file would go on running the old code. One stamp over all sources mends that.
+    cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
+        cache_file._source_stamp = _fingerprint(function.__code__.co_filename)
+        cache_file._load_index = functools.partial(_index_or_nothing, cache_file._load_index)
+    return cast(F, compiled)  # numba's dispatcher stands in for the function
+
+
+def _index_or_nothing(load: Callable[[], Any]) -> Any:
+    """What a kernel's cache holds; nothing if it is another version's.
+
+    An index names argument types by their classes. One that this version does not have any more must mean compiling
+    again, not an error.
+    """
+    try:
+        return load()
+    except (AttributeError, ImportError, EOFError, TypeError, ValueError, pickle.UnpicklingError):
+        return {}
+
+
+def helper(function: F) -> F:
+    """A kernel that is always inlined: for what is called many times a step."""
+    return kernel(function, forceinline=True)
+
+
+def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -> Callable[[int, Any, Handle], Any]:
+    """A helper ``(number, work, chem)`` that calls one of some functions of (work, chem) by number; ``otherwise`` is what
+    it returns past the last."""
+    if not functions:
+
+        def nothing(number: int, work: Any, chem: Handle) -> Any:
+            return otherwise
+
+        return kernel(nothing, forceinline=True, cache=False)
+    first, rest = functions[0], chained(functions[1:], otherwise)
+
+    def call(number: int, work: Any, chem: Handle) -> Any:
+        if number == 0:
+            return first(work, chem)
+        return rest(number - 1, work, chem)
+
+    # Always inlined in a kernel that has its own place in the cache.
+    return kernel(call, forceinline=True, cache=False)
+
+
+if numba.config.DISABLE_JIT:
+
+    def opened(declaration: type[T], handle: Handle) -> T:
+        """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
+        whose fields the table's begin with."""
+        fields = declaration._fields  # type: ignore[attr-defined]
+        return declaration(*(getattr(handle, name) for name in fields))
+
+else:
+
+    @intrinsic  # type: ignore[misc]  # numba has no types
+    def opened(context: Any, declaration: Any, handle: Any) -> Any:
+        """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
+        whose fields the table's begin with. Nothing is loaded but what is used."""
+        cls = declaration.instance_class
+        fields = declared(cls)
+        kinds = [
+            numba.from_dtype(field.dtype)
+            if field.number
+            else types.Array(numba.from_dtype(field.dtype), len(field.axes), "C")
+            for field in fields
+        ]
+        result = types.NamedTuple(kinds, cls)
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            word = ir.IntType(64)
+            base = make_array(handle)(target, builder, arguments[1]).data
+
+            def load(position: int) -> Any:
+                return builder.load(builder.gep(base, [ir.Constant(word, position)]))
+
+            values = []
+            for i, kind in enumerate(kinds):
+                address = load(SLOT * i)
+                if fields[i].number:
+                    pointer = builder.inttoptr(address, target.get_value_type(kind).as_pointer())
+                    values.append(builder.load(pointer))
+                    continue
+                size = target.get_abi_sizeof(target.get_data_type(kind.dtype))
+                lengths = [load(SLOT * i + 1 + axis) for axis in range(kind.ndim)]
+                strides, step = [], ir.Constant(word, size)
+                for length in reversed(lengths):
+                    strides.insert(0, step)
+                    step = builder.mul(step, length)
+                array = make_array(kind)(target, builder)
+                populate_array(
+                    array,
+                    data=builder.inttoptr(address, array.data.type),
+                    shape=cgutils.pack_array(builder, lengths, ty=word),
+                    strides=cgutils.pack_array(builder, strides, ty=word),
+                    itemsize=ir.Constant(word, size),
+                    meminfo=None,
+                )
+                values.append(array._getvalue())
+            return target.make_tuple(builder, result, values)
+
+        return result(declaration, handle), generate
+
+
+def announce_compiling(*kernels: Callable[..., Any]) -> None:
+    """Tell the user, once a process and on standard error, when kernels have to be compiled before the first steps."""
+    global _announced
+    if not _announced and not _is_compiled(*kernels):
+        _announced = True
+        print(
+            "chemlab: compiling kernels for this machine (half a minute); later starts load them from the cache",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _is_compiled(*kernels: Callable[..., Any]) -> bool:
+    """Whether each kernel can be loaded from the disk cache (or needs no compiling), so that nobody has to wait for
+    it."""
+    for function in kernels:
+        cache_file = getattr(getattr(function, "_cache", None), "_cache_file", None)
+        if cache_file is not None and not cache_file._load_index():
+            return False
+    return True

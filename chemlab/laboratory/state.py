@@ -1,0 +1,143 @@
+"""The arrays of N laboratories beyond their vessels and benches, and the scenario's numbers that their turns need."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+from ..arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
+
+__all__ = [
+    "COST_ITEMS",
+    "ILLEGAL",
+    "INSTRUMENTS",
+    "MANAGER",
+    "RUNNING",
+    "SAFETY",
+    "STOCK",
+    "TERMINATED",
+    "TIME",
+    "TRUNCATED",
+    "WASTE",
+    "ManagerState",
+    "Rules",
+]
+
+COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
+"""What the manager's score is charged for, in units of the score."""
+INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))
+
+RUNNING, TERMINATED, TRUNCATED = range(3)
+MANAGER = -1
+"""Cursor value while the manager has the turn."""
+
+
+class ManagerState(NamedTuple):
+    """A laboratory's arrays but for vessels and experiments. N laboratories, S slots, B benches, G agents, O orders,
+    I instruments, R numbers of all readings, M materials, E kinds of safety event, items of the costs."""
+
+    reserved: Annotated[IntArray, Field("N S", first=-1)]
+    """[N, S] bench a slot is reserved for, -1 if none"""
+    last_bench: Annotated[IntArray, Field("N S")]
+    """[N, S] 0 for none, else 1 + index of the bench kind the vessel last was at"""
+    last_role: Annotated[IntArray, Field("N S")]
+    """[N, S] position it had there"""
+    reading: Annotated[FloatArray, Field("N S R")]
+    """[N, S, R] last reading of every instrument"""
+    age: Annotated[IntArray, Field("N S I", first=-1)]
+    """[N, S, I] ticks since that reading, -1 for never"""
+    origin: Annotated[IntArray, Field("N B")]
+    """[N, B] slot the running experiment's main vessel came from"""
+    goal: Annotated[IntArray, Field("N O", first=None)]
+    """[N, O] what each order asks for, an index into the scenario's goals"""
+    filled: Annotated[BoolArray, Field("N O")]
+    """[N, O] whether a vessel has been submitted for the order"""
+    actions: Annotated[IntArray, Field("N")]
+    """[N] manager actions so far"""
+    ticks: Annotated[IntArray, Field("N")]
+    """[N] ticks so far"""
+    cursor: Annotated[IntArray, Field("N", first=MANAGER)]
+    """[N] bench whose turn it is, or MANAGER"""
+    finished: Annotated[BoolArray, Field("N")]
+    """[N] whether an experiment has ended in this tick"""
+    status: Annotated[IntArray, Field("N", first=RUNNING)]
+    """[N] RUNNING, TERMINATED or TRUNCATED"""
+    charges: Annotated[FloatArray, Field("N items")]
+    """[N, items] costs so far (stock and waste, which follow from amounts, at the end: see itemize)"""
+    submitted: Annotated[FloatArray, Field("N O 2")]
+    """[N, O, 2] mol of the goal and its purity in the vessel submitted for each order"""
+    delivered: Annotated[FloatArray, Field("N M")]
+    """[N, M] mol that have left with submitted vessels while the episode goes on"""
+    stream: Annotated[StreamArray, Field("N 1", first=None)]
+    """[N, 1] random stream of goals and instruments"""
+    illegal: Annotated[BoolArray, Field("N")]
+    """[N] whether the manager's last action was masked"""
+    begun: Annotated[IntArray, Field("N", first=-1)]
+    """[N] bench that the manager's last action started, -1 if none"""
+    recalled: Annotated[IntArray, Field("N", first=-1)]
+    """[N] bench that it recalled, -1 if none"""
+    measured: Annotated[IntArray, Field("N", first=-1)]
+    """[N] slot that it had measured, -1 if none"""
+    safety_totals: Annotated[FloatArray, Field("N E")]
+    """[N, E] safety events since the episode began"""
+    # An agent's numbers stand together: a bench's turn touches its own row alone. Agents' rows are not reset with a
+    # laboratory's, but opened at every turn.
+    rewards: Annotated[FloatArray, Field("G N", first=None)]
+    """[G, N] what the last turn (or round) earned each agent"""
+    cost: Annotated[FloatArray, Field("G N", first=None)]
+    """[G, N] weighted safety events of the last turn or round"""
+    scores: Annotated[FloatArray, Field("G N", first=None)]
+    """[G, N] score of the experiment that it ended, NaN where none ended"""
+    busy: Annotated[BoolArray, Field("B N", first=None, kept=False)]
+    """[B, N] and the two below: what the benches' experiments share with the manager's kernels"""
+    bench_goal: Annotated[IntArray, Field("B N", first=None, kept=False)]
+    bench_steps: Annotated[IntArray, Field("B N", first=None, kept=False)]
+
+
+class Rules(NamedTuple):
+    """The scenario's numbers that the manager's kernels need. A actions, B benches, G goals, M materials, I
+    instruments."""
+
+    table: Annotated[IntArray, Field("A 4")]
+    """[A, 4] the manager's actions"""
+    slots: Annotated[int, Field("")]
+    first: Annotated[IntArray, Field("B")]
+    """[B] first vessel position of each bench"""
+    positions: Annotated[IntArray, Field("B")]
+    """[B] number of vessels each bench works on"""
+    most_positions: Annotated[int, Field("")]
+    """the largest of them"""
+    bench_of: Annotated[IntArray, Field("B")]
+    """[B] index of the bench's kind"""
+    kinds: Annotated[int, Field("")]
+    """number of bench kinds"""
+    limit: Annotated[IntArray, Field("B")]
+    """[B] step limits"""
+    parts: Annotated[IntArray, Field("G 3")]
+    """[G, 3] see Goals.parts"""
+    counts: Annotated[FloatArray, Field("G M")]
+    """[G, M] see Goals.absolute_counts"""
+    maximum: Annotated[FloatArray, Field("G")]
+    """[G] mol, theoretical maximum of each goal"""
+    share: Annotated[float, Field("")]
+    """of a submission's worth in the manager's reward"""
+    first_stock: Annotated[FloatArray, Field("M")]
+    """[M] mol in the bottles when an episode begins"""
+    stocked: Annotated[IntArray, Field("k")]
+    """indices of materials that have a bottle"""
+    stock_price: Annotated[FloatArray, Field("M")]
+    """[M] score per mol"""
+    reading_start: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each reading begins"""
+    price: Annotated[FloatArray, Field("I")]
+    """[I] score for a measurement"""
+    waste_per_l: Annotated[float, Field("")]
+    tick_price: Annotated[float, Field("")]
+    illegal_price: Annotated[float, Field("")]
+    event_price: Annotated[float, Field("")]
+    budget: Annotated[float, Field("")]
+    action_limit: Annotated[int, Field("")]
+    tick_limit: Annotated[int, Field("")]
+    largest_capacity: Annotated[float, Field("")]
+    """L"""
+    work: Annotated[FloatArray, Field("a b")]
+    """scratch"""

@@ -1,0 +1,31 @@
+"""Add: a material from stock."""
+
+from __future__ import annotations
+
+from ..arrays import Handle
+from ..chemistry import Chemistry
+from ..jit import helper, opened
+from ..physics.constants import TRACE_MOL
+from ..physics.transfer import add
+from .base import Operation, Turn
+
+__all__ = ["OPERATION"]
+
+
+@helper
+def _act(turn: Turn, chem: Handle) -> float:
+    chemistry = opened(Chemistry, chem)
+    mol = min(turn.magnitude / chemistry.molar_volume[turn.material], turn.stock[turn.material])
+    turn.stock[turn.material] -= mol
+    add(turn.row, turn.material, mol, chemistry.ambient_temperature, chem, turn.waste, turn.events)
+    return 0.0
+
+
+@helper
+def _legal(turn: Turn, chem: Handle) -> bool:
+    return bool(turn.stock[turn.material] > TRACE_MOL)
+
+
+OPERATION = Operation(
+    unit="L", words="add {material} to {vessel}", act=_act, legal=_legal, takes=frozenset({"material"})
+)

@@ -1,0 +1,27 @@
+"""Heat or cool: what boils condenses into the target."""
+
+from __future__ import annotations
+
+from ..arrays import Handle
+from ..jit import helper
+from ..physics.laws import heat
+from .base import Operation, Turn, always
+
+__all__ = ["OPERATION"]
+
+
+@helper
+def _act(turn: Turn, chem: Handle) -> float:
+    hottest, coolest = turn.limits[0], turn.limits[1]
+    heat(turn.row, turn.target, 1000.0 * turn.magnitude, hottest, coolest, chem, turn.waste, turn.events)
+    return 0.0
+
+
+OPERATION = Operation(
+    unit="kJ",
+    words="heat {vessel}",
+    act=_act,
+    legal=always,
+    takes=frozenset({"target"}),
+    negative="cool {vessel}",
+)

@@ -1,0 +1,60 @@
+"""Liquid layers: every solvent is a layer of its own, with what is dissolved in it (PHYSICS section 2)."""
+
+from __future__ import annotations
+
+from ....arrays import FloatArray, Handle, IntArray
+from ....chemistry import AMOUNTS, CAPACITY, ROLE_ION, ROLE_SOLID, Chemistry
+from ....jit import helper, opened
+from ...constants import SOLIDS, TRACE_MOL
+
+__all__ = ["find_layers"]
+
+
+@helper
+def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
+    """Volumes of solids, fluid layers and air, densest fluid first.
+
+    Args:
+        row: vessel row.
+        chem: the chemistry.
+        layers: [C + 1] out: number of columns, then SOLIDS and a material index each (air last).
+        volumes: [C] out: litres, of at most the vessel's capacity in total.
+
+    Returns:
+        Number of columns.
+    """
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents, n_dissolved = chemistry.role.shape[0], chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
+    layers[1], volumes[0] = SOLIDS, 0.0
+    count = 1
+    for layer in range(n_solvents):
+        i = chemistry.solvents[layer]
+        if row[AMOUNTS + i] > TRACE_MOL:
+            litres = row[AMOUNTS + i] * chemistry.molar_volume[i]
+            for k in range(n_dissolved):
+                litres += row[AMOUNTS + n + k * n_solvents + layer] * chemistry.molar_volume[chemistry.dissolved[k]]
+            layers[1 + count], volumes[count] = i, litres
+            count += 1
+    no_solvent = count == 1
+    for i in range(n):
+        moles = row[AMOUNTS + i]
+        if chemistry.role[i] == ROLE_SOLID or (no_solvent and chemistry.role[i] == ROLE_ION):
+            volumes[0] += moles * chemistry.molar_volume[i]
+    if no_solvent:
+        for k in range(n_dissolved):
+            i = chemistry.dissolved[k]
+            if chemistry.role[i] != ROLE_ION and row[AMOUNTS + i] > TRACE_MOL:
+                layers[1 + count], volumes[count] = i, row[AMOUNTS + i] * chemistry.molar_volume[i]
+                count += 1
+    for a in range(2, count):  # insertion sort, densest first
+        b = a
+        while b > 1 and chemistry.density[layers[1 + b]] > chemistry.density[layers[b]]:
+            layers[1 + b], layers[b] = layers[b], layers[1 + b]
+            volumes[b], volumes[b - 1] = volumes[b - 1], volumes[b]
+            b -= 1
+    filled = 0.0
+    for c in range(count):
+        filled += volumes[c]
+    layers[1 + count], volumes[count] = chemistry.air, max(row[CAPACITY] - filled, 0.0)
+    layers[0] = count + 1
+    return count + 1

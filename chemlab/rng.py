@@ -1,0 +1,43 @@
+"""Random streams: SplitMix64, one counter a laboratory, so that members of a batch draw independently of each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .arrays import StreamArray
+from .jit import helper, kernel
+
+__all__ = ["normal", "random_bits", "seed_streams", "uniform"]
+
+
+@helper
+def random_bits(state: StreamArray) -> np.uint64:
+    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    bits: np.uint64 = z ^ (z >> np.uint64(31))
+    return bits
+
+
+@helper
+def uniform(state: StreamArray) -> float:
+    """Next number in [0, 1) of the stream."""
+    return (random_bits(state) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@kernel
+def normal(stream: StreamArray) -> float:
+    """Next standard normal number (Box-Muller) of the stream; takes two uniform ones."""
+    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(stream)))
+    return radius * math.cos(2.0 * math.pi * uniform(stream))
+
+
+def seed_streams(seed: np.random.SeedSequence, streams: Sequence[StreamArray], member: int) -> None:
+    """Set the random stream of one member in each of ``streams`` from one seed sequence."""
+    for stream, state in zip(streams, seed.generate_state(len(streams), np.uint64), strict=True):
+        stream[member, 0] = state
