@@ -90,7 +90,7 @@ class BenchArena:
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)
-        self.station = Station.empty(f"{bench}_0", self.bench, places)
+        self.station = Station(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
