@@ -1,14 +1,14 @@
 """Arrays and their tables: what every layer hands to kernels. Nothing here knows of chemistry.
 
-A layer declares its arrays once, as a ``NamedTuple`` whose annotations say shape, type and what an episode begins with::
+A layer declares its arrays once, as a ``NamedTuple`` whose annotations say shape, type and first value::
 
     class ManagerState(NamedTuple):
         ticks: Annotated[IntArray, Field("N")]
         age: Annotated[IntArray, Field("N S I", first=-1)]
 
 From that follow allocation, reset, snapshots and pickles (:class:`chemlab.tables.Table`) and what kernels see
-(:func:`chemlab.jit.opened`). A table is handed to a kernel as its ``handle``, one small array of addresses: handing over
-twenty arrays one by one takes longer than most of what kernels do with them.
+(:func:`chemlab.jit.opened`). A table is handed to a kernel as its ``handle``, one small array of addresses: handing
+over twenty arrays one by one takes longer than most of what kernels do with them.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ Handle = Any
 SLOT = 5
 """Numbers that an array takes in a handle: its address, then up to four lengths."""
 
+
 @dataclass(frozen=True)
 class Field:
     """Shape and beginning of a declared array.
@@ -78,7 +79,7 @@ class Declared:
 
 
 @functools.cache
-def declared(declaration: type) -> tuple[Declared, ...]:
+def declared(declaration: Any) -> tuple[Declared, ...]:
     """The fields of a declaration, in order.
 
     Raises:
@@ -105,7 +106,9 @@ def addresses(arrays: Sequence[npt.NDArray[Any]]) -> IntArray:
     out = np.zeros((len(arrays), SLOT), dtype=np.int64)
     for slot, array in zip(out, arrays, strict=True):
         if not array.flags.c_contiguous or array.ndim >= SLOT:
-            raise ValueError(f"kernels take contiguous arrays of at most {SLOT - 1} axes, given strides {array.strides}")
+            raise ValueError(
+                f"kernels take contiguous arrays of at most {SLOT - 1} axes, given strides {array.strides}"
+            )
         slot[0] = array.ctypes.data
         slot[1 : 1 + array.ndim] = array.shape
     return out.reshape(-1)
@@ -120,6 +123,7 @@ def merged(*declarations: type) -> Any:
     for declaration in declarations:
         hints.update(typing.get_type_hints(declaration, include_extras=True))
     name = "".join(declaration.__name__ for declaration in declarations)
-    made: Any = typing.NamedTuple(name, list(hints.items()))  # type: ignore[misc]  # made of others
+    make: Any = typing.NamedTuple
+    made = make(name, list(hints.items()))
     made.MERGED = declarations
     return made

@@ -2,20 +2,20 @@
 
 The *structure* (which material is a solvent, what reacts with what) is shared by every laboratory. The *parameters*
 (boiling points, rate constants, ...) have a leading axis of worlds; laboratory n uses row ``variant[n]``
-(:class:`chemlab.shelf.ShelfArrays`). :class:`ChemistryTable` owns both, built once for a scenario; kernels see one world
-at a time, as a :class:`Chemistry`.
+(:class:`chemlab.shelf.ShelfArrays`). :class:`ChemistryTable` owns both, built once for a scenario; kernels see one
+world at a time, as a :class:`Chemistry`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import Field, FloatArray, Handle, IntArray, addresses, declared
+from .jit import COMPILED
 from .scenario import Scenario
 
 __all__ = [
@@ -166,11 +166,11 @@ class ChemistryTable:
         self.layout, self.tier = layout, tier
         self.structure: dict[str, npt.NDArray[Any]] = {}
         self.parameters: dict[str, npt.NDArray[Any]] = {}
-        self._declaration = type(values)
-        for field, value in zip(declared(type(values)), values, strict=True):
+        self._declaration = cast(Any, type(values))
+        for field, value in zip(declared(self._declaration), values, strict=True):
             array = np.ascontiguousarray(value, dtype=field.dtype)
             if isinstance(field.field, Parameter):
-                self.parameters[field.name] = np.stack([array.reshape(np.shape(value))] * worlds)
+                self.parameters[field.name] = np.stack([array.reshape(np.asarray(value).shape)] * worlds)
             else:
                 self.structure[field.name] = array
         self.handles: Handle = self._make_handles()
@@ -190,7 +190,7 @@ class ChemistryTable:
         ]
 
     def _make_handles(self) -> Handle:
-        if numba.config.DISABLE_JIT:
+        if not COMPILED:
             return [self.world(w) for w in range(self.worlds)]
         table = np.stack([addresses(self._row(w)) for w in range(self.worlds)])
         # The number of dimensions tells kernels the tier: see chemlab.physics.laws.
@@ -200,7 +200,8 @@ class ChemistryTable:
         """The chemistry of one world (views: what is written there, kernels read)."""
         numbers = {field.name for field in declared(self._declaration) if field.number}
         pairs = zip(declared(self._declaration), self._row(world), strict=True)
-        return self._declaration(*(a.item() if field.name in numbers else a for field, a in pairs))
+        made: Chemistry = self._declaration(*(a.item() if field.name in numbers else a for field, a in pairs))
+        return made
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "handles"}
@@ -217,7 +218,8 @@ def network_fields(
     pre_exponential: FloatArray,
     activation_energy: FloatArray,
 ) -> dict[str, npt.NDArray[Any]]:
-    """The fields of a :class:`Chemistry` that are a reaction network's, from its stoichiometry [R, S], orders [R, S] and Arrhenius constants [R]."""
+    """The fields of a :class:`Chemistry` that are a reaction network's, from its stoichiometry [R, S], orders [R, S]
+    and Arrhenius constants [R]."""
     whole = np.floor(orders).astype(np.int64)
     factors = np.full((len(orders), max(int(whole.sum(axis=1).max(initial=0)), 1)), -1, dtype=np.int64)
     for r, row in enumerate(whole):

@@ -14,18 +14,25 @@ import numba
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
+from numba.np import arrayobj
 
 from .arrays import SLOT, Handle, declared
 
-__all__ = ["SETTINGS", "announce_compiling", "chained", "helper", "kernel", "opened"]
+__all__ = ["COMPILED", "SETTINGS", "announce_compiling", "chained", "helper", "kernel", "opened"]
 
 _announced = False
+
+_TYPES: Any = types
+_BUILD: Any = cgutils
+_ARRAYS: Any = arrayobj
+"""numba's insides, which have no types."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
 
+COMPILED: bool = not getattr(numba, "config").DISABLE_JIT  # noqa: B009 - numba makes its attributes up
+"""Whether kernels are compiled; with ``NUMBA_DISABLE_JIT=1`` they are plain Python."""
 # _nrt=False: kernels allocate nothing, so numba need not count references to the arrays handed to them; that
 # counting (atomic, twice an array, at every inner call) took ten times as long as the physics.
 SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
@@ -78,36 +85,31 @@ def helper(function: F) -> F:
 
 
 def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -> Callable[[int, Any, Handle], Any]:
-    """A helper ``(number, work, chem)`` that calls one of some functions of (work, chem) by number; ``otherwise`` is what
-    it returns past the last."""
-    if not functions:
+    """A helper ``(number, work, chem)`` that calls one of some functions of (work, chem) by its number.
 
-        def nothing(number: int, work: Any, chem: Handle) -> Any:
-            return otherwise
-
-        return kernel(nothing, forceinline=True, cache=False)
-    first, rest = functions[0], chained(functions[1:], otherwise)
-
-    def call(number: int, work: Any, chem: Handle) -> Any:
-        if number == 0:
-            return first(work, chem)
-        return rest(number - 1, work, chem)
-
+    Args:
+        functions: kernels or helpers.
+        otherwise: what it returns past the last.
+    """
+    calls = [f"    if number == {i}:\n        return function_{i}(work, chem)\n" for i in range(len(functions))]
+    scope: dict[str, Any] = {f"function_{i}": function for i, function in enumerate(functions)}
+    scope["otherwise"] = otherwise
+    exec(f"def call(number, work, chem):\n{''.join(calls)}    return otherwise\n", scope)
     # Always inlined in a kernel that has its own place in the cache.
-    return kernel(call, forceinline=True, cache=False)
+    return kernel(cast(Callable[[int, Any, Handle], Any], scope["call"]), forceinline=True, cache=False)
 
 
-if numba.config.DISABLE_JIT:
+if not COMPILED:
 
     def opened(declaration: type[T], handle: Handle) -> T:
         """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
         whose fields the table's begin with."""
-        fields = declaration._fields  # type: ignore[attr-defined]
+        fields: tuple[str, ...] = declaration._fields  # type: ignore[attr-defined]
         return declaration(*(getattr(handle, name) for name in fields))
 
 else:
 
-    @intrinsic  # type: ignore[misc]  # numba has no types
+    @intrinsic
     def opened(context: Any, declaration: Any, handle: Any) -> Any:
         """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
         whose fields the table's begin with. Nothing is loaded but what is used."""
@@ -116,14 +118,14 @@ else:
         kinds = [
             numba.from_dtype(field.dtype)
             if field.number
-            else types.Array(numba.from_dtype(field.dtype), len(field.axes), "C")
+            else _TYPES.Array(numba.from_dtype(field.dtype), len(field.axes), "C")
             for field in fields
         ]
-        result = types.NamedTuple(kinds, cls)
+        result = _TYPES.NamedTuple(kinds, cls)
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             word = ir.IntType(64)
-            base = make_array(handle)(target, builder, arguments[1]).data
+            base = _ARRAYS.make_array(handle)(target, builder, arguments[1]).data
 
             def load(position: int) -> Any:
                 return builder.load(builder.gep(base, [ir.Constant(word, position)]))
@@ -137,16 +139,17 @@ else:
                     continue
                 size = target.get_abi_sizeof(target.get_data_type(kind.dtype))
                 lengths = [load(SLOT * i + 1 + axis) for axis in range(kind.ndim)]
-                strides, step = [], ir.Constant(word, size)
+                strides: list[Any] = []
+                step = ir.Constant(word, size)
                 for length in reversed(lengths):
                     strides.insert(0, step)
                     step = builder.mul(step, length)
-                array = make_array(kind)(target, builder)
-                populate_array(
+                array = _ARRAYS.make_array(kind)(target, builder)
+                _ARRAYS.populate_array(
                     array,
                     data=builder.inttoptr(address, array.data.type),
-                    shape=cgutils.pack_array(builder, lengths, ty=word),
-                    strides=cgutils.pack_array(builder, strides, ty=word),
+                    shape=_BUILD.pack_array(builder, lengths, ty=word),
+                    strides=_BUILD.pack_array(builder, strides, ty=word),
                     itemsize=ir.Constant(word, size),
                     meminfo=None,
                 )

@@ -1,7 +1,7 @@
 """Parts that a scenario names: chemlab's own in short, anybody's by where they are written.
 
-``kind = "balance"`` is one of chemlab's; ``kind = "my_parts.py:Refractometer"`` is a name in a file beside the scenario's
-own, ``kind = "package.module:Name"`` one in a package that Python can import.
+``kind = "balance"`` is one of chemlab's; ``kind = "my_parts.py:Refractometer"`` is a name in a file beside the
+scenario's own, ``kind = "package.module:Name"`` one in a package that Python can import.
 """
 
 from __future__ import annotations

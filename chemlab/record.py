@@ -225,9 +225,9 @@ class _Witness:
 
     def _state(self) -> str:
         labs, m = self._labs, self._m
-        arrays = [labs.shelf.vessels[m], labs.shelf.stock[m], labs.shelf.waste[m], labs.busy[:, m]]
+        arrays = [labs.shelf.vessels[m], labs.shelf.stock[m], labs.shelf.waste[m]]
         # Readings are the largest part and in the record anyway, from when they were taken.
-        arrays += [array[m] for array in labs.desk if array is not labs.desk.reading]
+        arrays += labs.state.member(m, without="reading")
         for station in labs.stations:
             arrays.append(station.stream[m])
             if station.busy[m]:  # an idle bench's other numbers are left over from experiments before

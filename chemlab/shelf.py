@@ -1,7 +1,7 @@
 """Vessels as arrays, the laboratory as the leading axis; a :class:`Vessel` is a named view of one row.
 
-One vessel is one row of float64 numbers (:class:`~chemlab.chemistry.Layout` names the columns), so moving a vessel, taking a
-snapshot and restoring one are array copies.
+One vessel is one row of float64 numbers (:class:`~chemlab.chemistry.Layout` names the columns), so moving a vessel,
+taking a snapshot and restoring one are array copies.
 """
 
 from __future__ import annotations

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar, cast
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import SLOT, Declared, Field, Handle, IntArray, addresses, declared, merged
-from .jit import kernel, opened
+from .jit import COMPILED, kernel, opened
 
 __all__ = ["Table"]
 
@@ -34,7 +33,7 @@ def _reset_rows(members: IntArray, arrays: IntArray, first: npt.NDArray[np.uint8
 
 
 class Table(Generic[T]):
-    """The arrays of one declaration, allocated together.
+    """The arrays of one declaration, allocated together; each is also an attribute of the table.
 
     Attributes:
         arrays: an instance of the declaration.
@@ -42,63 +41,65 @@ class Table(Generic[T]):
     """
 
     def __init__(self, arrays: T) -> None:
-        self.declaration = type(arrays)
         values: tuple[Any, ...] = arrays  # type: ignore[assignment]  # a NamedTuple
-        self._own = [
-            np.asarray(value, dtype=field.dtype) for field, value in zip(declared(type(arrays)), values, strict=True)
-        ]
-        seen = [own if not field.number else value for field, own, value in self._rows(values)]
+        self._fields: tuple[Declared, ...] = declared(cast(Any, type(arrays)))
+        pairs = list(zip(self._fields, values, strict=True))
+        self._own = [np.asarray(value, dtype=field.dtype) for field, value in pairs]
+        seen = [value if field.number else own for (field, value), own in zip(pairs, self._own, strict=True)]
         self.arrays: T = type(arrays)(*seen)
-        self.handle: Handle = self.arrays if numba.config.DISABLE_JIT else addresses(self._own)
+        self.handle: Handle = addresses(self._own) if COMPILED else self.arrays
         again = [
             (own, np.full(own.shape[1:], field.field.first, dtype=own.dtype))
-            for field, own in zip(declared(self.declaration), self._own, strict=True)
+            for field, own in zip(self._fields, self._own, strict=True)
             if field.field.first is not None and own.size and not field.number
         ]
-        self._reset_handle = addresses([own.reshape(len(own), -1).view(np.uint8) for own, _ in again])
+        self._resettable = addresses([own.reshape(len(own), -1).view(np.uint8) for own, _ in again])
         self._first = np.concatenate([np.zeros(0, np.uint8), *(first.reshape(-1).view(np.uint8) for _, first in again)])
-
-    def _rows(self, values: Sequence[Any]) -> list[tuple[Declared, npt.NDArray[Any], Any]]:
-        return list(zip(declared(self.declaration), self._own, values, strict=True))
 
     @classmethod
     def empty(cls, declaration: type[T], **lengths: int) -> Table[T]:
         """Every array at its first value, for the lengths of the axes by name."""
         made = [
             np.full([lengths[axis] for axis in field.axes], field.field.first or 0, dtype=field.dtype)
-            for field in declared(declaration)
+            for field in declared(cast(Any, declaration))
         ]
         return cls(declaration(*made))
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name in ("arrays", "declaration", "handle"):
+        if name.startswith("_") or name in ("arrays", "handle"):
             raise AttributeError(name)  # while a copy is being made
         return getattr(self.arrays, name)
 
     def reset(self, members: IntArray) -> None:
         """Give every entry of ``members`` (along the first axis) its first value, where the declaration has one."""
-        if not numba.config.DISABLE_JIT:
-            _reset_rows(members, self._reset_handle, self._first)
+        if COMPILED:
+            _reset_rows(members, self._resettable, self._first)
             return
-        for field, array in zip(declared(self.declaration), self._own, strict=True):
+        for field, array in zip(self._fields, self._own, strict=True):
             if field.field.first is not None:
                 array[members] = field.field.first
 
     def changing(self) -> list[npt.NDArray[Any]]:
         """Every array that goes on from step to step, for snapshots."""
+        return [array for field, array in zip(self._fields, self._own, strict=True) if field.field.kept]
+
+    def member(self, member: int, without: str = "") -> list[npt.NDArray[Any]]:
+        """The part of every array that is one laboratory's (views): along the axis N."""
         return [
-            array for field, array in zip(declared(self.declaration), self._own, strict=True) if field.field.kept
+            array[(slice(None),) * field.axes.index("N") + (member,)]
+            for field, array in zip(self._fields, self._own, strict=True)
+            if field.name != without and "N" in field.axes
         ]
 
     def copy(self) -> Table[T]:
         """The same with arrays of its own."""
         values: tuple[Any, ...] = self.arrays  # type: ignore[assignment]
-        return Table(self.declaration(*(np.array(v) if isinstance(v, np.ndarray) else v for v in values)))
+        return Table(type(self.arrays)(*(np.array(v) if isinstance(v, np.ndarray) else v for v in values)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Addresses are another process's; a merged declaration is made anew from its parts.
-        parts = getattr(self.declaration, "MERGED", (self.declaration,))
-        return _restored, (parts, tuple(self.arrays))  # type: ignore[arg-type]  # a NamedTuple
+        values: tuple[Any, ...] = self.arrays  # type: ignore[assignment]
+        return _restored, (getattr(type(values), "MERGED", (type(values),)), tuple(values))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Table[T]:
         return self.copy()

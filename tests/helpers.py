@@ -19,11 +19,10 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.materials import read_toml
 from chemlab.physics.constants import SOLIDS
-from chemlab.scenario import SAFETY_EVENTS
 from chemlab.physics.laws import heat, partition, settle_phases
 from chemlab.physics.layers import profile
 from chemlab.physics.transfer import add, drain, pour, turn_clock
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.scenario import SAFETY_EVENTS, Scenario, load_scenario
 from chemlab.shelf import T_MIX, Shelf
 
 FloatArray = npt.NDArray[np.float64]
@@ -119,7 +118,7 @@ class Glassware:
     def __init__(self, scenario: str | Scenario = "wurtz_dodecane", vessels: int = 2) -> None:
         self.scenario = load_scenario(scenario)
         self.shelf = Shelf.empty(self.scenario, 1, vessels)
-        self.layout, self.chem = self.shelf.layout, self.shelf.chemistry
+        self.layout, self.chem, self.known = self.shelf.layout, self.shelf.chem(), self.shelf.known()
         self.rows = self.shelf.rows
         self.waste: FloatArray = self.shelf.waste[0]
         self.events = np.zeros(len(SAFETY_EVENTS))
@@ -230,7 +229,6 @@ class Glassware:
             self.chem,
             self.waste,
             self.events,
-            self._scratch[0],
         )
         return seen
 

@@ -402,7 +402,7 @@ class Bench(ABC):
 
     def finish(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
         """End experiments and return their scores [B]."""
-        score = self.measure(shelf, station, members) - station.baseline[members]
+        score: FloatArray = self.measure(shelf, station, members) - station.baseline[members]
         station.busy[members] = False
         self.release(shelf, station, members)
         return score

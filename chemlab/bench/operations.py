@@ -402,9 +402,7 @@ class OperationBench(Bench):
         turn = _turn.py_func if hasattr(_turn, "py_func") else _turn
         return operation, turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
 
-    def _perform_others(
-        self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]
-    ) -> None:
+    def _perform_others(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         """Carry out operations that are not chemlab's."""
         others = self.table[actions, _KIND] >= len(OPERATIONS)
         for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
@@ -421,7 +419,9 @@ class OperationBench(Bench):
             for m in members:
                 for p in range(station.places.shape[1]):
                     place = station.places[m, p]
-                    self._separate_by_model(shelf.rows[place], shelf.known(m), shelf.chem(m), station.layers[m, p], station.profile[m, p])
+                    self._separate_by_model(
+                        shelf.rows[place], shelf.known(m), shelf.chem(m), station.layers[m, p], station.profile[m, p]
+                    )
         _look_all(members, station.handle, shelf.handle, shelf.chemistry.handles)
 
     def _separate_by_model(

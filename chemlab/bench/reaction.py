@@ -195,9 +195,7 @@ def _step(
         chem = chemistry[arrays.variant[m]]
         row = arrays.rows[state.places[m, 0]]
         _load(m, actions[b], state, rules, arrays, chem)
-        react(
-            row, chem, liquid_volume(row, chem), row[TEMPERATURE], rules.tick, rules.rtol, rules.atol, rules.scratch
-        )
+        react(row, chem, liquid_volume(row, chem), row[TEMPERATURE], rules.tick, rules.rtol, rules.atol, rules.scratch)
         _conclude(m, state, rules, arrays, chem)
 
 

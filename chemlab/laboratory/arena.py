@@ -142,9 +142,7 @@ class BenchArena:
         """
         goals = self._goals if goal is None else np.array([goal])
         shelf, station = self.shelf, self.station
-        _draw_starts(
-            members, goals, self.pool.handle, self.start_stream, self._stock, station.handle, shelf.handle
-        )
+        _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, station.handle, shelf.handle)
         (bench or self.bench).begin(shelf, station, members)
 
     def act(self, actions: npt.NDArray[Any], members: IntArray | None = None) -> None:

@@ -342,7 +342,3 @@ class BenchVectorEnv(BatchEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}  # threads cannot be pickled or copied; they are started again when needed
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self.arena.shelf.__post_init__()  # a copied view is an array of its own

@@ -451,7 +451,11 @@ class Laboratories:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
         submission is worth nothing."""
         desk = self.desk
-        shares = desk.submitted[members, :, 0] * desk.submitted[members, :, 1] / self.rules.arrays.maximum[desk.goal[members]]
+        shares = (
+            desk.submitted[members, :, 0]
+            * desk.submitted[members, :, 1]
+            / self.rules.arrays.maximum[desk.goal[members]]
+        )
         return np.asarray(shares.mean(axis=1) - self._charges(members).sum(axis=1))
 
     def _charges(self, members: IntArray) -> FloatArray:
@@ -556,7 +560,11 @@ class Laboratories:
         if agent == 0:
             return {}
         row = self.stations[agent - 1].events[member].tolist()
-        return {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value} if any(row) else {}
+        return (
+            {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
+            if any(row)
+            else {}
+        )
 
     def total(self) -> FloatArray:
         """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""

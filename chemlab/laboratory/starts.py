@@ -71,13 +71,17 @@ def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[
     for start, stop in itertools.pairwise(first):
         shares = np.array([vessel.weight for _, vessel in found[start:stop]])
         reached[start:stop] = np.cumsum(shares) / shares.sum() if stop > start else 0.0
-    return Table(StartPool(
-        np.array(rows).reshape(len(rows), draft.layout.width),
-        first.astype(np.int64),
-        reached,
-        np.array([0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64),
-        np.array([vessel.last_role for _, vessel in found], dtype=np.int64),
-    ))
+    return Table(
+        StartPool(
+            np.array(rows).reshape(len(rows), draft.layout.width),
+            first.astype(np.int64),
+            reached,
+            np.array(
+                [0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64
+            ),
+            np.array([vessel.last_role for _, vessel in found], dtype=np.int64),
+        )
+    )
 
 
 @helper

@@ -101,7 +101,7 @@ def _write_bench(out: ObservationArray, at: int, n: int, b: int, state: ManagerS
         out[at] = 1.0
         out[at + 1 + state.bench_goal[b, n]] = 1.0
         out[at + 1 + goals] = 1.0 - state.bench_steps[b, n] / rules.limit[b]
-    return at + 2 + goals
+    return int(at + 2 + goals)
 
 
 def _stock_channels(scenario: Scenario) -> list[Channel]:
@@ -114,7 +114,7 @@ def _write_stock(out: ObservationArray, at: int, n: int, rules: Rules, shelf: Sh
         m = rules.stocked[k]
         left = shelf.stock[n, m] / rules.first_stock[m] if rules.first_stock[m] > 0.0 else 0.0
         out[at + k] = min(max(left, 0.0), 1.0)
-    return at + rules.stocked.shape[0]
+    return int(at + rules.stocked.shape[0])
 
 
 def order_channels(scenario: Scenario) -> list[tuple[str, str]]:

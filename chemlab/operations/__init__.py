@@ -1,7 +1,8 @@
 """Operations: what a bench with an action table can do to vessels, one file each.
 
 To add one of chemlab's: a file with an ``OPERATION``, and an entry in :data:`OPERATIONS`. One of your own is an
-:class:`~chemlab.operations.base.Operation` in a file beside your scenario, named there as ``kind = "my_parts.py:NAME"``.
+:class:`~chemlab.operations.base.Operation` in a file beside your scenario, named there as
+``kind = "my_parts.py:NAME"``.
 """
 
 from ..jit import chained

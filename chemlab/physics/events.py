@@ -5,4 +5,3 @@ from __future__ import annotations
 __all__ = ["BOILED_DRY", "DRY_HEATING", "METAL_IN_WATER", "RELIEF", "SPILL"]
 
 SPILL, RELIEF, BOILED_DRY, DRY_HEATING, METAL_IN_WATER = range(5)
-

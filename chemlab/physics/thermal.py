@@ -32,5 +32,3 @@ def pressure(row: FloatArray, chem: Handle) -> float:
     # A brim-full vessel has no headspace to divide by; one part in a thousand stands for the gap at the lid.
     headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
     return float(row[AIR] * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem))
-
-

@@ -43,6 +43,7 @@ __all__ = [
     "volume",
 ]
 
+
 @helper
 def volume(row: FloatArray, chem: Handle) -> float:
     """Volume of everything in the vessel but gases, L."""

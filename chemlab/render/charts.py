@@ -386,7 +386,7 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
 def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, str]]:
     """(wavelength, material, colour) of the peaks that can be told apart: where the material absorbs much of what all
     absorb there. A material's highest peak may be lower than its others."""
-    basis = labs.shelf.chemistry.basis * contents[:, None]
+    basis = labs.shelf.known().basis * contents[:, None]
     total = basis.sum(axis=0)
     peaks = []
     for m, name in enumerate(labs.shelf.layout.materials):

@@ -84,15 +84,15 @@ class Retold:
         """
         labs = self.laboratories
         for number, turn in enumerate(self.record.turns):
-            tick, busy, before = int(labs.desk.ticks[0]), labs.busy[:, 0].copy(), labs.snapshot()
+            tick, busy, before = int(labs.desk.ticks[0]), labs.desk.busy[:, 0].copy(), labs.snapshot()
             try:
                 plays = self._replay.play(turn)
             except (ValueError, TypeError) as error:
                 raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
             by_manager = plays[0].agent == 0
             lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
-            ended = np.flatnonzero(busy & ~labs.busy[:, 0]) + 1
-            begun = np.flatnonzero(~busy & labs.busy[:, 0])
+            ended = np.flatnonzero(busy & ~labs.desk.busy[:, 0]) + 1
+            begun = np.flatnonzero(~busy & labs.desk.busy[:, 0])
             yield Move(
                 number=number,
                 tick=tick,

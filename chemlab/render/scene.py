@@ -263,7 +263,7 @@ class _Camera:
     """Pictures of the vessels of one shelf; holds the scratch arrays."""
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
-        self.shelf, self.chem = shelf, shelf.chemistry
+        self.shelf, self.known = shelf, shelf.known()
         columns = shelf.layout.fluid_columns
         self.colors = [material.color.lower() for material in scenario.materials.values()]
         self._layers: IntArray = np.zeros(columns + 1, dtype=np.int64)
@@ -287,7 +287,7 @@ class _Camera:
             )
         else:
             layers, shares = self._layers, self._shares
-            profile(vessel.row, self.chem, layers, shares, self._work)
+            profile(vessel.row, self.shelf.chem(), layers, shares, self._work)
         volume, amounts = vessel.volume_l, vessel.amounts(_SHOWN_MOL)
         listed, mixture = self._layered(amounts, layers, shares, max(vessel.capacity_l, volume))
         return VesselPicture(
@@ -306,7 +306,7 @@ class _Camera:
         self, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
     ) -> tuple[list[LayerPicture], tuple[tuple[float, ...], ...]]:
         """Layers bottom first, and the mixture of the liquids if they are not separated."""
-        names, chem = self.shelf.layout.materials, self.chem
+        names, chem = self.shelf.layout.materials, self.known
         count = int(layers[0])
         columns = shares[:count]
         volumes = columns.sum(axis=1) * (total_l / columns.shape[1])
@@ -325,7 +325,7 @@ class _Camera:
         return listed, _mixture(columns[liquids]) if len(liquids) > 1 else ()
 
     def _wet(self, kinds: IntArray) -> bool:
-        return bool(np.isin(kinds, self.chem.solvents).any())
+        return bool(np.isin(kinds, self.known.solvents).any())
 
     def _layer(self, material: int, phase: str, volume_l: float) -> LayerPicture:
         return LayerPicture(self.shelf.layout.materials[material], phase, volume_l, self.colors[material])
@@ -418,7 +418,7 @@ def _stock(scenario: Scenario, shelf: Shelf, member: int) -> tuple[BottlePicture
 
 
 def _waste_l(shelf: Shelf, member: int) -> float:
-    chem = shelf.chemistry
+    chem = shelf.known(member)
     return float(shelf.waste[member] @ (chem.molar_volume * (chem.role != ROLE_GAS)))
 
 

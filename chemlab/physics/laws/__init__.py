@@ -16,12 +16,11 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-import numba
 from numba.extending import overload
 
 from ...arrays import FloatArray, Handle, IntArray
 from ...chemistry import TIERS, tier_dimensions
-from ...jit import SETTINGS
+from ...jit import COMPILED, SETTINGS
 
 __all__ = ["find_layers", "heat", "law", "partition", "rate_constant", "settle_phases", "vapor_pressure", "vent"]
 
@@ -43,7 +42,7 @@ def law(stub: F) -> F:
         dimensions = getattr(chem, "ndim", tier_dimensions("paper"))
         return _implementation(name, dimensions)(*arguments)
 
-    if not numba.config.DISABLE_JIT:
+    if COMPILED:
 
         def choose(*kinds: Any) -> Callable[..., Any]:
             # A function of the law's own parameters that calls the tier's, which keeps its place in the cache.
@@ -52,7 +51,7 @@ def law(stub: F) -> F:
             exec(f"def {name}({listed}):\n    return target({listed})", scope)
             return cast(Callable[..., Any], scope[name])
 
-        overload(call, jit_options={**SETTINGS, "forceinline": True}, strict=False)(choose)
+        overload(call, jit_options=cast(Any, {**SETTINGS, "forceinline": True}), strict=False)(choose)
     return cast(F, call)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, TEMPERATURE, Chemistry
 from ....jit import kernel, opened
+from ...constants import TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
 from ...thermal import air_in_open_vessel
-from ...transfer import TRACE_MOL, add, heat_capacity, take
+from ...transfer import add, heat_capacity, take
 
 __all__ = ["heat"]
 

@@ -20,7 +20,9 @@ __all__ = ["vapor_pressure", "vent"]
 def _atmospheres(material: int, temperature: float, chem: Handle) -> float:
     """Vapour pressure of a pure liquid over that at its normal boiling point."""
     chemistry = opened(Chemistry, chem)
-    power = chemistry.vaporization[material] / GAS_CONSTANT * (1.0 / chemistry.boiling_point[material] - 1.0 / temperature)
+    power = (
+        chemistry.vaporization[material] / GAS_CONSTANT * (1.0 / chemistry.boiling_point[material] - 1.0 / temperature)
+    )
     return math.exp(min(power, 50.0))
 
 
