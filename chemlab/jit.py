@@ -18,7 +18,7 @@ from numba.np import arrayobj
 
 from .arrays import SLOT, Handle, declared
 
-__all__ = ["COMPILED", "SETTINGS", "announce_compiling", "chained", "helper", "kernel", "opened"]
+__all__ = ["COMPILED", "SETTINGS", "announce_compiling", "chained", "helper", "inner", "kernel", "opened"]
 
 _announced = False
 
@@ -35,7 +35,7 @@ COMPILED: bool = not getattr(numba, "config").DISABLE_JIT  # noqa: B009 - numba 
 """Whether kernels are compiled; with ``NUMBA_DISABLE_JIT=1`` they are plain Python."""
 # _nrt=False: kernels allocate nothing, so numba need not count references to the arrays handed to them; that
 # counting (atomic, twice an array, at every inner call) took ten times as long as the physics.
-SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
 
 
 @functools.cache
@@ -84,6 +84,12 @@ def helper(function: F) -> F:
     return kernel(function, forceinline=True)
 
 
+def inner(function: F) -> F:
+    """A helper that takes opened tables, and that only kernels call: what Python would hand over to it takes longer to
+    compile than most of them."""
+    return kernel(function, forceinline=True, no_cpython_wrapper=True)
+
+
 def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -> Callable[[int, Any, Handle], Any]:
     """A helper ``(number, work, chem)`` that calls one of some functions of (work, chem) by its number.
 
@@ -96,7 +102,9 @@ def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -
     scope["otherwise"] = otherwise
     exec(f"def call(number, work, chem):\n{''.join(calls)}    return otherwise\n", scope)
     # Always inlined in a kernel that has its own place in the cache.
-    return kernel(cast(Callable[[int, Any, Handle], Any], scope["call"]), forceinline=True, cache=False)
+    return kernel(
+        cast(Callable[[int, Any, Handle], Any], scope["call"]), forceinline=True, cache=False, no_cpython_wrapper=True
+    )
 
 
 if not COMPILED:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import chemlab.scenarios
-from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
+from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
@@ -24,6 +24,7 @@ from chemlab.physics.layers import profile
 from chemlab.physics.transfer import add, drain, pour, turn_clock
 from chemlab.scenario import SAFETY_EVENTS, Scenario, load_scenario
 from chemlab.shelf import T_MIX, Shelf
+from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -105,6 +106,19 @@ def composition(scenario: Scenario) -> tuple[list[str], FloatArray]:
     elements = sorted({element for material in materials for element in material.composition})
     matrix = [[*(m.composition.get(e, 0.0) for e in elements), float(m.charge)] for m in materials]
     return [*elements, "charge"], np.array(matrix)
+
+
+def network_table(
+    species: npt.NDArray[np.int64],
+    stoichiometry: FloatArray,
+    orders: FloatArray,
+    pre_exponential: FloatArray,
+    activation_energy: FloatArray,
+) -> Table[Chemistry]:
+    """A chemistry that is nothing but a reaction network; its handle is good as long as the table is there."""
+    sizes = dict.fromkeys(["S", "R", "F", "C", "M", "L", "K", "V", "n", "3", "200"], 0)
+    fields = network_fields(species, stoichiometry, orders, pre_exponential, activation_energy)
+    return Table(Table.empty(Chemistry, **sizes).arrays._replace(**fields))
 
 
 class Glassware:
@@ -278,4 +292,14 @@ class Careless:
         return self._rng.choice(mask.shape[1], size=len(mask), p=chances / chances.sum())
 
 
-__all__ = ["CLOCK_WAS", "PIXELS", "TRACE", "Careless", "Glassware", "composition", "four_solvents", "molar_volume"]
+__all__ = [
+    "CLOCK_WAS",
+    "PIXELS",
+    "TRACE",
+    "Careless",
+    "Glassware",
+    "composition",
+    "four_solvents",
+    "molar_volume",
+    "network_table",
+]

@@ -10,7 +10,7 @@ import pytest
 from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, TEMPERATURE, build_chemistry
 from chemlab.laboratory.aec import raw_env
 from chemlab.scenario import load_scenario, scenario_names
-from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf, build_network
+from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
 SCENARIO = "wurtz_dodecane"
 
@@ -85,23 +85,6 @@ def test_the_settling_clock_runs_from_mixed_to_settled() -> None:
     assert CLOCK_SETTLED > T_MIX
 
 
-def test_a_snapshot_is_a_copy_and_restoring_it_brings_everything_back(shelf: Shelf) -> None:
-    shelf.stock[1, 0], shelf.waste[0, 2] = 3.0, 0.5
-    before = [array.copy() for array in (shelf.vessels, shelf.stock, shelf.waste)]
-    memory = shelf.vessels.ctypes.data
-    snapshot = shelf.snapshot()
-    shelf.vessels += 1.0
-    shelf.stock[:] = 9.0
-    shelf.waste[:] = -1.0
-    shelf.restore(snapshot)
-    for array, was in zip((shelf.vessels, shelf.stock, shelf.waste), before, strict=True):
-        np.testing.assert_array_equal(array, was)
-    # In place: whoever holds a view sees the restored numbers.
-    assert shelf.vessels.ctypes.data == memory
-    assert np.shares_memory(shelf.rows, shelf.vessels)
-    assert not any(np.shares_memory(saved, shelf.vessels) for saved in snapshot)
-
-
 def test_total_counts_vessels_bottles_and_waste_of_each_laboratory(shelf: Shelf) -> None:
     water, salt = shelf.layout.index("water"), shelf.layout.index("NaCl")
     shelf.stock[1, water] = 4.0
@@ -156,7 +139,8 @@ def test_the_text_of_a_vessel(shelf: Shelf) -> None:
 @pytest.mark.parametrize("name", scenario_names())
 def test_the_arrays_say_what_the_materials_say(name: str) -> None:
     scenario = load_scenario(name)
-    layout, chemistry = build_chemistry(scenario)
+    table = build_chemistry(scenario)
+    layout, chemistry = table.layout, table.world()
     assert layout.materials == tuple(scenario.materials)
     for i, material in enumerate(scenario.materials.values()):
         assert chemistry.molar_volume[i] == pytest.approx(
@@ -182,7 +166,7 @@ def test_the_arrays_say_what_the_materials_say(name: str) -> None:
 @pytest.mark.parametrize("name", scenario_names())
 def test_the_network_says_what_the_reactions_say(name: str) -> None:
     scenario = load_scenario(name)
-    network = build_network(scenario)
+    network = build_chemistry(scenario).world()
     names = [list(scenario.materials)[i] for i in network.species]
     for r, step in enumerate(scenario.family.reaction):
         for s, material in enumerate(names):

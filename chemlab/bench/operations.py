@@ -17,7 +17,7 @@ from .. import operations
 from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
 from ..arrays import Field as Array
 from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, ChemistryTable
-from ..jit import helper, kernel, opened
+from ..jit import helper, inner, kernel, opened
 from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
 from ..parts import load_part
@@ -34,6 +34,7 @@ __all__ = ["OperationBench", "OperationOptions", "Process"]
 
 END = -1
 _KIND, _VESSEL, _TARGET, _MATERIAL, _MAGNITUDE, _TOUCHES, _COLUMNS = range(7)
+_BUILT_IN = len(OPERATIONS)
 
 
 class Process(BaseModel):
@@ -123,12 +124,14 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
     )
 
 
-@helper
+@inner
 def _perform(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """Carry out one of chemlab's operations, if it is legal."""
+    """Carry out one of chemlab's operations, if it is legal; others have been carried out already."""
+    kind = int(rules.table[a, _KIND])
+    if kind >= _BUILT_IN:
+        return
     state.events[m, :] = 0.0
     state.elapsed[m] = 0.0
-    kind = int(rules.table[a, _KIND])
     if kind == END:
         state.illegal[m] = False
         return
@@ -138,7 +141,7 @@ def _perform(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: H
         state.elapsed[m] = operations.act(kind, turn, chem)
 
 
-@helper
+@inner
 def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """What follows from an operation: clocks, phases, the end of the experiment."""
     ended = int(rules.table[a, _KIND]) == END
@@ -159,7 +162,7 @@ def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: 
     state.ended[m] = ended or state.steps[m] >= rules.step_limit
 
 
-@helper
+@inner
 def _separate(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """Bring dissolved amounts and layer profiles of the vessels that have changed up to date."""
     for p in range(state.places.shape[1]):
@@ -170,7 +173,7 @@ def _separate(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) 
             state.changed[m, p] = False
 
 
-@helper
+@inner
 def _look(m: int, state: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """A new picture of every vessel."""
     for p in range(state.places.shape[1]):
@@ -180,48 +183,25 @@ def _look(m: int, state: Any, shelf: ShelfArrays, chem: Handle) -> None:
 
 @kernel
 def _step(
-    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+    members: IntArray,
+    actions: IntArray,
+    look: bool,
+    experiment: Handle,
+    bench: Handle,
+    shelf: Handle,
+    chemistry: Handle,
 ) -> None:
+    """One step of every member (none where the action is below 0), and where ``look`` says so what is seen of it."""
     state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m, a = members[b], actions[b]
         chem = chemistry[arrays.variant[m]]
-        _perform(m, a, state, rules, arrays, chem)
-        _conclude(m, a, state, rules, arrays, chem)
-        _separate(m, state, rules, arrays, chem)
-        _look(m, state, arrays, chem)
-
-
-@kernel
-def _perform_all(
-    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
-) -> None:
-    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _perform(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
-
-
-@kernel
-def _conclude_all(
-    members: IntArray, actions: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
-) -> None:
-    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _conclude(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
-
-
-@kernel
-def _separate_all(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
-    state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _separate(members[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
-
-
-@kernel
-def _look_all(members: IntArray, experiment: Handle, shelf: Handle, chemistry: Handle) -> None:
-    state, arrays = opened(OperationState, experiment), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _look(members[b], state, arrays, chemistry[arrays.variant[members[b]]])
+        if a >= 0:
+            _perform(m, a, state, rules, arrays, chem)
+            _conclude(m, a, state, rules, arrays, chem)
+        if look:
+            _separate(m, state, rules, arrays, chem)
+            _look(m, state, arrays, chem)
 
 
 @kernel
@@ -386,43 +366,36 @@ class OperationBench(Bench):
         self._show(shelf, station, members)
 
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        handles = self._handles(shelf, station)
-        if self.separation_model is None and not self._others:
-            _step(members, actions, *handles)
-            return
-        _perform_all(members, actions, *handles)
         if self._others:
             self._perform_others(shelf, station, members, actions)
-        _conclude_all(members, actions, *handles)
-        self._show(shelf, station, members)
+        _step(members, actions, self.separation_model is None, *self._handles(shelf, station))
+        if self.separation_model is not None:
+            self._show(shelf, station, members)
 
     def _own_turn(self, shelf: Shelf, station: Station, member: int, action: int) -> tuple[Operation, Turn]:
         """The operation of an action that is not chemlab's, and what it works on."""
-        operation = self._others[int(self.table[action, _KIND]) - len(OPERATIONS)]
+        operation = self._others[int(self.table[action, _KIND]) - _BUILT_IN]
         turn = _turn.py_func if hasattr(_turn, "py_func") else _turn
         return operation, turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
 
     def _perform_others(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         """Carry out operations that are not chemlab's."""
-        others = self.table[actions, _KIND] >= len(OPERATIONS)
+        others = self.table[actions, _KIND] >= _BUILT_IN
         for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
             operation, turn = self._own_turn(shelf, station, m, a)
-            chem = shelf.chem(m)
-            station.illegal[m] = not operation.legal(turn, chem)
+            station.events[m], station.elapsed[m] = 0.0, 0.0
+            station.illegal[m] = not operation.legal(turn, shelf.chem(m))
             if not station.illegal[m]:
-                station.elapsed[m] = operation.act(turn, chem)
+                station.elapsed[m] = operation.act(turn, shelf.chem(m))
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        if self.separation_model is None:
-            _separate_all(members, *self._handles(shelf, station))
-        else:
-            for m in members:
-                for p in range(station.places.shape[1]):
-                    place = station.places[m, p]
-                    self._separate_by_model(
-                        shelf.rows[place], shelf.known(m), shelf.chem(m), station.layers[m, p], station.profile[m, p]
-                    )
-        _look_all(members, station.handle, shelf.handle, shelf.chemistry.handles)
+        """Bring layers and pictures up to date."""
+        if self.separation_model is not None:
+            for m in members.tolist():
+                for place, layers, shares in zip(station.places[m], station.layers[m], station.profile[m], strict=True):
+                    self._separate_by_model(shelf.rows[place], shelf.known(m), shelf.chem(m), layers, shares)
+            station.changed[members] = False
+        _step(members, np.full(len(members), -1), True, *self._handles(shelf, station))
 
     def _separate_by_model(
         self, row: FloatArray, known: Chemistry, chem: Handle, layers: IntArray, shares: FloatArray
@@ -466,7 +439,7 @@ class OperationBench(Bench):
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
         _mask(members, *self._handles(shelf, station), out)
-        for a in np.flatnonzero(self.table[:, _KIND] >= len(OPERATIONS)) if self._others else ():
+        for a in np.flatnonzero(self.table[:, _KIND] >= _BUILT_IN) if self._others else ():
             for row, m in zip(out, members.tolist(), strict=True):
                 operation, turn = self._own_turn(shelf, station, m, int(a))
                 row[a] = station.busy[m] and operation.legal(turn, shelf.chem(m))

@@ -27,7 +27,7 @@ from ..chemistry import (
     ChemistryTable,
     element_matrix,
 )
-from ..jit import helper, kernel, opened
+from ..jit import inner, kernel, opened
 from ..physics.kinetics import react, react_work_size
 from ..physics.laws import partition, settle_phases, vent
 from ..physics.spectra import spectrum
@@ -133,7 +133,7 @@ ReactionState: Any = merged(ExperimentState, SupplyState)
 ReactionRules: Any = merged(BenchRules, ReactorRules)
 
 
-@helper
+@inner
 def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat)."""
     row = shelf.rows[state.places[m, 0]]
@@ -156,7 +156,7 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     row[TEMPERATURE] = min(max(temperature, rules.coldest), rules.hottest)
 
 
-@helper
+@inner
 def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """After the reaction: phases, stirred contents, relief valve."""
     row = shelf.rows[state.places[m, 0]]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..arrays import Handle
 from ..bench.base import Channel
 from ..chemistry import AMOUNTS, Chemistry
-from ..jit import helper, opened
+from ..jit import inner, opened
 from .base import Instrument, Reading
 
 __all__ = ["INSTRUMENT"]
@@ -16,7 +16,7 @@ __all__ = ["INSTRUMENT"]
 RANGE_KG = 2.0
 
 
-@helper
+@inner
 def _read(reading: Reading, chem: Handle) -> float:
     molar_mass = opened(Chemistry, chem).molar_mass
     grams = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray, Handle, IntArray
 from ..bench.base import Channel
 from ..chemistry import AMOUNTS, ROLE_ION, Chemistry
-from ..jit import helper, opened
+from ..jit import inner, opened
 from ..physics.constants import TRACE_MOL
 from .base import Instrument, Reading
 
@@ -20,7 +20,7 @@ HOTTEST_COLUMN_K = 750.0
 """What boils above this does not pass the column; it counts as residue."""
 
 
-@helper
+@inner
 def _read(reading: Reading, chem: Handle) -> float:
     row, out, role = reading.row, reading.out, opened(Chemistry, chem).role
     total, volatile = 0.0, 0.0

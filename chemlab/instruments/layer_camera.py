@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from ..arrays import Handle
 from ..bench.base import CAMERA_PIXELS, Channel
-from ..jit import helper
+from ..jit import inner
 from ..physics.layers import camera, profile
 from .base import Instrument, Reading
 
 __all__ = ["INSTRUMENT"]
 
 
-@helper
+@inner
 def _read(reading: Reading, chem: Handle) -> float:
     profile(reading.row, chem, reading.layers, reading.shares, reading.work)
     camera(reading.row, reading.shares, reading.layers, chem, reading.stream, reading.out)

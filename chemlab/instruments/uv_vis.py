@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from ..arrays import Handle
 from ..bench.base import Channel
-from ..jit import helper
+from ..jit import inner
 from ..physics.spectra import spectrum
 from .base import Instrument, Reading
 
 __all__ = ["INSTRUMENT"]
 
 
-@helper
+@inner
 def _read(reading: Reading, chem: Handle) -> float:
     spectrum(reading.row, chem, reading.out)
     return 0.0

@@ -169,6 +169,11 @@ class Laboratories:
         return {"busy": self.desk.busy[b], "goal": self.desk.bench_goal[b], "steps": self.desk.bench_steps[b]}
 
     @property
+    def busy(self) -> BoolArray:
+        """[benches, N] whether an experiment is running."""
+        return self.desk.busy
+
+    @property
     def safety_totals(self) -> FloatArray:
         """[N, E] safety events since the episode began."""
         return self.desk.safety_totals

@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray
 from ..bench.base import ExperimentState, goal_amount, weighted_amount
 from ..chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
-from ..jit import helper, kernel, opened
+from ..jit import helper, inner, kernel, opened
 from ..physics.laws import partition, settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
 from ..shelf import CLOCK_SETTLED, ShelfArrays
@@ -47,13 +47,13 @@ BEGUN, RECALLED, OVER, MEASURED = 1, 2, 4, 8
 """What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured."""
 
 
-@helper
+@inner
 def _first_row(n: int, shelf: ShelfArrays) -> int:
     """Row of a laboratory's first vessel."""
     return int(n * (shelf.rows.shape[0] // shelf.stock.shape[0]))
 
 
-@helper
+@inner
 def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> tuple[int, int]:
     """(free slots, occupied slots); a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
@@ -65,7 +65,7 @@ def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: Sh
     return free, occupied
 
 
-@helper
+@inner
 def _allowed(
     n: int, a: int, slots: tuple[int, int], any_busy: bool, state: ManagerState, rules: Rules, shelf: ShelfArrays
 ) -> bool:
@@ -115,7 +115,7 @@ def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     partition(row, chem, work)
 
 
-@helper
+@inner
 def _forget(n: int, s: int, state: ManagerState) -> None:
     """The slot holds another vessel, or none: its history and readings are gone."""
     state.last_bench[n, s] = 0
@@ -124,7 +124,7 @@ def _forget(n: int, s: int, state: ManagerState) -> None:
     state.age[n, s, :] = -1
 
 
-@helper
+@inner
 def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> None:
     """Bring the vessel of slot ``y`` to bench ``x``, and keep slots for what will come back."""
     base = _first_row(n, shelf)
@@ -140,7 +140,7 @@ def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: She
     state.begun[n] = x
 
 
-@helper
+@inner
 def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, into: FloatArray) -> None:
     """Take a vessel off the shelf."""
     remove_fraction(row, 1.0, chem, into)
@@ -148,7 +148,7 @@ def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, 
     _forget(n, x, state)
 
 
-@helper
+@inner
 def _submit(
     n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle, last: bool
 ) -> None:

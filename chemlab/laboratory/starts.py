@@ -18,7 +18,7 @@ import numpy as np
 from ..arrays import Field, FloatArray, IntArray, StreamArray
 from ..chemistry import ChemistryTable
 from ..files import write_text
-from ..jit import helper
+from ..jit import inner
 from ..materials import DataError
 from ..rng import uniform
 from ..scenario import Scenario, scenario_names
@@ -84,7 +84,7 @@ def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[
     )
 
 
-@helper
+@inner
 def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
     """Which of a goal's vessels; takes one random number. The goal must have some."""
     draw = uniform(state)

@@ -9,7 +9,7 @@ from ..arrays import Handle, IntArray, ObservationArray
 from ..bench.base import Channel
 from ..chemistry import CAPACITY, PRESENT, TEMPERATURE
 from ..instruments.table import InstrumentTable
-from ..jit import helper, kernel, opened
+from ..jit import inner, kernel, opened
 from ..physics.transfer import volume
 from ..scenario import Scenario
 from ..shelf import ShelfArrays
@@ -46,7 +46,7 @@ def _vessel_channels(slot: str, scenario: Scenario, positions: int, largest_capa
     ]
 
 
-@helper
+@inner
 def _write_vessel(
     out: ObservationArray, at: int, n: int, s: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle
 ) -> int:
@@ -72,7 +72,7 @@ def _reading_channels(slot: str, scenario: Scenario, instruments: InstrumentTabl
     return channels
 
 
-@helper
+@inner
 def _write_readings(out: ObservationArray, at: int, n: int, s: int, state: ManagerState, rules: Rules) -> int:
     for k in range(state.age.shape[2]):
         start, stop, age = rules.reading_start[k], rules.reading_start[k + 1], state.age[n, s, k]
@@ -94,7 +94,7 @@ def _bench_channels(agent: str, scenario: Scenario) -> list[Channel]:
     ]
 
 
-@helper
+@inner
 def _write_bench(out: ObservationArray, at: int, n: int, b: int, state: ManagerState, rules: Rules) -> int:
     goals = rules.parts.shape[0]
     if state.busy[b, n]:
@@ -108,7 +108,7 @@ def _stock_channels(scenario: Scenario) -> list[Channel]:
     return [Channel("stock", len(scenario.stock), "fraction", 0.0, 1.0, "left of: " + ", ".join(scenario.stock))]
 
 
-@helper
+@inner
 def _write_stock(out: ObservationArray, at: int, n: int, rules: Rules, shelf: ShelfArrays) -> int:
     for k in range(rules.stocked.shape[0]):
         m = rules.stocked[k]
@@ -132,7 +132,7 @@ def _order_channels(scenario: Scenario) -> list[Channel]:
     ]
 
 
-@helper
+@inner
 def _write_orders(out: ObservationArray, at: int, n: int, state: ManagerState, rules: Rules) -> int:
     for o in range(state.goal.shape[1]):
         out[at + state.goal[n, o]] = 0.0 if state.filled[n, o] else 1.0
@@ -148,7 +148,7 @@ def _limit_channels() -> list[Channel]:
     ]
 
 
-@helper
+@inner
 def _write_limits(out: ObservationArray, at: int, n: int, state: ManagerState, rules: Rules) -> int:
     out[at] = max(1.0 - state.charges[n, INSTRUMENTS] / rules.budget, 0.0)
     out[at + 1] = max(1.0 - state.actions[n] / rules.action_limit, 0.0)

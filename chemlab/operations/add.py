@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..arrays import Handle
 from ..chemistry import Chemistry
-from ..jit import helper, opened
+from ..jit import inner, opened
 from ..physics.constants import TRACE_MOL
 from ..physics.transfer import add
 from .base import Operation, Turn
@@ -12,7 +12,7 @@ from .base import Operation, Turn
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     chemistry = opened(Chemistry, chem)
     mol = min(turn.magnitude / chemistry.molar_volume[turn.material], turn.stock[turn.material])
@@ -21,7 +21,7 @@ def _act(turn: Turn, chem: Handle) -> float:
     return 0.0
 
 
-@helper
+@inner
 def _legal(turn: Turn, chem: Handle) -> bool:
     return bool(turn.stock[turn.material] > TRACE_MOL)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from ..arrays import Handle
-from ..jit import helper
+from ..jit import inner
 from ..physics.transfer import drain
 from .base import Operation, Turn, not_empty
 
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     pixels = turn.magnitude / 100.0 * turn.profile.shape[1]
     drain(turn.row, turn.target, pixels, turn.profile, turn.layers, chem, turn.waste, turn.events)

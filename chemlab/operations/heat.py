@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from ..arrays import Handle
-from ..jit import helper
+from ..jit import inner
 from ..physics.laws import heat
 from .base import Operation, Turn, always
 
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     hottest, coolest = turn.limits[0], turn.limits[1]
     heat(turn.row, turn.target, 1000.0 * turn.magnitude, hottest, coolest, chem, turn.waste, turn.events)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from ..arrays import Handle
-from ..jit import helper
+from ..jit import inner
 from ..physics.transfer import turn_clock
 from .base import Operation, Turn, not_empty
 
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     turn_clock(turn.row, -turn.magnitude)
     return 0.0

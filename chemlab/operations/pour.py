@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from ..arrays import Handle
-from ..jit import helper
+from ..jit import inner
 from ..physics.transfer import pour
 from .base import Operation, Turn, not_empty
 
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     pour(turn.row, turn.target, turn.magnitude, chem, turn.waste, turn.events)
     return 0.0

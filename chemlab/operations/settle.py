@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from ..arrays import Handle
-from ..jit import helper
+from ..jit import inner
 from .base import Operation, Turn, always
 
 __all__ = ["OPERATION"]
 
 
-@helper
+@inner
 def _act(turn: Turn, chem: Handle) -> float:
     return turn.magnitude
 

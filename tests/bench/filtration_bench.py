@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench, Channel, Station, check_discrete
-from chemlab.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, Chemistry, Layout
+from chemlab.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, ChemistryTable
 from chemlab.scenario import Scenario
 from chemlab.shelf import Shelf
 
@@ -35,11 +35,12 @@ class FiltrationBench(Bench):
     options_model = FiltrationOptions
     positions = ("funnel", "filtrate")
 
-    def __init__(self, key: str, scenario: Scenario, layout: Layout, chemistry: Chemistry) -> None:
-        super().__init__(key, scenario, layout, chemistry)
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        super().__init__(key, scenario, chemistry)
+        layout, known = self.layout, self.known
         # Of a row's contents (amounts, then dissolved amounts) everything but solids runs through.
         dissolved = layout.width - AMOUNTS - len(layout.materials)
-        self._runs_through = np.concatenate((chemistry.role != ROLE_SOLID, np.ones(dissolved, dtype=np.bool_)))
+        self._runs_through = np.concatenate((known.role != ROLE_SOLID, np.ones(dissolved, dtype=np.bool_)))
         channels = [
             Channel(f"fill_{name}", 1, "fraction", 0.0, 1.0, f"how full the {name} is") for name in self.positions
         ]
@@ -66,13 +67,13 @@ class FiltrationBench(Bench):
             station.steps[m] += 1
             station.ended[m] = action == END or station.steps[m] >= self.spec.step_limit
 
-    def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
         out[:] = 0.0
         for row, m in zip(out, members, strict=True):
             if station.busy[m]:
                 vessels = shelf.rows[station.places[m]]
                 amounts = vessels[:, AMOUNTS : AMOUNTS + len(self.layout.materials)]
-                row[:2] = np.minimum(amounts @ self.chemistry.molar_volume / vessels[:, CAPACITY], 1.0)
+                row[:2] = np.minimum(amounts @ self.known.molar_volume / vessels[:, CAPACITY], 1.0)
                 row[2 + station.goal[m]] = 1.0
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:

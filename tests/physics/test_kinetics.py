@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import Glassware, molar_volume
+from helpers import Glassware, molar_volume, network_table
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
-from chemlab.chemistry import AMOUNTS
+from chemlab.chemistry import AMOUNTS, Chemistry
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.kinetics import react, react_work_size
-from chemlab.shelf import Network, build_network
+from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 Step = tuple[Mapping[int, float], Mapping[int, float], float, float]
@@ -54,10 +54,10 @@ class Scheme:
         )
 
     @property
-    def network(self) -> Network:
+    def network(self) -> Table[Chemistry]:
         """What the kernel takes."""
         species = np.arange(self.orders.shape[1])
-        return Network.of(species, self.stoichiometry, self.orders, self.pre_exponential, self.activation_energy)
+        return network_table(species, self.stoichiometry, self.orders, self.pre_exponential, self.activation_energy)
 
 
 def run(
@@ -72,7 +72,7 @@ def run(
     network = scheme.network
     row = np.zeros(AMOUNTS + len(network.species))
     row[AMOUNTS:] = amounts
-    react(row, network, volume_l, temperature_k, dt, *tolerance, np.zeros(react_work_size(network)))
+    react(row, network.handle, volume_l, temperature_k, dt, *tolerance, np.zeros(react_work_size(network.arrays)))
     return row[AMOUNTS:]
 
 
@@ -280,13 +280,13 @@ def test_conservation_and_positivity(problem: Problem, tolerance: tuple[float, f
 CHLORIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
 
 
-def wurtz(reagents: Sequence[str]) -> tuple[Glassware, Network]:
+def wurtz(reagents: Sequence[str]) -> tuple[Glassware, Table[Chemistry]]:
     """4 mol ether, 1 mol of each reagent and 3 mol Na; the shipped network with k = 1 for all six reactions."""
     glass = Glassware("wurtz_dodecane", 1)
-    network = build_network(glass.scenario)
+    network = glass.known
     assert len(network.pre_exponential) == 6
     glass.fill(0, {"diethyl_ether": 4.0, "Na": 3.0, **dict.fromkeys(reagents, 1.0)}, 2.0)
-    return glass, network._replace(pre_exponential=np.ones(6), activation_energy=np.zeros(6))
+    return glass, Table(network._replace(pre_exponential=np.ones(6), activation_energy=np.zeros(6)))
 
 
 @pytest.mark.parametrize("reagents", [CHLORIDES[:1], CHLORIDES[1:2], CHLORIDES[:2], CHLORIDES], ids=" ".join)
@@ -305,21 +305,21 @@ def test_wurtz_network_agrees_with_scipy(reagents: Sequence[str]) -> None:
     ]
     volume = glass.volume(0, "diethyl_ether", *reagents)  # the metal is no liquid
     reference = scipy_amounts(Scheme.of(steps, len(names)), glass.amounts(0), volume, 0.2)
-    row, work = glass.rows[0], np.zeros(react_work_size(network))
+    row, work = glass.rows[0], np.zeros(react_work_size(network.arrays))
     start = row.copy()
-    react(row, network, volume, ROOM, 0.2, 1e-8, 1e-11, work)
+    react(row, network.handle, volume, ROOM, 0.2, 1e-8, 1e-11, work)
     assert glass.amounts(0) == pytest.approx(reference, abs=2e-6)
     row[:] = start
-    react(row, network, volume, ROOM, 0.2, *DEFAULT, work)
+    react(row, network.handle, volume, ROOM, 0.2, *DEFAULT, work)
     assert glass.amounts(0) == pytest.approx(reference, abs=5e-3)
 
 
 def published(reagents: Sequence[str], goal: str) -> float:
     """mol of the goal after 0.2 where the volume is that of everything in the vessel, solids too, as it changes."""
     glass, network = wurtz(reagents)
-    work = np.zeros(react_work_size(network))
+    work = np.zeros(react_work_size(network.arrays))
     for _ in range(200):
-        react(glass.rows[0], network, glass.volume(0), ROOM, 0.001, 1e-8, 1e-11, work)
+        react(glass.rows[0], network.handle, glass.volume(0), ROOM, 0.001, 1e-8, 1e-11, work)
     return glass.amount(0, goal)
 
 
@@ -339,4 +339,4 @@ def test_product_volumes_come_from_the_data_files() -> None:
     """The helper's molar volumes are the arrays' (so the facts above were computed for the shipped materials)."""
     glass = Glassware("wurtz_dodecane", 1)
     expected = [molar_volume(glass.scenario, name) for name in glass.layout.materials]
-    assert glass.chem.molar_volume == pytest.approx(expected, rel=1e-12)
+    assert glass.known.molar_volume == pytest.approx(expected, rel=1e-12)

@@ -135,7 +135,7 @@ def test_receiver_that_is_full_spills() -> None:
     glass = still({"diethyl_ether": 4.0})
     glass.fill(1, {}, 0.1)
     glass.heat(0, 1, 80_000.0)
-    litres = float(glass.waste @ glass.chem.molar_volume)
+    litres = float(glass.waste @ glass.known.molar_volume)
     assert glass.volume(1) == pytest.approx(0.1, rel=1e-12)
     assert litres > 0.1
     assert glass.events[SPILL] == pytest.approx(litres, rel=1e-12)

@@ -174,7 +174,7 @@ def test_adding_mixes_stirs_and_spills() -> None:
     total = glass.shelf.total()[0]
     assert total[glass.index("water")] == pytest.approx(33.0, rel=1e-14)
     assert total[glass.index("hexane")] == pytest.approx(2.0, rel=1e-14)
-    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.chem.molar_volume), rel=1e-9)
+    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.known.molar_volume), rel=1e-9)
 
 
 def test_adding_nothing_changes_nothing() -> None:
@@ -273,7 +273,7 @@ def test_drained_vessel_overflows_into_the_waste() -> None:
     before = glass.atoms()
     glass.drain(0, 1, 60.0)
     assert glass.volume(1) == pytest.approx(0.3, rel=1e-12)
-    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.chem.molar_volume), rel=1e-9)
+    assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.known.molar_volume), rel=1e-9)
     np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12)
 
 
