@@ -33,7 +33,7 @@ def half_full(scenario: Scenario, mixture: dict[str, float]) -> dict[str, float]
 
 def disguise(labs: Laboratories, member: int, positions: Any, rng: np.random.Generator) -> None:
     """Put something else of the same volume and temperature into vessels, mixed or settled, in any layers."""
-    chem, materials = labs.shelf.chemistry, len(labs.shelf.layout.materials)
+    chem, materials = labs.shelf.known(), len(labs.shelf.layout.materials)
     for position in positions:
         row = labs.shelf.vessels[member, position]
         if row[PRESENT] == 0.0:

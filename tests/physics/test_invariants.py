@@ -40,7 +40,7 @@ def check_shelf(shelf: Shelf) -> None:
     assert shelf.stock.min() >= 0.0
     assert shelf.waste.min() >= 0.0
     assert shelf.dissolved.min(initial=0.0) >= 0.0
-    assert (shelf.amounts[..., shelf.chemistry.air] == 0.0).all()
+    assert (shelf.amounts[..., shelf.known().air] == 0.0).all()
     standing = shelf.vessels[..., PRESENT] > 0.0
     assert (shelf.vessels[~standing] == 0.0).all()
     rows = shelf.vessels[standing]
@@ -50,9 +50,9 @@ def check_shelf(shelf: Shelf) -> None:
     assert rows[:, TEMPERATURE].max() < 1000.0
     assert rows[:, CLOCK].min() >= T_MIX
     assert rows[:, CLOCK].max() <= CLOCK_SETTLED
-    filled = shelf.amounts[standing] @ shelf.chemistry.molar_volume
+    filled = shelf.amounts[standing] @ shelf.known().molar_volume
     assert (filled <= rows[:, CAPACITY] * (1.0 + 1e-6)).all()  # dissolving moves the volume by a billionth
-    solvents, solutes = shelf.chemistry.solvents, shelf.chemistry.dissolved
+    solvents, solutes = shelf.known().solvents, shelf.known().dissolved
     wet = (shelf.amounts[..., solvents].max(axis=-1) > TRACE) & standing
     np.testing.assert_allclose(shelf.dissolved[wet].sum(axis=-1), shelf.amounts[wet][:, solutes], rtol=1e-9, atol=1e-12)
 
@@ -73,7 +73,7 @@ def check_pressures(laboratories: Laboratories) -> None:
     """Pressures of standing vessels are finite and not negative."""
     shelf = laboratories.shelf
     for row in shelf.rows[shelf.rows[:, PRESENT] > 0.0]:
-        for value in (pressure(row, shelf.chemistry), vapor_pressure(row, shelf.chemistry)):
+        for value in (pressure(row, shelf.chem()), vapor_pressure(row, shelf.chem())):
             assert np.isfinite(value)
             assert value >= 0.0
 
