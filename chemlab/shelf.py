@@ -7,9 +7,10 @@ taking a snapshot and restoring one are array copies.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from .arrays import Field, FloatArray, Handle, IntArray
 from .chemistry import (
@@ -96,6 +97,10 @@ class Shelf:
     def waste(self) -> FloatArray:
         """[N, M] mol thrown away, vented or spilled."""
         return self.table.arrays.waste
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        return [self.vessels, *self.table.changing()[1:]]
 
     def chem(self, laboratory: int = 0) -> Handle:
         """What kernels take for one laboratory's chemistry: its world's."""

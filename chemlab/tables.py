@@ -79,8 +79,13 @@ class Table(Generic[T]):
                 array[members] = field.field.first
 
     def changing(self) -> list[npt.NDArray[Any]]:
-        """Every array that goes on from step to step, for snapshots."""
-        return [array for field, array in zip(self._fields, self._own, strict=True) if field.field.kept]
+        """Every array that goes on from step to step, for snapshots: with the laboratories' axis first where it has
+        one (views)."""
+        return [
+            np.moveaxis(array, field.axes.index("N"), 0) if "N" in field.axes else array
+            for field, array in zip(self._fields, self._own, strict=True)
+            if field.field.kept
+        ]
 
     def member(self, member: int, without: str = "") -> list[npt.NDArray[Any]]:
         """The part of every array that is one laboratory's (views): along the axis N."""

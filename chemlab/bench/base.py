@@ -307,7 +307,6 @@ class Bench(ABC):
         )
         self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
         self.step_limit = self.spec.step_limit
-        self.state_declaration = merged(ExperimentState, *self.own_state)
         self.rules: Table[Any]
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
@@ -324,6 +323,11 @@ class Bench(ABC):
     def known(self) -> Chemistry:
         """The chemistry as the data files have it."""
         return self.chemistry.world()
+
+    @property
+    def state_declaration(self) -> Any:
+        """Declaration of the arrays of its experiments."""
+        return merged(ExperimentState, *self.own_state)
 
     def state_sizes(self, members: int, positions: int) -> dict[str, int]:
         """Length of every axis of the experiments' arrays, by name."""

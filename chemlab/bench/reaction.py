@@ -187,16 +187,21 @@ def _conclude_all(members: IntArray, experiment: Handle, bench: Handle, shelf: H
 @kernel
 def _step(
     members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
-) -> None:
-    """One step of every member with the built-in kinetics: load, react, conclude."""
+) -> int:
+    """One step of every member with the built-in kinetics: load, react, conclude. Returns the last member in which the
+    reactions were too stiff, -1 if none."""
     state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    stiff = -1
     for b in range(members.shape[0]):
         m = members[b]
         chem = chemistry[arrays.variant[m]]
         row = arrays.rows[state.places[m, 0]]
         _load(m, actions[b], state, rules, arrays, chem)
-        react(row, chem, liquid_volume(row, chem), row[TEMPERATURE], rules.tick, rules.rtol, rules.atol, rules.scratch)
+        litres, temperature = liquid_volume(row, chem), row[TEMPERATURE]
+        if react(row, chem, litres, temperature, rules.tick, rules.rtol, rules.atol, rules.scratch) < 0:
+            stiff = m
         _conclude(m, state, rules, arrays, chem)
+    return stiff
 
 
 @kernel
@@ -345,7 +350,14 @@ class ReactionBench(Bench):
     def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         handles = self._handles(shelf, station)
         if self.reaction_model is None:
-            _step(members, actions, *handles)
+            stiff = _step(members, actions, *handles)
+            if stiff >= 0:
+                raise ArithmeticError(
+                    f"{station.agent}: the reactions of laboratory {stiff} at "
+                    f"{shelf.rows[station.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 100,000 steps "
+                    f"for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a shorter "
+                    f"benches.{self.key}.tick, or smaller rate constants"
+                )
             return
         _load_all(members, actions, *handles)
         for m in members.tolist():

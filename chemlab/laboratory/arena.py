@@ -168,4 +168,4 @@ class BenchArena:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        return [*self.shelf.table.changing(), *self.station.arrays(), self.start_stream]
+        return [*self.shelf.arrays(), *self.station.arrays(), self.start_stream]

@@ -579,10 +579,10 @@ class Laboratories:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        state = [*self.shelf.table.changing(), *self.state.changing()]
+        state = self.shelf.arrays()
         for station in self.stations:
             state += station.arrays()
-        return state
+        return [*state, *self.state.changing()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

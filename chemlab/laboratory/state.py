@@ -77,8 +77,6 @@ class ManagerState(NamedTuple):
     """[N] bench that it recalled, -1 if none"""
     measured: Annotated[IntArray, Field("N", first=-1)]
     """[N] slot that it had measured, -1 if none"""
-    safety_totals: Annotated[FloatArray, Field("N E")]
-    """[N, E] safety events since the episode began"""
     # An agent's numbers stand together: a bench's turn touches its own row alone. Agents' rows are not reset with a
     # laboratory's, but opened at every turn.
     rewards: Annotated[FloatArray, Field("G N", first=None)]
@@ -87,6 +85,8 @@ class ManagerState(NamedTuple):
     """[G, N] weighted safety events of the last turn or round"""
     scores: Annotated[FloatArray, Field("G N", first=None)]
     """[G, N] score of the experiment that it ended, NaN where none ended"""
+    safety_totals: Annotated[FloatArray, Field("N E")]
+    """[N, E] safety events since the episode began"""
     busy: Annotated[BoolArray, Field("B N", first=None, kept=False)]
     """[B, N] and the two below: what the benches' experiments share with the manager's kernels"""
     bench_goal: Annotated[IntArray, Field("B N", first=None, kept=False)]

@@ -27,12 +27,22 @@ _E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 3392
 _SMALLEST_STEP = 1e-12
 _FIRST_SHARE = 0.3
 """Share of a reactant that the first trial step may use up at the first rate."""
+_MOST_STEPS = 100_000
+"""Steps after which an integration is given up: what needs more is stiffer than an explicit method can take."""
+_USED_UP = 1e-15
+"""mol/L; a reactant of which there is less is used up."""
 _WORK_ROWS = 14
 
 
 def react_work_size(chemistry: Chemistry) -> tuple[int, int]:
     """Shape of the scratch array :func:`react` needs."""
     return _WORK_ROWS, max(chemistry.stoichiometry.shape[0], chemistry.species.shape[0], 1)
+
+
+@helper
+def _effective(concentration: float) -> float:
+    """A concentration as rates see it: what is used up must not react on as rounding leaves it."""
+    return concentration if concentration > _USED_UP else 0.0
 
 
 @helper
@@ -57,10 +67,10 @@ def _rates(
         rate = constants[r]
         for f in range(chemistry.factors.shape[1]):
             if chemistry.factors[r, f] >= 0:
-                rate *= max(conc[chemistry.factors[r, f]], 0.0)
+                rate *= _effective(conc[chemistry.factors[r, f]])
         for j in range(chemistry.fractions.shape[1]):
             if chemistry.fractions[r, j] > 0.0:
-                rate *= max(conc[j], 0.0) ** chemistry.fractions[r, j]
+                rate *= _effective(conc[j]) ** chemistry.fractions[r, j]
         out[r] = rate
     return lowest
 
@@ -88,7 +98,8 @@ def react(
         work: scratch of shape :func:`react_work_size`.
 
     Returns:
-        Number of steps taken, rejected ones included.
+        Number of steps taken, rejected ones included; -1 where that would have been more than 100,000 (nothing has
+        changed then).
     """
     chemistry = opened(Chemistry, chem)
     n_reactions, n_species = chemistry.stoichiometry.shape
@@ -121,6 +132,8 @@ def react(
     done, steps = 0.0, 0
     while done < dt:
         steps += 1
+        if steps > _MOST_STEPS:
+            return -1
         h = min(h, dt - done)
         for r in range(n_reactions):
             trial[r] = extent[r] + h * _A21 * k1[r]
@@ -163,9 +176,16 @@ def react(
         if error > 1.0 and not small:
             h *= max(0.2, 0.9 * error**-0.2)
             continue
-        if lowest < 0.0:
-            # A reactant ends inside the smallest step: it is used up here, and nothing more can react with it.
-            break
+        if lowest < 0.0 or not error < math.inf:
+            # A reactant ends inside the smallest step: the part of the step is taken that uses it up.
+            part = 1.0 if error < math.inf else 0.0
+            for j in range(n_species):
+                if conc[j] < 0.0:
+                    part = min(part, max(now[j], 0.0) / (now[j] - conc[j]))
+            for r in range(n_reactions):
+                trial[r] = extent[r] + part * (trial[r] - extent[r])
+            _rates(constants, chem, start, trial, conc, k7)
+            error = 1.0
         done += h
         for r in range(n_reactions):
             extent[r] = trial[r]

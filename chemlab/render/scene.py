@@ -278,7 +278,7 @@ class _Camera:
         if not vessel.present:
             return None
         image: FloatArray = np.zeros(0)
-        if station is not None and station.image.shape[2] and station.layers[member, role, 0] > 0:
+        if station is not None and hasattr(station, "image") and station.layers[member, role, 0] > 0:
             # The bench's own layers: a separation model may have made them.
             layers, shares, image = (
                 station.layers[member, role],

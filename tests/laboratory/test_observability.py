@@ -191,9 +191,10 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
         labs.safety_totals[:] = rng.random(labs.safety_totals.shape)
         for station in labs.stations:
             station.baseline[:], station.events[:] = rng.random(), rng.random(station.events.shape)
-            station.image[:] = rng.random(station.image.shape)
             station.stream[:] = 54321
-            station.changed[:] = True
+            if hasattr(station, "image"):
+                station.image[:] = rng.random(station.image.shape)
+                station.changed[:] = True
         for array in (labs.rewards, labs.cost, labs.scores):
             array[...] = rng.random(array.shape)
         again, same = labs.observe(0, labs.members), labs.mask(0, labs.members)
@@ -239,7 +240,8 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
             for other in labs.stations:
                 if other is not station:
                     other.goal[:], other.steps[:] = 0, 7
-                    other.image[:] = rng.random(other.image.shape)
+                    if hasattr(other, "image"):
+                        other.image[:] = rng.random(other.image.shape)
             station.baseline[:] = rng.random()
             np.testing.assert_array_equal(labs.observe(b + 1, labs.members), seen)
             again = labs.mask(b + 1, labs.members)

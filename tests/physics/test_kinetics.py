@@ -340,3 +340,39 @@ def test_product_volumes_come_from_the_data_files() -> None:
     glass = Glassware("wurtz_dodecane", 1)
     expected = [molar_volume(glass.scenario, name) for name in glass.layout.materials]
     assert glass.known.molar_volume == pytest.approx(expected, rel=1e-12)
+
+
+# -- reactants that are used up ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("power", [3, 6, 9, 12, 13, 14, 16, 20])
+def test_a_reaction_of_any_speed_ends_and_leaves_the_others_alone(power: int) -> None:
+    """A -> B as fast as can be, beside C -> D with k = 1: the closed forms of both."""
+    scheme = Scheme.of([({0: 1.0}, {1: 1.0}, 10.0**power, 0.0), ({2: 1.0}, {3: 1.0}, 1.0, 0.0)], 4)
+    found = run(scheme, [1.0, 0.0, 1.0, 0.0], 1.0, 1.0, DEFAULT)
+    expected = [0.0, 1.0, np.exp(-1.0), 1.0 - np.exp(-1.0)]
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+    np.testing.assert_allclose(found[[0, 2]] + found[[1, 3]], 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("time", [0.5, 0.9, 2.0])
+def test_a_fractional_order_uses_its_reactant_up_in_time(order: float, time: float) -> None:
+    """dA/dt = -A^n ends at 1 / (1 - n): A = (1 - (1 - n) t)^(1 / (1 - n)) until then."""
+    scheme = Scheme(np.array([[-1.0, 1.0]]), np.array([[order, 0.0]]), np.ones(1), np.zeros(1))
+    found = run(scheme, [1.0, 0.0], 1.0, time, DEFAULT)
+    expected = max(1.0 - (1.0 - order) * time, 0.0) ** (1.0 / (1.0 - order))
+    assert found[0] == pytest.approx(expected, abs=2e-3)
+    assert found.sum() == pytest.approx(1.0, rel=1e-12)
+
+
+def test_what_is_too_stiff_is_given_up_and_changes_nothing() -> None:
+    """A and B that turn into each other 1e9 times while C is used up: no explicit method gets there."""
+    steps: list[Step] = [({0: 1.0}, {1: 1.0}, 1e9, 0.0), ({1: 1.0}, {0: 1.0}, 1e9, 0.0)]
+    scheme = Scheme.of(steps, 2)
+    row = np.zeros(AMOUNTS + 2)
+    row[AMOUNTS:] = 1.0, 0.0
+    network = scheme.network
+    work = np.zeros(react_work_size(network.arrays))
+    assert react(row, network.handle, 1.0, ROOM, 1.0, *DEFAULT, work) == -1
+    assert row[AMOUNTS:].tolist() == [1.0, 0.0]

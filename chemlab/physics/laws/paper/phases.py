@@ -102,7 +102,7 @@ def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
 
 @helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
-    """What happens by itself in any vessel, after any operation: violent reactions, then salts.
+    """What happens by itself in any vessel, after any operation: violent reactions, then salts; gases leave.
 
     Args:
         row: vessel row, changed in place.
@@ -113,3 +113,8 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     """
     events[METAL_IN_WATER] += react_violently(row, chem, waste, share)
     settle_salts(row, chem, share)
+    role = opened(Chemistry, chem).role
+    for i in range(role.shape[0]):
+        if role[i] == ROLE_GAS:  # what reactions make of it does not stay
+            waste[i] += row[AMOUNTS + i]
+            row[AMOUNTS + i] = 0.0

@@ -1,0 +1,111 @@
+"""Two commits against each other in one run: their rows of throughput.py in alternation, and the ratio pair by pair.
+
+Each commit is a checkout with a Python of its own in which chemlab and what it needs are installed::
+
+    git worktree add ../before <commit>
+    python -m venv ../before.venv && ../before.venv/bin/pip install -e "../before[test]"
+    python tests/benchmarks/compare_commits.py --before ../before ../before.venv/bin/python
+
+A machine's speed drifts, so only the ratios (after / before) mean something: the median of ``--rounds`` pairs, with the
+smallest and the largest. Exits with 1 if a median is below ``--least``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import IO, cast
+
+ROWS: dict[str, str] = {
+    "CartPole-v1 (the machine)": 'single("CartPole-v1", SECONDS)',
+    **{f"{name}, single": f'single("chemlab/{name}-v0", SECONDS)' for name in ("WurtzReaction", "WurtzExtraction")},
+    "WurtzDistillation, single": 'single("chemlab/WurtzDistillation-v0", SECONDS)',
+    "FictitiousReaction, single": 'single("chemlab/FictitiousReaction-v0", SECONDS)',
+    "WurtzReaction, 256": 'batched("WurtzReaction", 256, 1, SECONDS)',
+    "WurtzReaction, 256, 2 threads": 'batched("WurtzReaction", 256, 2, SECONDS)',
+    "FictitiousReaction, 256": 'batched("FictitiousReaction", 256, 1, SECONDS)',
+    "WurtzExtraction, 256": 'batched("WurtzExtraction", 256, 1, SECONDS)',
+    "WurtzExtraction, 256, 2 threads": 'batched("WurtzExtraction", 256, 2, SECONDS)',
+    "SaltFromOilExtraction, 256": 'batched("SaltFromOilExtraction", 256, 1, SECONDS)',
+    "WurtzDistillation, 256": 'batched("WurtzDistillation", 256, 1, SECONDS)',
+    "env, agent steps": "laboratory(laboratory_env, SECONDS)",
+    "raw_env, agent steps": "laboratory(raw_env, SECONDS)",
+    "parallel_env, agent steps": "parallel(SECONDS)",
+    "256 laboratories, turns": "batched_laboratory(256, 3 * SECONDS)",
+    "manager's view, 64": "manager_view(64, SECONDS)",
+}
+WORKER = """
+import json, sys
+sys.path.insert(0, {folder!r})
+from throughput import *
+for line in sys.stdin:
+    SECONDS, row = json.loads(line)
+    print(json.dumps(eval(row)), flush=True)
+"""
+
+
+class Worker:
+    """A process of one checkout that measures rows when it is told to."""
+
+    def __init__(self, python: str, checkout: Path) -> None:
+        code = WORKER.format(folder=str(checkout.resolve() / "tests" / "benchmarks"))
+        # Not in the other checkout: its chemlab would be found first.
+        self._process = subprocess.Popen(
+            [python, "-c", code],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=checkout.resolve().parent,
+        )
+
+    def rate(self, row: str, seconds: float) -> float:
+        """Steps a second of a row."""
+        inward, outward = cast(IO[str], self._process.stdin), cast(IO[str], self._process.stdout)
+        inward.write(json.dumps([seconds, row]) + "\n")
+        inward.flush()
+        answer = outward.readline()
+        if not answer:
+            raise SystemExit(f"a worker ended while it measured {row}")
+        return float(json.loads(answer))
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--before", nargs=2, required=True, metavar=("CHECKOUT", "PYTHON"))
+    parser.add_argument("--after", nargs=2, default=[".", sys.executable], metavar=("CHECKOUT", "PYTHON"))
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=0.5, help="of each measurement")
+    parser.add_argument("--least", type=float, default=0.0, help="smallest ratio that is not a failure")
+    parser.add_argument("--rows", default="", help="only rows with this in their names")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    before, after = (Worker(python, Path(checkout)) for checkout, python in (arguments.before, arguments.after))
+    ratios: dict[str, list[float]] = {}
+    for name, row in ROWS.items():
+        if arguments.rows not in name:
+            continue
+        for worker in (before, after):
+            worker.rate(row, 0.01)  # kernels compile
+        pairs = [
+            (before.rate(row, arguments.seconds), after.rate(row, arguments.seconds)) for _ in range(arguments.rounds)
+        ]
+        ratios[name] = [new / old for old, new in pairs]
+        middle = statistics.median(ratios[name])
+        if not arguments.json:
+            rates = (
+                f"{statistics.median(old for old, _ in pairs):>11,.0f} {statistics.median(n for _, n in pairs):>11,.0f}"
+            )
+            low, high = min(ratios[name]), max(ratios[name])
+            print(f"{name:<32} {rates}  {middle:5.2f}  [{low:.2f}, {high:.2f}]", flush=True)
+    if arguments.json:
+        print(json.dumps(ratios, indent=1))
+    return int(any(statistics.median(r) < arguments.least for r in ratios.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
