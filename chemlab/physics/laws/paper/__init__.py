@@ -1,4 +1,7 @@
-"""The tier ``paper``: the laws of the ChemGymRL paper, mended where they did not conserve (docs/physics.md)."""
+"""The tier ``paper``: the laws of the ChemGymRL paper, mended where they did not conserve (docs/physics.md).
+
+Arguments and results are those of :mod:`chemlab.physics.laws`.
+"""
 
 from .boiling import heat
 from .layers import find_layers

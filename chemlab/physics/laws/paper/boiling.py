@@ -27,18 +27,6 @@ def heat(
     """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature.
 
     Liquids boil one after the other, lowest boiling point first, each at its own boiling point.
-
-    Args:
-        row, receiver: vessel rows.
-        joules: heat offered, J.
-        hottest, coolest: K, temperatures of the heating mantle and the coolant: no heat flows past them.
-        chem: the chemistry.
-        waste: [M] mol, receives what overflows the receiver.
-        events: safety events row.
-
-    Returns:
-        (heat that went in, heat the condenser took away), J. Heat in = change of (sum n Cp + air) (T - ambient)
-        over both vessels + heat to the condenser, as long as nothing spills.
     """
     chemistry = opened(Chemistry, chem)
     if joules == 0.0:

@@ -12,17 +12,7 @@ __all__ = ["find_layers"]
 
 @helper
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
-    """Volumes of solids, fluid layers and air, densest fluid first.
-
-    Args:
-        row: vessel row.
-        chem: the chemistry.
-        layers: [C + 1] out: number of columns, then SOLIDS and a material index each (air last).
-        volumes: [C] out: litres, of at most the vessel's capacity in total.
-
-    Returns:
-        Number of columns.
-    """
+    """Volumes of solids, fluid layers and air, densest fluid first."""
     chemistry = opened(Chemistry, chem)
     n, n_solvents, n_dissolved = chemistry.role.shape[0], chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
     layers[1], volumes[0] = SOLIDS, 0.0

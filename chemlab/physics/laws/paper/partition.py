@@ -94,11 +94,6 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
     Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Then amounts are clipped
     at 0 and scaled to the solute's total, so none is negative and none is lost.
-
-    Args:
-        row: vessel row, changed in place.
-        chem: the chemistry.
-        work: [2, L] or larger scratch.
     """
     chemistry = opened(Chemistry, chem)
     n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
