@@ -1,7 +1,13 @@
-"""Numbers of the safety events in an events row; the order is ``chemlab.scenario.SAFETY_EVENTS``."""
+"""Numbers of chemlab's own safety events in an events row; a scenario's come after them."""
 
 from __future__ import annotations
 
+from ..scenario import SAFETY_EVENTS
+
 __all__ = ["BOILED_DRY", "DRY_HEATING", "METAL_IN_WATER", "RELIEF", "SPILL"]
 
-SPILL, RELIEF, BOILED_DRY, DRY_HEATING, METAL_IN_WATER = range(5)
+SPILL = SAFETY_EVENTS.index("spill_l")
+RELIEF = SAFETY_EVENTS.index("relief_valve_mol")
+BOILED_DRY = SAFETY_EVENTS.index("boiled_dry")
+DRY_HEATING = SAFETY_EVENTS.index("dry_heating")
+METAL_IN_WATER = SAFETY_EVENTS.index("metal_in_water_mol")
