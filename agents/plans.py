@@ -86,7 +86,9 @@ class Playback:
         assert mask is not None, "the manager has discrete actions"
         lacking = int(members.max()) + 1 - len(self._next)
         if lacking > 0:
-            self._next, self._plan = (np.append(array, np.zeros(lacking, np.int64)) for array in (self._next, self._plan))
+            self._next, self._plan = (
+                np.append(array, np.zeros(lacking, np.int64)) for array in (self._next, self._plan)
+            )
         fresh = step == 0
         if fresh.any():
             self._plan[members[fresh]] = self.choose(observation[fresh], members[fresh])
@@ -191,9 +193,7 @@ class PlanFile:
             ValueError: it has no such action; the message names what there is.
         """
         try:
-            return {
-                tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans
-            }
+            return {tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans}
         except ValueError as error:
             raise ValueError(f"plan of {self.scenario}: does not fit this laboratory: {error}") from error
 

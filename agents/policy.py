@@ -153,8 +153,9 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
             policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
-            or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab (:func:`~.pretrained.pretrained_names`), or the
-            path of a training run, a checkpoint or exported weights, for the roles that learned (the others are played
+            or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
+            (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights,
+            for the roles that learned (the others are played
             by its background). ``@0.1`` after it: at one turn in ten a random legal action instead. Exceptions follow
             after commas, by role or agent: ``pretrained@0.1,manager=random``.
         laboratories: whose agents they are for.

@@ -36,17 +36,17 @@ __all__ = [
     "search_plan",
 ]
 
-BUDGETS = {"small": 20_000, "full": 200_000}
+BUDGETS = {"small": 10_000, "full": 100_000}
 """Plans tried in all."""
 
 SEARCH_SEED = 3_000_000
 """Of the first episode that plans are tried on: seeds that neither training nor evaluation plays."""
 SEEDS = 16
 """Seeds a promising plan is tried on."""
-NOISE = 1e-3
+NOISE = 0.02
 """Where good plans' scores have less standard deviation over seeds, one seed says whether a plan is promising."""
 
-_LONGEST = 24
+_LONGEST = 12  # actions for each order
 _POPULATION, _CHILDREN, _FIRST = 32, 128, 256
 _ISLANDS, _PATIENCE = 4, 8
 _SAME = 1e-9
@@ -57,7 +57,8 @@ _CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WA
 
 @dataclass(frozen=True)
 class FoundPlan:
-    """The best plan for a public context; ``score`` is its mean over ``seeds`` episodes that the search has not seen."""
+    """The best plan for a public context; ``score`` is its mean over ``seeds`` episodes that it was chosen on, other
+    than those it was found on."""
 
     context: Context
     plan: Plan
@@ -199,6 +200,7 @@ class _Moves:
 
     def __init__(self, actions: ManagerActions, rng: np.random.Generator) -> None:
         table = actions.table
+        self.longest = _LONGEST * actions.orders
         self._rng = rng
         self._of_kind: BoolArray = np.stack([table[:, 0] == kind for kind in _CHANCES])
         self._chances = np.array(list(_CHANCES.values()))
@@ -234,7 +236,7 @@ class _Moves:
         while True:
             self._change(steps, parents)
             if self._rng.random() < 0.5:
-                return tuple(action for action, _ in steps)[:_LONGEST]
+                return tuple(action for action, _ in steps)[: self.longest]
 
     def _pick(self, parents: Sequence[_Tried]) -> _Tried:
         return parents[int(len(parents) * self._rng.random() ** 2)]
@@ -274,7 +276,7 @@ class _Moves:
             legal = np.flatnonzero(tried.legal[i] & self.useful).tolist()
             found += [(*plan[:i], other, *plan[i + 1 :]) for other in dict.fromkeys([*legal, *self.elsewhere[action]])]
             found += [(*plan[:i], other, *plan[i:]) for other in legal]
-        return [plan for plan in found if len(plan) <= _LONGEST]
+        return [plan for plan in found if len(plan) <= self.longest]
 
 
 @dataclass(frozen=True)
@@ -331,7 +333,7 @@ class _Search:
         self._seen: set[Plan] = set()
         self._best: list[_Tried] = []
         seeds = range(SEARCH_SEED, SEARCH_SEED + SEEDS)
-        self._quick, self._full = self._prepared(seeds[:1]), self._prepared(seeds)
+        self._one, self._several = self._prepared(seeds[:1]), self._prepared(seeds)
 
     def _prepared(self, seeds: Sequence[int]) -> _Prepared:
         """Laboratories for these seeds, and who plays there; the manager's place is the plans'."""
@@ -361,21 +363,21 @@ class _Search:
     def _try(self, plans: Iterable[Plan]) -> list[_Tried]:
         """Those of the plans that are new, tried, as far as the budget goes; the best are remembered.
 
-        What does not look promising from few seeds is not played from all of them.
+        Where noise is small, what does not look promising from one seed is not played from several.
         """
         fresh = [plan for plan in dict.fromkeys(plans) if plan not in self._seen][: self._budget - self.tried]
         if not fresh:
             return []
-        found = self._play(self._quick, fresh)
-        if self._quick is not self._full:
+        if self._best and np.median([tried.deviation for tried in self._best]) >= NOISE:
+            found = sure = self._play(self._several, fresh)
+        else:
+            found = self._play(self._one, fresh)
             bar = self._best[-1].score if len(self._best) == _FINALISTS else -np.inf
             order = sorted(range(len(found)), key=lambda i: -found[i].score)
             promising = [i for i in order[:_PROMISING] if found[i].score > bar]
-            for i, tried in zip(promising, self._play(self._full, [fresh[i] for i in promising]), strict=True):
+            sure = self._play(self._several, [fresh[i] for i in promising])
+            for i, tried in zip(promising, sure, strict=True):
                 found[i] = tried
-            sure = [found[i] for i in promising]
-        else:
-            sure = found
         self._seen.update(fresh)
         self._seen.update(tried.plan for tried in found)
         self.tried += len(fresh)
@@ -391,7 +393,7 @@ class _Search:
             taped = _Tape(self._moves, trials.labs.members)
             trials.seed_policies(policies[1:])
             trials.play([taped, *policies[1:]], trials.most)
-            plans += [tuple(tape[0][:_LONGEST]) for tape in taped.tapes]
+            plans += [tuple(tape[0][: self._moves.longest]) for tape in taped.tapes]
         return plans
 
     def run(self, known: Iterable[Plan]) -> FoundPlan:
@@ -402,8 +404,6 @@ class _Search:
             for _ in range(islands):
                 first = self._try([*beginning, *self._random(_FIRST)])
                 beginning = []
-                if self._best and np.median([tried.deviation for tried in self._best]) >= NOISE:
-                    self._quick = self._full
                 self._evolve(first, self._budget // (2 * islands))
             self._evolve(self._best, self._budget)
             if self._best[0].score <= best + _SAME:
@@ -608,9 +608,9 @@ def replay_actions(
 ) -> Replayed:
     """Play again, without looking, what all agents did in one episode: for each public context the best of some donors.
 
-    The manager plays its actions as a constant plan does. Donors play seeds of their own and are chosen on others again;
-    both blind and seeing agents are then scored on ``episodes`` further seeds. With ``plan`` for the policy, the donors'
-    manager is blind already: a constant plan of everybody.
+    The manager plays its actions as a constant plan does. Donors play seeds of their own and are chosen on others
+    again; both blind and seeing agents are then scored on ``episodes`` further seeds. With ``plan`` for the policy, the
+    donors' manager is blind already: a constant plan of everybody.
 
     Args:
         scenario: where.
@@ -637,7 +637,9 @@ def replay_actions(
         trials = _Trials(spec, context, range(SEARCH_SEED, SEARCH_SEED + donors), 1)
         tapes = _record(trials, policy)
         choice = _Trials(spec, context, range(SEARCH_SEED + donors, SEARCH_SEED + donors + SEEDS), donors)
-        chosen = int(_replay(choice, [[tape[donor] for tape in tapes] for donor in range(donors)]).mean(axis=1).argmax())
+        chosen = int(
+            _replay(choice, [[tape[donor] for tape in tapes] for donor in range(donors)]).mean(axis=1).argmax()
+        )
         final = _Trials(spec, context, [seed + i for i in own], 1)
         blind[own] = _replay(final, [[tape[chosen] for tape in tapes]])[0]
         best[context] = SEARCH_SEED + chosen

@@ -26,7 +26,9 @@ def plan(
     benches: Annotated[
         str, typer.Option(help="Who operates the benches, which see: as --policy of `chemlab run`.")
     ] = "heuristic",
-    budget: Annotated[str, typer.Option(help="Most plans tried: small (20,000), full (200,000) or a number.")] = "small",
+    budget: Annotated[
+        str, typer.Option(help="Most plans tried: small (10,000), full (100,000) or a number.")
+    ] = "small",
     seed: SeedOption = 0,
     episodes: EpisodesOption = 100,
     output: Annotated[
@@ -56,6 +58,7 @@ def plan(
             task = progress.add_task("plans", total=BUDGETS.get(budget, most))
             search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
         words = ["chemlab", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
+        words += ["--episodes", str(episodes)]
         found = search.as_file(shlex.join(words), episodes)
         if output is not None:
             found.save(output)
