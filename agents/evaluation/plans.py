@@ -21,7 +21,7 @@ from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import FloatArray, IntArray
 
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
-from ..policy import make_policies
+from ..policy import agent_policy, make_policies
 from . import statistics
 from .play import BATCH, play_laboratory, versions
 from .statistics import Estimate
@@ -41,16 +41,19 @@ BUDGETS = {"small": 10_000, "full": 100_000}
 
 SEARCH_SEED = 3_000_000
 """Of the first episode that plans are tried on: seeds that neither training nor evaluation plays."""
-SEEDS = 16
+SEEDS = 8
 """Seeds a promising plan is tried on."""
 NOISE = 0.02
 """Where good plans' scores have less standard deviation over seeds, one seed says whether a plan is promising."""
 
 _LONGEST = 12  # actions for each order
 _POPULATION, _CHILDREN, _FIRST = 32, 128, 256
-_ISLANDS, _PATIENCE = 4, 8
+_ISLANDS, _PATIENCE = 3, 6
 _SAME = 1e-9
-_PROMISING, _FINALISTS, _FINAL_SEEDS = 8, 16, 64
+_OWN_GOAL = 4.0
+"""How much likelier an experiment is begun for what an order asks for than for any other goal."""
+_SCRIPTED = ("heuristic", "direct", "hasty")
+_PROMISING, _FINALISTS, _FINAL_SEEDS = 4, 16, 64
 # Chances with which a random plan does something next, where it is possible.
 _CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WAIT: 3.0}
 
@@ -195,11 +198,14 @@ class _Moves:
 
     Args:
         actions: the manager's.
+        context: the goals of the orders.
         rng: draws them.
     """
 
-    def __init__(self, actions: ManagerActions, rng: np.random.Generator) -> None:
+    def __init__(self, actions: ManagerActions, context: Context, rng: np.random.Generator) -> None:
         table = actions.table
+        asked = [actions.goals.index(goal) for goal in context]
+        self._weights = np.where((table[:, 0] == START) & np.isin(table[:, 3], asked), _OWN_GOAL, 1.0)
         self.longest = _LONGEST * actions.orders
         self._rng = rng
         self._of_kind: BoolArray = np.stack([table[:, 0] == kind for kind in _CHANCES])
@@ -221,7 +227,8 @@ class _Moves:
         if total == 0.0:
             return len(legal) - 1
         kind = int(np.searchsorted(np.cumsum(chances), self._rng.random() * total, side="right"))
-        return int(self._rng.choice(np.flatnonzero(self._of_kind[kind] & legal)))
+        weights = np.cumsum(self._weights * (self._of_kind[kind] & legal))
+        return int(np.searchsorted(weights, self._rng.random() * weights[-1], side="right"))
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -305,8 +312,9 @@ _Prepared = tuple[_Trials, list[Policy]]
 
 
 class _Search:
-    """The search for one public context: generations of changed plans, from several random beginnings and then from
-    the best of all; when they bring nothing new, every single change of the best.
+    """The search for one public context: generations of changed plans, from several random beginnings (the first has
+    also what scripted managers do) and then from the best of all; when they bring nothing new, every single change of
+    the best.
 
     Args:
         scenario: where.
@@ -329,7 +337,7 @@ class _Search:
         self._scenario, self._benches, self._context, self._watch = scenario, benches, context, watch
         self._budget, self.tried = budget, 0
         self._actions = ManagerActions.of(scenario)
-        self._moves = _Moves(self._actions, np.random.default_rng(seed))
+        self._moves = _Moves(self._actions, context, np.random.default_rng(seed))
         self._seen: set[Plan] = set()
         self._best: list[_Tried] = []
         seeds = range(SEARCH_SEED, SEARCH_SEED + SEEDS)
@@ -396,10 +404,21 @@ class _Search:
             plans += [tuple(tape[0][: self._moves.longest]) for tape in taped.tapes]
         return plans
 
-    def run(self, known: Iterable[Plan]) -> FoundPlan:
+    def _scripted(self) -> list[Plan]:
+        """What the scripted managers did in the first seed's episode, but measuring."""
+        plans = []
+        for name in _SCRIPTED:
+            trials, policies = self._prepared([SEARCH_SEED])
+            taped = _Tape(agent_policy(name, trials.labs, 0), trials.labs.members)
+            trials.seed_policies(policies[1:])
+            trials.play([taped, *policies[1:]], 1)
+            plans.append(tuple(a for a in taped.tapes[0][0] if self._actions.table[a, 0] != MEASURE))
+        return plans
+
+    def run(self, known: Sequence[Plan]) -> FoundPlan:
         """Search; ``known`` are plans to begin with."""
-        beginning = list(known)
-        islands, best = (1 if beginning else _ISLANDS), -np.inf
+        beginning = [*known, *self._scripted()]
+        islands, best = (1 if known else _ISLANDS), -np.inf
         while self.tried < self._budget:
             for _ in range(islands):
                 first = self._try([*beginning, *self._random(_FIRST)])
@@ -474,6 +493,7 @@ def search_plan(
 ) -> PlanSearch:
     """Find the best constant plan of the manager, for every public context.
 
+    An evolutionary search over sequences of actions, with every single change of the best tried where it stalls.
     A plan is played whatever is seen (:class:`~chemlab.agents.plans.Playback`); the benches' agents see. It holds no
     measurements: they cost something and tell a blind manager nothing. What is found depends on the arguments alone.
 
