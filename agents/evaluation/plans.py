@@ -31,6 +31,7 @@ __all__ = [
     "FoundPlan",
     "PlanSearch",
     "Replayed",
+    "plan_budget",
     "plan_words",
     "replay_actions",
     "search_plan",
@@ -364,7 +365,7 @@ class _Search:
                 after = recording.after[i * seeds]
                 at = np.append(kept, np.full(len(after), len(plan), dtype=np.int64))
                 played = (*(plan[k] for k in kept), *after)
-                legal = recording.legal[rows].any(axis=0)[at]
+                legal = np.asarray(recording.legal[rows].any(axis=0))[at]
                 found.append(_Tried(float(score.mean()), float(score.std()), played, legal))
         return found
 
@@ -476,11 +477,27 @@ def _ranked(tried: Sequence[_Tried], most: int) -> list[_Tried]:
 def _translated(scenario: Scenario, plan: Plan, source: Context, target: Context) -> Plan:
     """A plan for another context: what was started for an order's goal is started for the goal it has there."""
     actions, goals = ManagerActions.of(scenario), dict(zip(reversed(source), reversed(target), strict=True))
-    words = [actions.decode(action) for action in plan]
-    return tuple(
-        actions.encode(*step[:3], goals.get(str(step[3]), step[3])) if step[0] == "start" else actions.encode(*step)
-        for step in words
-    )
+    translated = []
+    for action in plan:
+        kind, *arguments = actions.decode(action)
+        if kind == "start":
+            arguments[-1] = goals.get(str(arguments[-1]), arguments[-1])
+        translated.append(actions.encode(str(kind), *arguments))
+    return tuple(translated)
+
+
+def plan_budget(budget: int | str) -> int:
+    """A budget as a number of plans.
+
+    Args:
+        budget: a number, or one of :data:`BUDGETS`.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if isinstance(budget, str) and budget not in BUDGETS and not budget.isdecimal():
+        raise ValueError(f"budget: a number of plans, or one of {', '.join(BUDGETS)}; given {budget!r}")
+    return BUDGETS[budget] if budget in BUDGETS else int(budget)  # type: ignore[index]
 
 
 def search_plan(
@@ -510,9 +527,7 @@ def search_plan(
         ValueError: unknown benches, budget or context.
     """
     spec = load_scenario(scenario)
-    if isinstance(budget, str) and budget not in BUDGETS:
-        raise ValueError(f"budget: a number of plans, or one of {', '.join(BUDGETS)}; given {budget!r}")
-    most = BUDGETS[budget] if isinstance(budget, str) else budget
+    most = plan_budget(budget)
     known = all_contexts(spec)
     chosen = known if contexts is None else list(dict.fromkeys(contexts))
     strange = [context for context in chosen if context not in known]

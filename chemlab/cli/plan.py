@@ -43,10 +43,10 @@ def plan(
     plan of its own. The score is that of episodes with seeds 0, 1, ..., which the search has not seen.
     """
     with readable_errors():
-        from ..agents.evaluation.plans import BUDGETS, search_plan
+        from ..agents.evaluation.plans import plan_budget, search_plan
 
         spec = load_scenario(scenario)
-        most: int | str = int(budget) if budget.isdecimal() else budget
+        most = plan_budget(budget)
         with Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -55,7 +55,7 @@ def plan(
             console=err,
             transient=True,
         ) as progress:
-            task = progress.add_task("plans", total=BUDGETS.get(budget, most))
+            task = progress.add_task("plans", total=most)
             search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
         words = ["chemlab", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
         words += ["--episodes", str(episodes)]
