@@ -497,7 +497,7 @@ def plan_budget(budget: int | str) -> int:
     """
     if isinstance(budget, str) and budget not in BUDGETS and not budget.isdecimal():
         raise ValueError(f"budget: a number of plans, or one of {', '.join(BUDGETS)}; given {budget!r}")
-    return BUDGETS[budget] if budget in BUDGETS else int(budget)  # type: ignore[index]
+    return BUDGETS[budget] if isinstance(budget, str) and budget in BUDGETS else int(budget)
 
 
 def search_plan(
