@@ -15,6 +15,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
@@ -141,7 +142,7 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "direct", "random", "pretrained", "trained")
+    return ("heuristic", "hasty", "direct", "random", "pretrained", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -151,8 +152,10 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
-            policy, too); the name of a policy that comes with chemlab (:func:`~.pretrained.pretrained_names`), or the
-            path of a training run, a checkpoint or exported weights, for the roles that learned (the others are played
+            policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
+            or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
+            (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights,
+            for the roles that learned (the others are played
             by its background). ``@0.1`` after it: at one turn in ten a random legal action instead. Exceptions follow
             after commas, by role or agent: ``pretrained@0.1,manager=random``.
         laboratories: whose agents they are for.
@@ -216,6 +219,11 @@ def agent_policy(
             int(shape[0]) if shape else 0,
             seed,
         )
+    if own == "plan" or own.startswith("plan:"):
+        if number == 0:
+            operators = name.split(",")[0].partition("@")[0]
+            return plan_for(laboratories, own[5:] or ("heuristic" if operators == "plan" else operators))
+        own = "heuristic"
     if own not in policy_names():
         if not is_saved(own):
             raise ValueError(

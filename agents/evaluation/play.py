@@ -289,13 +289,13 @@ def play_bench(
     return played
 
 
-def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str, seed: int) -> Played:
+def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
     """One episode in each of N laboratories; laboratory i plays what ``play_episode`` plays with seed + i.
 
     Args:
         labs: N laboratories.
         policies: one for every agent, by its id.
-        goal: the laboratory's goal.
+        goal: the laboratory's goal; None: drawn, as in any episode.
         seed: of laboratory 0.
 
     Returns:

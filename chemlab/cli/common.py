@@ -46,8 +46,9 @@ ScenarioArgument = Annotated[
 PolicyOption = Annotated[
     str,
     typer.Option(
-        help="Who plays: heuristic, hasty, direct, random, pretrained (benches), trained (manager and benches), or the "
-        "path of what training left; exceptions by role or agent after commas: pretrained,manager=random."
+        help="Who plays: heuristic, hasty, direct, random, pretrained (benches), trained (manager and benches), plan "
+        "(a blind manager, see `chemlab plan`), or the path of what training left; exceptions by role or agent after "
+        "commas: pretrained,manager=random."
     ),
 ]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]

@@ -86,7 +86,7 @@ def test_ids_make_batches() -> None:
 # -- who plays ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in policy_names() if name != "trained"])
+@pytest.mark.parametrize("name", [name for name in policy_names() if name not in ("trained", "plan")])
 def test_one_name_is_for_everybody(name: str) -> None:
     policies = chosen(name)
     expected = make_policies(name, Laboratories(LINES))

@@ -1,0 +1,252 @@
+"""Blind managers: a fixed plan for everything an agent is told at once, played whatever is seen.
+
+What a plan may depend on is the *public context*: the goals of the orders. Plans that a search has found
+(:mod:`chemlab.agents.evaluation.plans`) are stored as data, ``models/plans/SCENARIO.BENCHES.json``, with the command
+that made them.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.bench.base import Channel, MaskArray, ObservationArray, channel_slices
+from chemlab.files import write_text
+from chemlab.laboratory.actions import SUBMIT, ManagerActions
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.view import order_channels
+from chemlab.scenario import Scenario
+from chemlab.shelf import IntArray
+
+__all__ = [
+    "ConstantPlan",
+    "Context",
+    "Plan",
+    "PlanFile",
+    "Playback",
+    "all_contexts",
+    "load_plans",
+    "plan_file",
+    "plan_for",
+    "stored_plans",
+]
+
+Context = tuple[str, ...]
+"""The goal of every order: what a plan may depend on."""
+
+Plan = tuple[int, ...]
+"""Manager actions in order, by number."""
+
+_END = -1
+
+
+def all_contexts(scenario: Scenario) -> list[Context]:
+    """Every public context a scenario may draw."""
+    return list(itertools.product(scenario.lab_goals, repeat=scenario.orders))
+
+
+class Playback:
+    """Plays fixed sequences of manager actions, one for each member of a batch.
+
+    The next action is played as soon as it is legal. Until then the manager waits for the benches; where there is
+    nothing to wait for, the action is left out. After the last one it waits while benches are busy, and then submits
+    the vessel on the lowest slot for the first open order.
+
+    Args:
+        actions: the manager's.
+        plans: the sequences.
+    """
+
+    def __init__(self, actions: ManagerActions, plans: Sequence[Plan]) -> None:
+        longest = max(map(len, plans), default=0)
+        self._steps: IntArray = np.full((len(plans), longest + 1), _END, dtype=np.int64)
+        for row, plan in zip(self._steps, plans, strict=True):
+            row[: len(plan)] = plan
+        self._wait = actions.encode("wait")
+        self._submissions = np.flatnonzero(actions.table[:, 0] == SUBMIT)
+        self._plan: IntArray = np.zeros(0, dtype=np.int64)
+        self._next: IntArray = np.zeros(0, dtype=np.int64)
+
+    def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
+        """[B] which sequence each member that begins an episode gets: here, the one with its number."""
+        return members
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        assert mask is not None, "the manager has discrete actions"
+        lacking = int(members.max()) + 1 - len(self._next)
+        if lacking > 0:
+            self._next, self._plan = (
+                np.append(array, np.zeros(lacking, np.int64)) for array in (self._next, self._plan)
+            )
+        fresh = step == 0
+        if fresh.any():
+            self._plan[members[fresh]] = self.choose(observation[fresh], members[fresh])
+            self._next[members[fresh]] = 0
+        plan, position, rows = self._plan[members], self._next[members], np.arange(len(members))
+        may_wait = mask[:, self._wait] != 0
+        while True:
+            meant = self._steps[plan, position]
+            legal = (meant != _END) & (mask[rows, meant] != 0)
+            left_out = (meant != _END) & ~legal & ~may_wait
+            if not left_out.any():
+                break
+            position += left_out
+        self._next[members] = position + legal
+        submissions = mask[:, self._submissions] != 0
+        submit = np.where(submissions.any(axis=1), self._submissions[submissions.argmax(axis=1)], mask.argmax(axis=1))
+        return np.where(legal, meant, np.where(may_wait, self._wait, submit))
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return self._plan.copy(), self._next.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._plan, self._next = (np.array(part) for part in memory)
+
+
+class ConstantPlan(Playback):
+    """A manager with a plan for every public context, which it plays whatever it sees; see :class:`Playback` for
+    actions that are not legal.
+
+    Args:
+        scenario: the public scenario.
+        channels: the manager's observation channels: of all it sees, the goals at the beginning alone are used.
+        actions: the manager's actions.
+        plans: by context.
+
+    Raises:
+        ValueError: a context that the scenario may draw has no plan.
+    """
+
+    def __init__(
+        self, scenario: Scenario, channels: Sequence[Channel], actions: ManagerActions, plans: Mapping[Context, Plan]
+    ) -> None:
+        contexts = all_contexts(scenario)
+        lacking = [context for context in contexts if context not in plans]
+        if lacking:
+            raise ValueError(
+                f"plan: {scenario.name} may ask for {', '.join(lacking[0])}, for which there is no plan; "
+                f"make them: chemlab plan {scenario.name}"
+            )
+        super().__init__(actions, [plans[context] for context in contexts])
+        slices = channel_slices(channels)
+        self._goals = [slices[name] for name, _ in order_channels(scenario)]
+        self._known = {context: number for number, context in enumerate(contexts)}
+        self._names = scenario.goals
+
+    def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
+        """[B] number of the context that each observation [B, size] shows."""
+        goals = np.stack([observation[:, part].argmax(axis=1) for part in self._goals], axis=1)
+        return np.array([self._known[tuple(self._names[g] for g in row)] for row in goals], dtype=np.int64)
+
+
+# -- stored plans -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """Plans as a file has them.
+
+    Attributes:
+        scenario: its name.
+        benches: who operated the benches while plans were tried, as ``--policy`` has it.
+        command: what finds them again.
+        versions: of chemlab, numpy and Python.
+        tried: number of plans that were tried.
+        evaluation: ``episodes``, ``seed`` and the score's ``value``, ``low`` and ``high``.
+        plans: of each context its ``goals``, ``score`` and ``steps``, actions in the words of
+            :meth:`~chemlab.laboratory.actions.ManagerActions.decode`.
+    """
+
+    scenario: str
+    benches: str
+    command: str
+    versions: dict[str, str]
+    tried: int
+    evaluation: dict[str, Any]
+    plans: list[dict[str, Any]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as the file has them."""
+        return {"kind": "plan", "format": 1, **asdict(self)}
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole or not at all."""
+        write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
+
+    def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
+        """The plans in a laboratory's actions.
+
+        Raises:
+            ValueError: it has no such action; the message names what there is.
+        """
+        try:
+            return {tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans}
+        except ValueError as error:
+            raise ValueError(f"plan of {self.scenario}: does not fit this laboratory: {error}") from error
+
+
+def _folder() -> Path:
+    return Path(str(importlib.resources.files(__package__ or "chemlab.agents") / "models" / "plans"))
+
+
+def plan_file(scenario: str, benches: str) -> Path:
+    """Where the plan that comes with chemlab for a scenario and benches is, or would be."""
+    return _folder() / f"{scenario}.{benches}.json"
+
+
+def stored_plans() -> list[Path]:
+    """Files of the plans that come with chemlab."""
+    return sorted(_folder().glob("*.json"))
+
+
+def load_plans(path: Path) -> PlanFile:
+    """Read a file of plans.
+
+    Raises:
+        ValueError: it is not there, or not such a file.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content.pop("kind") != "plan" or content.pop("format") != 1:
+            raise ValueError("not a file of plans")
+        return PlanFile(**content)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"{path}: not a file of plans of this version ({error}); see `chemlab plan --out`") from error
+
+
+def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> ConstantPlan:
+    """The best constant plan that is stored for a laboratory's manager.
+
+    Args:
+        laboratories: whose manager it is for.
+        benches: who operates the benches; or the path of a file that ``chemlab plan --out`` has written.
+
+    Raises:
+        ValueError: there is none for this scenario, or it does not fit.
+    """
+    labs, path = laboratories, Path(benches)
+    if path.suffix != ".json":
+        path = plan_file(labs.scenario.name, benches)
+        if not path.exists():
+            known = ", ".join(file.stem for file in stored_plans()) or "none"
+            raise ValueError(
+                f"plan: none is stored for {labs.scenario.name} with benches {benches!r} (stored: {known}); find one: "
+                f"chemlab plan {labs.scenario.name} --benches {benches} --out FILE.json, and play it: "
+                f"--policy {benches},manager=plan:FILE.json"
+            )
+    return ConstantPlan(labs.scenario, labs.channels, labs.actions, load_plans(path).decoded(labs.actions))

@@ -1,0 +1,344 @@
+"""Blind baselines: what a search for constant plans finds, how plans are played, and what replaying brings."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import mapping
+from typer.testing import CliRunner
+
+from chemlab.agents.evaluation.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
+from chemlab.agents.evaluation.play import play_laboratory
+from chemlab.agents.plans import (
+    ConstantPlan,
+    Plan,
+    Playback,
+    all_contexts,
+    load_plans,
+    plan_file,
+    plan_for,
+    stored_plans,
+)
+from chemlab.agents.policy import make_policies
+from chemlab.cli import app
+from chemlab.laboratory.actions import ManagerActions
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import play_on
+from chemlab.scenario import Scenario, load_scenario
+from chemlab.shelf import IntArray
+
+runner = CliRunner()
+
+
+def small(actions: int) -> Scenario:
+    """Three slots, two benches, one goal, and few manager actions."""
+    values = mapping("salt_from_oil")
+    values["shelf"]["slots"] = 3
+    values["limits"]["manager_actions"] = actions
+    return load_scenario(values)
+
+
+class Watched:
+    """Another manager's policy that keeps what each member plays, and what was legal."""
+
+    def __init__(self, policy: Any, laboratories: Laboratories) -> None:
+        self._policy = policy
+        self.actions: list[list[int]] = [[] for _ in laboratories.members]
+        self.legal: list[list[bool]] = [[] for _ in laboratories.members]
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        actions = self._policy.act(observation, mask, step, members)
+        for i, member in enumerate(members):
+            self.actions[member].append(int(actions[i]))
+            self.legal[member].append(bool(mask[i, actions[i]]))
+        return actions
+
+
+def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -> tuple[Watched, IntArray]:
+    """(what a manager played over scripted benches in so many episodes, their goals)."""
+    labs = Laboratories(scenario, count)
+    policies = make_policies("heuristic", labs)
+    policies["manager_0"] = taped = Watched(manager(labs) if callable(manager) else manager, labs)
+    play_laboratory(labs, policies, None, seed)
+    return taped, labs.desk.goal[:, 0].copy()
+
+
+def played(scenario: Scenario, plan: Plan, seed: int = 0) -> list[tuple[str | int, ...]]:
+    """What becomes of a plan over scripted benches."""
+    actions = ManagerActions.of(scenario)
+    taped, _ = watched(scenario, Playback(actions, [plan]), 1, seed)
+    assert all(taped.legal[0])
+    return [actions.decode(action) for action in taped.actions[0]]
+
+
+# -- searching --------------------------------------------------------------------------------------------------------
+
+
+def test_the_search_finds_what_is_best_of_all_plans() -> None:
+    """Where an episode has three actions, all sequences of three can be tried one by one."""
+    scenario = small(actions=3)
+    plans = list(itertools.product(range(len(ManagerActions.of(scenario))), repeat=3))
+    labs = Laboratories(scenario, len(plans))
+    for member in labs.members:
+        labs.seed(int(member), 0)
+    labs.reset(labs.members)
+    policies = make_policies("heuristic", labs)
+    policies["manager_0"] = Playback(labs.actions, plans)
+    play_on(labs, list(policies.values()), labs.members, lambda *_: None)
+    scores = labs.result(labs.members)
+    best = search_plan(scenario, budget=3000, seed=1)
+    assert best.tried <= 3000
+    assert best.found[0].score == pytest.approx(scores.max(), abs=1e-6)
+    # Most plans come to less, so that something was found.
+    assert np.mean(scores > scores.max() - 1e-6) < 0.05
+
+
+def test_a_search_is_the_same_again() -> None:
+    """What is found depends on the arguments alone."""
+    first, second = (search_plan("wurtz_scarce", budget=700, seed=3) for _ in range(2))
+    assert first.found == second.found
+    assert first.tried == second.tried
+
+
+def test_the_search_improves_on_what_scripted_managers_do() -> None:
+    """It begins there, with what needs eyes left out; nothing in the plan measures."""
+    first, best = (search_plan("wurtz_dodecane", budget=budget, seed=0).found[0] for budget in (3, 1000))
+    assert 0.8 < first.score < best.score
+    assert not any("measure" in words for words in plan_words(load_scenario("wurtz_dodecane"), best.plan))
+
+
+def test_every_public_context_gets_a_plan() -> None:
+    """Plans differ with the goal, which is public; the others begin with what the first has found."""
+    search = search_plan("fictitious", budget=3000, seed=0)
+    scenario = search.scenario
+    assert [one.context for one in search.found] == all_contexts(scenario)
+    for one in search.found:
+        goals = {word.rpartition("goal ")[2] for word in plan_words(scenario, one.plan) if "start rxn" in word}
+        assert one.context[0] in goals
+    assert search.play(50).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"budget": "huge"}, ["small, full", "'huge'"]),
+        ({"budget": 0}, ["at least one plan"]),
+        ({"contexts": [("NaCl",)]}, ["dodecane", "NaCl"]),
+        ({"contexts": []}, ["none"]),
+        ({"benches": "clairvoyant", "budget": 5}, ["'clairvoyant'"]),
+    ],
+)
+def test_bad_searches_are_refused(arguments: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(ValueError, match=r".") as error:
+        search_plan("wurtz_dodecane", **arguments)
+    assert all(word in str(error.value) for word in words)
+
+
+# -- playing ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_plan_is_blind() -> None:
+    """The same actions whatever the seed: with a policy that lapses at the benches, too, but for waiting."""
+    labs = Laboratories("wurtz_dodecane", 8)
+    wait = labs.actions.encode("wait")
+    taped, _ = watched("wurtz_dodecane", plan_for, 8)
+    assert all(actions == taped.actions[0] for actions in taped.actions)
+    policies = make_policies("heuristic@0.2", labs, seed=5)
+    policies["manager_0"] = noisy = Watched(plan_for(labs), labs)
+    scores = play_laboratory(labs, policies, None, 0).returns
+    assert np.ptp(scores) > 0.0
+    pairs = zip(noisy.actions, noisy.legal, strict=True)
+    kept = [[a for a, legal in zip(*pair, strict=True) if legal and a != wait] for pair in pairs]
+    planned = [a for a in taped.actions[0] if a != wait]
+    # Where a vessel is not there an action is left out; none is put in.
+    for actions in kept:
+        remaining = iter(planned)
+        assert all(action in remaining for action in actions)
+
+
+def test_plans_may_know_the_goal() -> None:
+    """What a plan does is a function of the public goal, and of nothing else."""
+    scenario = load_scenario("fictitious")
+    actions = ManagerActions.of(scenario)
+    plans = {
+        context: (actions.encode("start", "rxn_0", 0, context[0]), actions.encode("submit", 0))
+        for context in all_contexts(scenario)
+    }
+    labs = Laboratories(scenario, 1)
+    policy = ConstantPlan(scenario, labs.channels, labs.actions, plans)
+    taped, goals = watched(scenario, policy, 30)
+    assert len(set(goals.tolist())) == len(scenario.lab_goals)
+    for goal, did in zip(goals, taped.actions, strict=True):
+        assert tuple(a for a in did if actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
+
+
+def test_a_plan_waits_for_what_is_not_legal_yet() -> None:
+    """A vessel that is away at a bench is waited for."""
+    scenario = load_scenario("wurtz_dodecane")
+    code = ManagerActions.of(scenario).encode
+    did = played(scenario, (code("start", "rxn_0", 0, "dodecane"), code("submit", 0)))
+    assert did == [("start", "rxn_0", 0, "dodecane"), ("wait",), ("submit", 0)]
+
+
+def test_a_plan_leaves_out_what_never_will_be_legal() -> None:
+    """Slot 7 stays empty; where nothing is planned any more the vessel on the lowest slot is submitted."""
+    scenario = load_scenario("wurtz_dodecane")
+    code = ManagerActions.of(scenario).encode
+    plan = (code("submit", 7), code("discard", 7), code("discard", 0), code("recall", "dit_0"))
+    assert played(scenario, plan) == [("discard", 0), ("submit", 1)]
+    assert played(scenario, ()) == [("submit", 0)]
+    # Benches are waited for before anything is submitted.
+    assert played(scenario, (code("start", "dit_0", 0, "NaCl"),))[1:] == [("wait",), ("submit", 0)]
+
+
+def test_every_order_is_filled_when_a_plan_has_ended() -> None:
+    assert played(load_scenario("wurtz_two_lines"), ()) == [("submit", 0, 0), ("submit", 1, 1)]
+
+
+def test_a_plan_remembers_where_it_stands() -> None:
+    """With its memory put back it goes on as it did; a new episode begins the plan anew."""
+    scenario = load_scenario("wurtz_dodecane")
+    labs = Laboratories(scenario, 1)
+    code = labs.actions.encode
+    plan = (code("discard", 0), code("submit", 1))
+    policy = Playback(labs.actions, [plan])
+    mask = np.ones((1, len(labs.actions)), dtype=np.int8)
+    seen, members = np.zeros((1, 1), dtype=np.float32), np.array([0])
+
+    def act(step: int) -> int:
+        return int(policy.act(seen, mask, np.array([step]), members)[0])
+
+    assert act(0) == plan[0]
+    memory = policy.get_memory()
+    assert act(1) == plan[1]
+    policy.set_memory(memory)
+    assert act(1) == plan[1]
+    assert act(0) == plan[0]
+
+
+# -- stored plans -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", stored_plans(), ids=lambda path: path.stem)
+def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
+    """Every plan that comes along fits its scenario, and is worth on some of the same seeds what it says."""
+    stored = load_plans(path)
+    labs = Laboratories(stored.scenario, 20)
+    plans = stored.decoded(labs.actions)
+    assert list(plans) == all_contexts(labs.scenario)
+    found = [FoundPlan(context, plan, 0.0, 0) for context, plan in plans.items()]
+    episodes, seed = stored.evaluation["episodes"], stored.evaluation["seed"]
+    scores = PlanSearch(labs.scenario, stored.benches, found, 0).play(episodes, seed)
+    assert scores.mean() == pytest.approx(stored.evaluation["value"], abs=1e-9)
+
+
+@pytest.mark.parametrize(("benches", "least"), [("heuristic", 0.97), ("pretrained", 0.92)])
+def test_the_plan_for_dodecane_beats_the_scripted_manager(benches: str, least: float) -> None:
+    """A fixed plan solves the paper's laboratory."""
+    labs = Laboratories("wurtz_dodecane", 50)
+    scores = {
+        manager: play_laboratory(labs, make_policies(f"{benches},manager={manager}", labs), None, 100).returns
+        for manager in ("plan", "heuristic")
+    }
+    assert scores["plan"].mean() >= least
+    assert scores["plan"].mean() >= scores["heuristic"].mean()
+
+
+def test_plans_by_name(tmp_path: Path) -> None:
+    """``plan`` takes the plan that is stored for whoever operates the benches; a file may be named, too."""
+    labs = Laboratories("wurtz_dodecane", 1)
+    by_name = make_policies("plan", labs)["manager_0"], make_policies("heuristic,manager=plan", labs)["manager_0"]
+    by_file = make_policies(f"pretrained,manager=plan:{plan_file('wurtz_dodecane', 'heuristic')}", labs)["manager_0"]
+    pretrained = make_policies("pretrained,manager=plan", labs)["manager_0"]
+    for policy, benches in (
+        (by_name[0], "heuristic"),
+        (by_name[1], "heuristic"),
+        (by_file, "heuristic"),
+        (pretrained, "pretrained"),
+    ):
+        assert isinstance(policy, ConstantPlan)
+        np.testing.assert_array_equal(policy._steps, plan_for(labs, benches)._steps)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, ["cannot be read"]),
+        ("{", ["not a file of plans"]),
+        ("[]", ["not a file of plans"]),
+        ('{"kind": "evaluation", "format": 1}', ["not a file of plans"]),
+        ('{"kind": "plan", "format": 1, "scenario": "x"}', ["not a file of plans", "chemlab plan --out"]),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list[str]) -> None:
+    file = tmp_path / "plan.json"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ValueError, match=r".") as error:
+        load_plans(file)
+    assert all(word in str(error.value) for word in [str(file), *words])
+
+
+def test_a_plan_that_does_not_fit_is_refused() -> None:
+    """Another laboratory's plan names actions that are not there, or goals that it has no plan for."""
+    with pytest.raises(ValueError, match="does not fit this laboratory"):
+        plan_for(Laboratories("salt_from_oil"), str(plan_file("wurtz_dodecane", "heuristic")))
+    with pytest.raises(ValueError, match="may ask for 5-methylundecane"):
+        plan_for(Laboratories("wurtz_any"), str(plan_file("wurtz_dodecane", "heuristic")))
+    with pytest.raises(ValueError, match="chemlab plan wurtz_dodecane --benches hasty --out"):
+        plan_for(Laboratories("wurtz_dodecane"), "hasty")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    """The plan in words, its score and how many were tried; the file can be played."""
+    file = tmp_path / "plan.json"
+    arguments = ["plan", "salt_from_oil", "--budget", "400", "--episodes", "5"]
+    told = runner.invoke(app, [*arguments, "--out", str(file)])
+    assert told.exit_code == 0, told.output
+    assert "submit slot" in told.output
+    assert "400 plans tried" in told.output
+    as_json = runner.invoke(app, [*arguments, "--json"])
+    content = json.loads(as_json.stdout)
+    assert content == json.loads(file.read_text())
+    assert content["command"] == "chemlab plan salt_from_oil --benches heuristic --budget 400 --seed 0 --episodes 5"
+    run = runner.invoke(app, ["run", "salt_from_oil", "--policy", f"heuristic,manager=plan:{file}", "--json"])
+    assert json.loads(run.stdout)["score"] == pytest.approx(content["evaluation"]["value"], abs=0.02)
+    assert runner.invoke(app, ["plan", "salt_from_oil", "--budget", "some"]).exit_code == 2
+
+
+# -- replaying --------------------------------------------------------------------------------------------------------
+
+
+def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None:
+    """The only donor is the episode that is scored: blind and seeing are one."""
+    from chemlab.agents.evaluation import plans as module
+
+    scenario = load_scenario("wurtz_two_lines")
+    for seed in range(3):
+        labs = Laboratories(scenario, 1)
+        expected = play_laboratory(labs, make_policies("heuristic", labs), None, seed).returns
+        context = tuple(scenario.goals[goal] for goal in labs.desk.goal[0])
+        trials = module._Trials(scenario, context, [seed], 1)
+        tapes = module._record(trials, "heuristic")
+        again = module._replay(trials, [[tape[0] for tape in tapes]])
+        assert again[0, 0] == pytest.approx(expected[0], abs=1e-12)
+
+
+def test_replaying_costs_nothing_where_nothing_is_hidden() -> None:
+    """Laboratories in which nothing but the goal is drawn can be played without looking."""
+    replayed = replay_actions("fictitious", episodes=20, donors=4)
+    assert replayed.ratio == pytest.approx(1.0, abs=0.02)
+    assert set(replayed.donors) <= set(all_contexts(load_scenario("fictitious")))
+
+
+def test_a_constant_plan_of_everybody() -> None:
+    """Donors whose manager is blind: nobody looks, and the score is that of the plan."""
+    replayed = replay_actions("wurtz_dodecane", "plan", episodes=10, donors=3)
+    assert replayed.blind.value >= 0.97
+    with pytest.raises(ValueError, match="at least one donor"):
+        replay_actions("wurtz_dodecane", donors=0)
