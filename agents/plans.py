@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import Channel, MaskArray, ObservationArray, channel_slices
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel, channel_slices
 from chemlab.files import write_text
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
-from chemlab.shelf import IntArray
 
 __all__ = [
     "ConstantPlan",

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.bench.base import BoolArray, MaskArray, ObservationArray
+from chemlab.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.actions import DISCARD, MEASURE, RECALL, START, SUBMIT, WAIT, ManagerActions
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.policy import Policy, play_on
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import FloatArray, IntArray
 
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
 from ..policy import agent_policy, make_policies

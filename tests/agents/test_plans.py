@@ -25,12 +25,12 @@ from chemlab.agents.plans import (
     stored_plans,
 )
 from chemlab.agents.policy import make_policies
+from chemlab.arrays import IntArray
 from chemlab.cli import app
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import play_on
 from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import IntArray
 
 runner = CliRunner()
 
