@@ -7,18 +7,14 @@ adding one needs no code. Quantities: mol, g/mol, kg/L, J/mol/K, K, J/mol.
 from __future__ import annotations
 
 import functools
-import re
-import sys
+import os.path
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from .datafile import DataError, read_toml, validated
 
 __all__ = [
     "AbsorptionPeak",
@@ -38,15 +34,15 @@ _CITED = (
     "molar_mass_g_mol",
     "density_kg_l",
     "heat_capacity_j_mol_k",
-    "melting_point_k",
     "boiling_point_k",
     "vaporization_enthalpy_j_mol",
     "polarity",
 )
+_FILES = 100
 
-
-class DataError(ValueError):
-    """A data file (material, reaction, scenario) is wrong; the message names file, key, value and bound."""
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+"""A name or a formula."""
+Count = Annotated[float, Field(ge=0.001, le=10_000.0)]
 
 
 class AbsorptionPeak(BaseModel):
@@ -57,7 +53,7 @@ class AbsorptionPeak(BaseModel):
     height_l_mol: float = Field(gt=0.0, le=1.0)
     """Absorption per mol/L at the centre (dimensionless per mol/L)."""
     center_nm: float = Field(ge=100.0, le=1000.0)
-    width_nm: float = Field(gt=0.0, le=200.0)
+    width_nm: float = Field(ge=0.1, le=200.0)
 
 
 class Material(BaseModel):
@@ -69,73 +65,43 @@ class Material(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    name: str = Field(min_length=1)
-    formula: str = Field(min_length=1)
-    composition: dict[str, float]
+    name: Text
+    formula: Text
+    composition: dict[Text, Count] = Field(min_length=1, max_length=50)
     """Element (or, for fictitious materials, pseudo-element) counts per formula unit."""
-    charge: int = 0
+    charge: int = Field(default=0, ge=-10, le=10)
     cas: str | None = Field(default=None, pattern=r"^\d{2,7}-\d{2}-\d$")
-    smiles: str | None = None
-    molar_mass_g_mol: float = Field(gt=0.0, le=1000.0)
-    density_kg_l: float = Field(gt=0.0, le=25.0)
-    heat_capacity_j_mol_k: float = Field(gt=0.0, le=2000.0)
-    melting_point_k: float = Field(gt=0.0, le=5000.0)
-    boiling_point_k: float = Field(gt=0.0, le=7000.0)
-    vaporization_enthalpy_j_mol: float = Field(gt=0.0, le=1e6)
+    smiles: str | None = Field(default=None, max_length=1000)
+    molar_mass_g_mol: float = Field(ge=0.1, le=1000.0)
+    density_kg_l: float = Field(ge=1e-5, le=25.0)
+    heat_capacity_j_mol_k: float = Field(ge=1.0, le=2000.0)
+    melting_point_k: float | None = Field(default=None, ge=0.1, le=5000.0)
+    """No law of the paper's physics reads it, so a material may do without; if given, it is cited and below the boiling
+    point (but for gases, which may sublime)."""
+    boiling_point_k: float = Field(ge=1.0, le=7000.0)
+    vaporization_enthalpy_j_mol: float = Field(ge=1.0, le=1e6)
     polarity: float = Field(ge=0.0, le=2.0)
     """Reichardt's normalized solvent polarity E_T^N; above 1 for ions."""
     role: Role
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     shade: float = Field(ge=0.0, le=1.0)
     """Grey value the layer camera shows for this material."""
-    absorption: tuple[AbsorptionPeak, ...] = ()
-    source: dict[str, str]
+    absorption: tuple[AbsorptionPeak, ...] = Field(default=(), max_length=50)
+    source: dict[Text, str] = Field(max_length=50)
+    """Where each number is from, by its key."""
 
     @model_validator(mode="after")
     def _physical(self) -> Material:
-        if self.boiling_point_k <= self.melting_point_k and self.role != "gas":
-            raise ValueError(
-                f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {self.melting_point_k}"
-            )
-        if not self.composition or min(self.composition.values()) <= 0.0:
-            raise ValueError("composition must give a positive count for at least one element")
+        melting = self.melting_point_k
+        if melting is not None and self.boiling_point_k <= melting and self.role != "gas":
+            raise ValueError(f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {melting}")
         if (self.role == "ion") != (self.charge != 0):
             raise ValueError(f"role {self.role!r} does not fit charge {self.charge}: ions, and only ions, are charged")
-        missing = [key for key in _CITED if not self.source.get(key)]
+        cited = [*_CITED, *(["melting_point_k"] if melting is not None else [])]
+        missing = [key for key in cited if not self.source.get(key)]
         if missing:
             raise ValueError(f"source must cite {', '.join(missing)}")
         return self
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; a missing or malformed file is a :class:`DataError` that names it."""
-    try:
-        with path.open("rb") as handle:
-            return tomllib.load(handle)
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not valid TOML: {error}") from error
-
-
-def describe_validation(error: ValidationError, where: str) -> str:
-    """Turn a pydantic error into lines ``where: key: problem (given value)``."""
-    lines = []
-    for item in error.errors(include_url=False):
-        key = ".".join(str(part) for part in item["loc"]) or "(whole entry)"
-        message = re.sub(r"^Value error, ", "", item["msg"])
-        given = item.get("input")
-        shown = "" if isinstance(given, (dict, list, BaseModel)) or item["type"] == "missing" else f", given {given!r}"
-        lines.append(f"{where}: {key}: {message}{shown}")
-    return "\n".join(lines)
-
-
-def validated(model: type[BaseModel], values: Mapping[str, Any], where: str) -> Any:
-    """Build ``model`` from ``values``; failures become a :class:`DataError` naming ``where`` and the key."""
-    try:
-        return model.model_validate(dict(values))
-    except ValidationError as error:
-        raise DataError(describe_validation(error, where)) from error
 
 
 def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
@@ -151,10 +117,13 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
     materials: dict[str, Material] = {}
     origin: dict[str, Path] = {}
     for given in paths:
-        for path in sorted(given.glob("*.toml")) if given.is_dir() else [given]:
+        files = sorted(given.glob("*.toml")) if os.path.isdir(given) else [given]
+        if len(files) > _FILES:
+            raise DataError(f"{given}: has {len(files)} .toml files; at most {_FILES}")
+        for path in files:
             for key, values in read_toml(path).items():
                 if not isinstance(values, dict):
-                    raise DataError(f"{path}: {key}: a material is a table [{key}], given {values!r}")
+                    raise DataError(f"{path}: {key}: a material is a table [{key}], given {values!r:.100}")
                 if key in materials:
                     raise DataError(f"{path}: {key}: already defined in {origin[key]}; rename one of them")
                 materials[key] = validated(Material, values, f"{path}: {key}")

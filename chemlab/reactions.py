@@ -9,15 +9,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from .materials import DataError, Material, atoms_of, read_toml, validated
+from .datafile import DataError, read_toml, validated
+from .materials import Material, Text, atoms_of
 
-__all__ = ["Reaction", "ReactionFamily", "Salt", "Violent", "load_reactions", "shipped_reactions_folder"]
+__all__ = [
+    "Reaction",
+    "ReactionFamily",
+    "Salt",
+    "Violent",
+    "check_reactions",
+    "load_reactions",
+    "shipped_reactions_folder",
+]
 
 _BALANCE_TOLERANCE = 1e-9
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+Coefficients = Annotated[
+    dict[Text, Annotated[float, Field(ge=0.001, le=100.0)]],
+    Field(min_length=1, max_length=20),
+]
+"""Stoichiometric coefficients of one side, by material."""
+Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(max_length=20)]
+"""Orders by reactant; together at most 20."""
+_HIGHEST_ORDER = 20.0
+"""Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
 
 
 class _Balanced(BaseModel):
@@ -25,38 +45,32 @@ class _Balanced(BaseModel):
 
     model_config = _FROZEN
 
-    reactants: dict[str, float]
-    products: dict[str, float]
+    reactants: Coefficients
+    products: Coefficients
     source: str = Field(min_length=1)
-
-    @model_validator(mode="after")
-    def _has_both_sides(self) -> _Balanced:
-        for side, counts in (("reactants", self.reactants), ("products", self.products)):
-            if not counts or min(counts.values()) <= 0.0:
-                raise ValueError(f"{side} must give a positive coefficient for at least one material")
-        return self
 
 
 class Reaction(_Balanced):
     """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit."""
 
-    orders: dict[str, float] = Field(default_factory=dict)
-    """Order in each reactant; empty means the reactant's own coefficient (mass action)."""
-    pre_exponential: float = Field(gt=0.0)
+    orders: Orders = {}
+    """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
+    coefficient (mass action)."""
+    pre_exponential: float = Field(gt=0.0, le=1e30)
+    """A, in (L/mol)^(order - 1) per time unit."""
     activation_energy_j_mol: float = Field(ge=0.0, le=500_000.0)
 
     @model_validator(mode="after")
     def _sound(self) -> Reaction:
-        for key, order in self.orders.items():
+        for key in self.orders:
             if key not in self.reactants:
                 raise ValueError(f"orders.{key}: not a reactant of this reaction")
-            if order <= 0.0:
-                raise ValueError(f"orders.{key} = {order} must be above 0: a used-up reactant must stop its reaction")
-        if not self.orders:
-            return self.model_copy(update={"orders": dict(self.reactants)})
-        if set(self.orders) != set(self.reactants):
+        if self.orders and set(self.orders) != set(self.reactants):
             raise ValueError("orders must name every reactant, or none")
-        return self
+        orders = self.orders or dict(self.reactants)
+        if sum(orders.values()) > _HIGHEST_ORDER:
+            raise ValueError(f"orders: add up to {sum(orders.values()):g}; at most {_HIGHEST_ORDER:g}")
+        return self.model_copy(update={"orders": orders})
 
 
 class Salt(BaseModel):
@@ -64,9 +78,9 @@ class Salt(BaseModel):
 
     model_config = _FROZEN
 
-    solid: str
-    cation: str
-    anion: str
+    solid: Text
+    cation: Text
+    anion: Text
     source: str = Field(min_length=1)
 
 
@@ -79,11 +93,11 @@ class ReactionFamily(BaseModel):
 
     model_config = _FROZEN
 
-    name: str
+    name: Text
     summary: str = ""
-    reaction: tuple[Reaction, ...] = ()
-    salt: tuple[Salt, ...] = ()
-    violent: tuple[Violent, ...] = ()
+    reaction: tuple[Reaction, ...] = Field(default=(), max_length=200)
+    salt: tuple[Salt, ...] = Field(default=(), max_length=50)
+    violent: tuple[Violent, ...] = Field(default=(), max_length=50)
 
     def materials(self) -> set[str]:
         """Every material this family names."""
@@ -123,22 +137,43 @@ def load_reactions(
             f"{asked}: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
         )
     family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
+    check_reactions(family, materials, str(path))
+    return family
+
+
+def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], where: str) -> None:
+    """Refuse what no chemistry can be made of.
+
+    Args:
+        family: the reactions.
+        materials: known materials by id.
+        where: the file they are from, for the error message.
+
+    Raises:
+        DataError: unknown material, a reaction that does not conserve atoms and charge, a salt that is not a solid of a
+            positive and a negative ion, salts that share an anion.
+    """
     unknown = sorted(family.materials() - set(materials))
     if unknown:
-        raise DataError(f"{path}: unknown material {unknown[0]!r}; known: {', '.join(sorted(materials))}")
+        raise DataError(f"{where}: unknown material {unknown[0]!r}; known: {', '.join(sorted(materials))}")
     steps = [(f"reaction.{i}", r.reactants, r.products) for i, r in enumerate(family.reaction)]
     steps += [(f"violent.{i}", v.reactants, v.products) for i, v in enumerate(family.violent)]
     steps += [(f"salt.{i}", {s.solid: 1.0}, {s.cation: 1.0, s.anion: 1.0}) for i, s in enumerate(family.salt)]
-    for where, reactants, products in steps:
+    for key, reactants, products in steps:
         before, after = atoms_of(reactants, materials), atoms_of(products, materials)
         for element in sorted(set(before) | set(after)):
             left, right = before.get(element, 0.0), after.get(element, 0.0)
             if abs(left - right) > _BALANCE_TOLERANCE * max(1.0, abs(left)):
-                raise DataError(
-                    f"{path}: {where}: not balanced: {element} {left:g} on the left, {right:g} on the right"
-                )
+                raise DataError(f"{where}: {key}: not balanced: {element} {left:g} on the left, {right:g} on the right")
+    for i, salt in enumerate(family.salt):
+        solid, cation, anion = (materials[name] for name in (salt.solid, salt.cation, salt.anion))
+        if solid.role != "solid" or cation.charge <= 0 or anion.charge >= 0:
+            raise DataError(
+                f"{where}: salt.{i}: must be a solid, a positive and a negative ion, "
+                f"given {salt.solid!r} ({solid.role}), "
+                f"{salt.cation!r} (charge {cation.charge}) and {salt.anion!r} (charge {anion.charge})"
+            )
     anions = [salt.anion for salt in family.salt]
     if len(set(anions)) != len(anions):
         # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.
-        raise DataError(f"{path}: salt: two salts share an anion; only a shared cation is supported")
-    return family
+        raise DataError(f"{where}: salt: two salts share an anion; only a shared cation is supported")

@@ -7,18 +7,31 @@ the file; types and bounds live here. A bench's own settings are checked by that
 from __future__ import annotations
 
 import functools
-import importlib.resources
 import re
-from collections.abc import Mapping
+import shlex
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
-from .materials import DataError, Material, load_materials, read_toml, shipped_materials, validated
-from .reactions import ReactionFamily, load_reactions
+from .datafile import DataError, bounded, read_toml, validated
+from .inherit import completed, scenario_folder, scenario_names
+from .materials import Material, load_materials, shipped_materials
+from .reactions import ReactionFamily, check_reactions, load_reactions
 
 __all__ = [
+    "PHYSICS_TIERS",
     "REWARD_MIXES",
     "SAFETY_EVENTS",
     "BenchSpec",
@@ -43,8 +56,40 @@ SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
 times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
 
+PHYSICS_TIERS: tuple[str, ...] = ("paper",)
+"""Known tiers of physical laws; a scenario names one."""
+
 _DATA = Path(__file__).resolve().parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_MOST_MATERIALS = 256
+_MOST_STARTS = 20_000
+
+Key = Annotated[str, Field(min_length=1, max_length=100)]
+Mol = Annotated[float, Field(ge=0.0, le=1e4)]
+Amounts = Annotated[dict[Key, Mol], Field(max_length=100)]
+"""Moles, or prices of a mole, by material."""
+Maximum = Annotated[float, Field(ge=1e-6, le=1e4)]
+Price = Annotated[float, Field(ge=0.0, le=1e6)]
+"""In units of the score."""
+Capacity = Annotated[float, Field(ge=1e-6, le=100.0)]
+Goals = Annotated[tuple[Key, ...], Field(min_length=1, max_length=64)]
+Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32)]
+Share = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class _Grown(BaseModel):
+    """A model that has got fields since its first version: they are left out of what is written down while they are at
+    their defaults, so that a scenario that does not use them is the same as ever, down to its hash in a record."""
+
+    _later: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = dump(self)
+        for key in self._later:
+            if getattr(self, key) == type(self).model_fields[key].default:
+                values.pop(key, None)
+        return values
 
 
 class VesselSpec(BaseModel):
@@ -52,9 +97,9 @@ class VesselSpec(BaseModel):
 
     model_config = _FROZEN
 
-    capacity_l: float = Field(gt=0.0, le=100.0)
+    capacity_l: Capacity
     """Volume up to the rim; what is more runs over (a spill)."""
-    contents: dict[str, float] = Field(default_factory=dict)
+    contents: Amounts = {}
     """Moles of each material."""
 
 
@@ -66,10 +111,13 @@ class ShelfSpec(BaseModel):
     slots: int = Field(ge=1, le=64)
     """Places for vessels."""
     vessel: tuple[VesselSpec, ...] = ()
-    """What stands in the first slots, in order; the others are empty."""
+    """What stands in the first slots, in order; the others are empty. One at least: the manager's actions are about
+    vessels."""
 
     @model_validator(mode="after")
     def _fits(self) -> ShelfSpec:
+        if not self.vessel:
+            raise ValueError("vessel: give at least one [[shelf.vessel]]: without a vessel no action is possible")
         if len(self.vessel) > self.slots:
             raise ValueError(f"vessel: {len(self.vessel)} vessels do not fit on {self.slots} slots")
         return self
@@ -80,13 +128,13 @@ class Companion(BaseModel):
 
     model_config = _FROZEN
 
-    material: str
+    material: Key
     """What may be there besides."""
-    mol: float = Field(gt=0.0)
+    mol: float = Field(gt=0.0, le=1e4)
     """How much of it."""
     probability: float = Field(default=1.0, ge=0.0, le=1.0)
     """Of its being there, drawn each episode."""
-    if_goal: str
+    if_goal: Key
     """What is there instead in experiments for ``material`` itself."""
 
 
@@ -95,33 +143,35 @@ class StartSpec(BaseModel):
 
     model_config = _FROZEN
 
-    capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
+    capacity_l: Capacity = 1.0
     """Volume of the vessel up to the rim."""
-    contents: dict[str, float] = Field(default_factory=dict)
+    contents: Amounts = {}
     """Moles of each material."""
-    goal_mol: float = Field(default=0.0, ge=0.0)
+    goal_mol: Mol = 0.0
     """Moles of the experiment's goal, besides."""
     companion: Companion | None = None
     """A further material that may be there."""
 
 
-class BenchSpec(BaseModel):
+class BenchSpec(_Grown):
     """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
 
-    Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones.
+    Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones. What a file
+    leaves out is what ``chemlab/data/benches`` has for the kind, if it has it.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+    _later = ("observe", "reward")
 
-    kind: str = Field(min_length=1)
+    kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, or ``package.module:ClassName`` for a bench of your own."""
     count: int = Field(default=1, ge=1, le=16)
     """How many of this kind, each with an agent of its own."""
     step_limit: int = Field(ge=1, le=10_000)
     """Steps after which an experiment is over."""
-    observe: tuple[str, ...] = ()
+    observe: Parts = ()
     """Observation channels of your own, ``my_parts.py:Name`` each, after the bench's."""
-    reward: tuple[str, ...] = ()
+    reward: Parts = ()
     """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
@@ -132,9 +182,9 @@ class InstrumentSpec(BaseModel):
 
     model_config = _FROZEN
 
-    kind: str
+    kind: Key
     """``uv_vis``, ``layer_camera``, ``balance`` or ``gas_chromatograph``."""
-    price: float = Field(default=0.0, ge=0.0)
+    price: Price = 0.0
     """Cost of one use, in units of the score."""
     sample_fraction: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Fraction of the vessel's contents that one use consumes (it goes to waste)."""
@@ -151,7 +201,7 @@ class LimitSpec(BaseModel):
     """Actions of the manager."""
     ticks: int = Field(ge=1, le=1_000_000)
     """Ticks of laboratory time, in which every busy bench makes one step."""
-    budget: float = Field(default=1.0, gt=0.0)
+    budget: float = Field(default=1.0, gt=0.0, le=1e6)
     """What the manager may spend on measuring, in units of the score; dearer measurements are masked."""
 
 
@@ -160,38 +210,37 @@ class CostSpec(BaseModel):
 
     model_config = _FROZEN
 
-    stock_per_mol: dict[str, float] = Field(default_factory=dict)
+    stock_per_mol: Amounts = {}
     """Price of a mole taken from a bottle, by material."""
-    waste_per_l: float = Field(default=0.0, ge=0.0)
+    waste_per_l: Price = 0.0
     """Price of a litre of waste; gas costs nothing."""
-    tick: float = Field(default=0.0, ge=0.0)
+    tick: Price = 0.0
     """Price of a tick."""
-    illegal_action: float = Field(default=0.0, ge=0.0)
+    illegal_action: Price = 0.0
     """Taken off the reward of an agent that plays a masked action, which loses its turn."""
 
 
-class SafetySpec(BaseModel):
+class SafetySpec(_Grown):
     """Weights of safety events in ``info["cost"]``, and what a unit of that cost takes off the reward."""
 
     model_config = _FROZEN
+    _later = ("events",)
 
-    weights: dict[str, float]
+    weights: dict[Key, Price]
     """Weight of each kind of event in the cost."""
-    events: dict[str, str] = Field(default_factory=dict)
+    events: dict[Key, str] = Field(default={}, max_length=32)
     """Kinds of event of your own, with what they mean; a bench or operation of your own says when they happen."""
-    reward_price: float = Field(default=0.0, ge=0.0)
+    reward_price: Price = 0.0
     """Taken off the agent's reward for each unit of that cost."""
 
     @model_validator(mode="after")
     def _known(self) -> SafetySpec:
-        for key, value in self.weights.items():
+        for key in self.weights:
             if key not in (*SAFETY_EVENTS, *self.events):
                 raise ValueError(
                     f"weights.{key}: unknown safety event; known: {', '.join((*SAFETY_EVENTS, *self.events))}; "
                     "declare your own under safety.events"
                 )
-            if value < 0.0:
-                raise ValueError(f"weights.{key} = {value} must be at least 0")
         return self
 
 
@@ -203,13 +252,13 @@ class RewardSpec(BaseModel):
 
     model_config = _FROZEN
 
-    bench_local: float = 1.0
+    bench_local: Share = 1.0
     """Share of a bench's agent in what its own experiments come to."""
-    bench_team: float = 0.0
+    bench_team: Share = 0.0
     """Its share in the manager's result."""
-    manager_local: float = 1.0
+    manager_local: Share = 1.0
     """The manager's share in its result."""
-    manager_team: float = 0.0
+    manager_team: Share = 0.0
     """Its share in the same: its own result is the team's, so that the two add up."""
 
 
@@ -232,51 +281,54 @@ class ManagerSpec(BaseModel):
 
     model_config = _FROZEN
 
-    observe: tuple[str, ...] = ()
+    observe: Parts = ()
     """Observation channels of your own, ``my_parts.py:Name`` each, after the manager's."""
-    reward: tuple[str, ...] = ()
+    reward: Parts = ()
     """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
 
 
-class Scenario(BaseModel):
+class Scenario(_Grown):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
     ``materials`` and ``family`` are resolved at load: only what can occur in this scenario is kept.
     """
 
     model_config = _FROZEN
+    _later = ("physics", "manager")
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
-    title: str
+    title: str = Field(max_length=300)
     """One line for lists."""
     summary: str
     """A paragraph for its page."""
+    physics: str = "paper"
+    """Tier of physical laws, one of :data:`PHYSICS_TIERS`."""
     reactions: str
     """Reaction family: a shipped one's name, or the path of a file, from the scenario's folder."""
-    material_files: tuple[str, ...] = ()
+    material_files: tuple[str, ...] = Field(default=(), max_length=20)
     """Files with materials of your own, from the scenario's folder."""
-    goals: tuple[str, ...] = Field(min_length=1)
+    goals: Goals
     """Materials an experiment may be run for, in the order of every one-hot goal."""
-    lab_goals: tuple[str, ...] = Field(min_length=1)
+    lab_goals: Goals
     """The goal of each order is drawn from these, uniformly, each episode."""
     orders: int = Field(default=1, ge=1, le=16)
     """Vessels the manager has to submit; each is worth an equal share of the score."""
-    theoretical_maximum_mol: dict[str, float]
-    """Most moles of each laboratory goal that stock and shelf allow, divided among the orders."""
+    theoretical_maximum_mol: dict[Key, Maximum]
+    """Most moles of each laboratory goal that stock, shelf and kinetics allow, divided among the orders."""
     ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
     """Temperature at which vessels and bottles stand."""
-    ambient_pressure_kpa: float = Field(default=101.325, gt=0.0, le=1000.0)
+    ambient_pressure_kpa: float = Field(default=101.325, ge=1.0, le=1000.0)
     """Pressure outside the vessels."""
-    stock: dict[str, float] = Field(default_factory=dict)
+    stock: Amounts = {}
     """Moles in the reagent and solvent bottles, shared by all benches."""
     shelf: ShelfSpec
     """The shared shelf of vessels."""
     manager: ManagerSpec = ManagerSpec()
     """Parts of your own for the manager."""
-    benches: dict[str, BenchSpec] = Field(min_length=1)
+    benches: dict[Key, BenchSpec] = Field(min_length=1, max_length=16)
     """Kinds of benches by key; a bench's agents are called after it (``rxn_0``)."""
-    instruments: dict[str, InstrumentSpec] = Field(default_factory=dict)
+    instruments: dict[Key, InstrumentSpec] = Field(default={}, max_length=32)
     """The characterization bench, by name."""
     limits: LimitSpec
     """When an episode is truncated."""
@@ -291,11 +343,31 @@ class Scenario(BaseModel):
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
     _origin: str = PrivateAttr(default="(scenario built in code)")
 
+    @field_validator("physics")
+    @classmethod
+    def _known_tier(cls, tier: str) -> str:
+        if tier not in PHYSICS_TIERS:
+            raise ValueError(f"unknown tier; known: {', '.join(PHYSICS_TIERS)}")
+        return tier
+
     @model_validator(mode="after")
-    def _named(self) -> Scenario:
+    def _sound(self) -> Scenario:
         for key in self.benches:
             if not re.fullmatch("[a-z]+", key) or key == "manager":
                 raise ValueError(f"benches.{key}: a bench's key is lower-case letters, and manager is taken")
+        starts = len(self.bench_agents()) * self.shelf.slots * len(self.goals)
+        if starts > _MOST_STARTS:
+            raise ValueError(f"benches x slots x goals: the manager could start {starts}; at most {_MOST_STARTS}")
+        for name, goals in (("goals", self.goals), ("lab_goals", self.lab_goals)):
+            if len(set(goals)) != len(goals):
+                raise ValueError(f"{name}: a goal is listed twice")
+        for name, named in (("lab_goals", self.lab_goals), ("theoretical_maximum_mol", self.theoretical_maximum_mol)):
+            for goal in named:
+                if goal not in self.goals:
+                    raise ValueError(f"{name}: {goal!r} is not one of goals ({', '.join(self.goals)})")
+        for goal in self.lab_goals:
+            if goal not in self.theoretical_maximum_mol:
+                raise ValueError(f"theoretical_maximum_mol.{goal}: must be given and above 0")
         return self
 
     @property
@@ -317,6 +389,15 @@ class Scenario(BaseModel):
     def safety_events(self) -> tuple[str, ...]:
         """Kinds of safety event, in the order of every events array: chemlab's, then the scenario's own."""
         return (*SAFETY_EVENTS, *self.safety.events)
+
+    @property
+    def reference(self) -> str:
+        """What a command takes for this scenario: a shipped one's name, or the path of its file, quoted for a shell."""
+        if Path(self.origin) == scenario_folder() / f"{self.name}.toml":
+            return self.name
+        if self.origin.endswith(".toml"):
+            return shlex.quote(self.origin)
+        return f"{self.name}.toml (a file to be written: this scenario is from none)"
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
@@ -340,25 +421,16 @@ class Scenario(BaseModel):
     def __hash__(self) -> int:
         return hash((self.name, self._origin))
 
-
-def _scenario_folder() -> Path:
-    try:
-        found = importlib.resources.files("chemlab.scenarios")
-        folder = Path(str(found))
-        if folder.is_dir() and any(folder.glob("*.toml")):
-            return folder
-    except ModuleNotFoundError:
-        pass  # a checkout that is on sys.path but not installed: the files lie beside the package
-    return Path(__file__).resolve().parent.parent / "scenarios"
-
-
-def scenario_names() -> list[str]:
-    """Names of the scenarios that come with chemlab."""
-    return sorted(path.stem for path in _scenario_folder().glob("*.toml"))
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        yield None, self.name
+        yield "title", self.title
+        yield "agents", ["manager_0", *self.bench_agents()]
+        yield "goals", list(self.lab_goals)
+        yield "origin", self.origin
 
 
 def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
-    """(key, material) for every material a scenario file names, in order."""
+    """(key, material) for every material that a scenario file has anywhere, in order; a price alone has none."""
     found = [("stock", name) for name in spec.stock]
     for i, vessel in enumerate(spec.shelf.vessel):
         found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
@@ -368,42 +440,35 @@ def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
             companion = bench.start.companion
             found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
     found += [("goals", name) for name in spec.goals]
-    found += [("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol]
     return found
 
 
-def _check_amounts(spec: Scenario, where: str) -> None:
-    for key, amounts in (
-        [("stock", spec.stock), ("costs.stock_per_mol", spec.costs.stock_per_mol)]
-        + [(f"shelf.vessel.{i}.contents", vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)]
-        + [(f"benches.{key}.start.contents", bench.start.contents) for key, bench in spec.benches.items()]
-    ):
-        for name, amount in amounts.items():
-            if not 0.0 <= amount <= 1e4:
-                raise DataError(f"{where}: {key}.{name}: must be between 0 and 10000, given {amount}")
-    for goal in spec.lab_goals:
-        if goal not in spec.goals:
-            raise DataError(f"{where}: lab_goals: {goal!r} is not one of goals ({', '.join(spec.goals)})")
-        if spec.theoretical_maximum_mol.get(goal, 0.0) <= 0.0:
-            raise DataError(f"{where}: theoretical_maximum_mol.{goal}: must be given and above 0")
-    for key, goals in (("goals", spec.goals), ("lab_goals", spec.lab_goals)):
-        if len(set(goals)) != len(goals):
-            raise DataError(f"{where}: {key}: a goal is listed twice")
-    for goal in spec.theoretical_maximum_mol:
-        if goal not in spec.goals:
-            raise DataError(f"{where}: theoretical_maximum_mol.{goal}: not one of goals ({', '.join(spec.goals)})")
-
-
 def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    starts = [
-        (f"benches.{key}.start", bench.start.capacity_l, bench.start.contents) for key, bench in spec.benches.items()
-    ]
-    shelf = [(f"shelf.vessel.{i}", vessel.capacity_l, vessel.contents) for i, vessel in enumerate(spec.shelf.vessel)]
-    for key, capacity, contents in [*shelf, *starts]:
-        litres = sum(mol * known[n].molar_mass_g_mol / known[n].density_kg_l / 1000.0 for n, mol in contents.items())
-        if litres > capacity:
-            raise DataError(f"{where}: {key}: contents of {litres:.4g} L do not fit in capacity_l = {capacity:g}")
-    for key, name in _mentioned(spec):
+    """Refuse contents that do not fit their vessel."""
+
+    def litres(name: str, mol: float) -> float:
+        return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
+
+    vessels: list[tuple[str, VesselSpec | StartSpec, float]]
+    vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
+    for key, bench in spec.benches.items():
+        start, also = bench.start, bench.start.companion
+        more = max(litres(goal, start.goal_mol) for goal in spec.goals)
+        if also is not None:
+            more += max(litres(also.material, also.mol), litres(also.if_goal, also.mol))
+        vessels.append((f"benches.{key}.start", start, more))
+    for key, vessel, more in vessels:
+        filled = more + sum(litres(name, mol) for name, mol in vessel.contents.items())
+        if filled > vessel.capacity_l:
+            raise DataError(
+                f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
+            )
+
+
+def _check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
+    for key, name in named:
+        if name not in known:
+            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
         if known[name].role == "gas":
             raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
 
@@ -447,15 +512,16 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     if isinstance(scenario, Scenario):
         return scenario
     if isinstance(scenario, Mapping):
-        return _resolve(dict(scenario), "(scenario given as a mapping)", Path.cwd())
+        where = "(scenario given as a mapping)"
+        return _resolve(bounded(scenario, where), where, Path.cwd())
     if isinstance(scenario, str) and scenario in scenario_names():
-        return _load_file(_scenario_folder() / f"{scenario}.toml")
+        return _load_file(scenario_folder() / f"{scenario}.toml")
     if not isinstance(scenario, (str, Path)):
         raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
     path = Path(scenario)
     if path.suffix != ".toml":
         raise DataError(
-            f"scenario: unknown name {str(scenario)!r}; shipped: {', '.join(scenario_names())}; "
+            f"scenario: unknown name {str(scenario)!r:.200}; shipped: {', '.join(scenario_names())}; "
             "or give a path to a .toml file"
         )
     return _resolve(read_toml(path), str(path), path.parent)
@@ -466,61 +532,33 @@ def _load_file(path: Path) -> Scenario:
     return _resolve(read_toml(path), str(path), path.parent)
 
 
-def _inherited(values: dict[str, Any], where: str, folder: Path, above: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The content of a scenario file with that of its ``base`` under it: tables are merged key by key, everything else
-    replaces what the base has.
-
-    Raises:
-        DataError: the base is unknown, or a base of its own.
-    """
-    if "base" not in values:
-        return values
-    own = dict(values)
-    base = own.pop("base")
-    path = _scenario_folder() / f"{base}.toml" if base in scenario_names() else folder / str(base)
-    if path.suffix != ".toml" or not path.is_file():
-        raise DataError(
-            f"{where}: base: unknown {base!r}; shipped: {', '.join(scenario_names())}; or the path of a .toml file"
-        )
-    if str(path.resolve()) in above:
-        raise DataError(f"{where}: base: {base!r} has this scenario as its own base")
-    under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
-    for key in ("material_files", "reactions"):
-        # Paths are relative to the file that has them.
-        if key not in own and key in under:
-            under[key] = _absolute(under[key], path.parent)
-    return _merge(under, own)
-
-
-def _absolute(files: Any, folder: Path) -> Any:
-    if isinstance(files, list):
-        return [_absolute(file, folder) for file in files]
-    return str(folder / files) if str(files).endswith(".toml") else files
-
-
-def _merge(under: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(under)
-    for key, value in own.items():
-        below = merged.get(key)
-        merged[key] = _merge(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return merged
-
-
-def _resolve(values: dict[str, Any], where: str, folder: Path) -> Scenario:
-    values = _inherited(values, where, folder)
-    spec: Scenario = validated(Scenario, values, where)
+def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
+    spec: Scenario = validated(Scenario, completed(values, where, folder), where)
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():
         if name in known:
             raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
         known[name] = material
     family = load_reactions(spec.reactions, known, folder, where)
-    for key, name in _mentioned(spec):
-        if name not in known:
-            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
-    _check_amounts(spec, where)
+    # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
+    _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
+    return _equipped(spec, known, family, where)
+
+
+def _equipped(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> Scenario:
+    """``spec`` with the materials and reactions that can occur in it, all checked but for the family itself.
+
+    Raises:
+        DataError: an unknown material, contents that do not fit, a gas in a bottle, too many materials.
+    """
+    named = _mentioned(spec)
+    _check_materials(named, known, where)
     _check_vessels(spec, known, where)
-    order, kept = _reachable(family, [name for key, name in _mentioned(spec) if key != "costs.stock_per_mol"])
+    order, kept = _reachable(family, [name for _, name in named])
+    if len(order) > _MOST_MATERIALS:
+        raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
+    if "air" not in known:
+        raise DataError(f"{where}: material 'air' is missing; every vessel has some")
     spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     spec._family = kept
     spec._origin = where
@@ -537,24 +575,19 @@ def dump_scenario(scenario: Scenario) -> dict[str, Any]:
 
 
 def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
-    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``.
+    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``; checked as a file is.
 
     Raises:
-        DataError: the data is not what ``dump_scenario`` makes.
+        DataError: the data is not what ``dump_scenario`` makes, or is of a scenario that would be refused as a file.
     """
     tables: list[dict[str, Any]] = []
     for key in ("scenario", "materials", "reactions"):
         if not isinstance(data.get(key), dict):
             raise DataError(f"{where}: {key}: must be a table")
-        tables.append(data[key])
+        tables.append(bounded(data[key], f"{where}: {key}"))
     values, materials, reactions = tables
     spec: Scenario = validated(Scenario, values, where)
-    spec._materials = {name: validated(Material, table, f"{where}: {name}") for name, table in materials.items()}
-    spec._family = validated(ReactionFamily, reactions, f"{where}: reactions")
-    unknown = {name for _, name in _mentioned(spec)} | spec.family.materials() | {"air"}
-    unknown -= {*spec.materials, *spec.costs.stock_per_mol}
-    if unknown:
-        raise DataError(f"{where}: unknown material {min(unknown)!r}; known: {', '.join(spec.materials)}")
-    _check_amounts(spec, where)
-    spec._origin = where
-    return spec
+    known = {name: validated(Material, table, f"{where}: materials.{name}") for name, table in materials.items()}
+    family = validated(ReactionFamily, reactions, f"{where}: reactions")
+    check_reactions(family, known, f"{where}: reactions")
+    return _equipped(spec, known, family, where)

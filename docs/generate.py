@@ -490,14 +490,50 @@ def _type(hint: Any) -> str:
     return {str: "text", int: "integer", float: "number", bool: "true or false"}.get(hint, str(hint))
 
 
+_SIGNS = {
+    "gt": ">",
+    "ge": "≥",
+    "lt": "<",
+    "le": "≤",
+    "min_length": "length ≥",
+    "max_length": "length ≤",
+    "pattern": "matches",
+}
+
+
 def _bounds(field: pydantic.fields.FieldInfo) -> str:
-    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "pattern": "matches"}
-    return ", ".join(
+    """A field's bounds in words, with those of a list's or a table's values."""
+    texts = _limits(field.metadata)
+    hint = field.annotation
+    while len(typing.get_args(hint)) and typing.get_origin(hint) in (tuple, dict, typing.Annotated):
+        inner = typing.get_args(hint)[1 if typing.get_origin(hint) is dict else 0]
+        if typing.get_origin(inner) is typing.Annotated:
+            each = [item for part in inner.__metadata__ for item in getattr(part, "metadata", [part])]
+            texts += [f"each {text}" for text in _limits(each)]
+        hint = inner
+    return ", ".join(texts)
+
+
+def _limits(metadata: Iterable[Any]) -> list[str]:
+    return [
         f"{sign} {_code(value) if name == 'pattern' else value}"
-        for item in field.metadata
-        for name, sign in signs.items()
+        for item in metadata
+        for name, sign in _SIGNS.items()
         if (value := getattr(item, name, None)) is not None
-    )
+    ]
+
+
+def _kinds() -> str:
+    """The data files of the bench kinds, as they are."""
+    parts = [
+        "## What a kind of bench has",
+        "",
+        "Where a scenario's `[benches.KEY]` does not say otherwise, key by key.",
+        "",
+    ]
+    for path in sorted((Path(chemlab.__file__).parent / "data" / "benches").glob("*.toml")):
+        parts += [f"### {path.stem}", "", "```toml", path.read_text(encoding="utf-8").rstrip(), "```", ""]
+    return "\n".join(parts)
 
 
 def _default(field: pydantic.fields.FieldInfo) -> str:
@@ -514,7 +550,8 @@ def _keys_page() -> str:
         "# Keys of data files",
         "",
         "Made from the models that check the files. An unknown key, a value out of bounds or a name that does not",
-        "exist is an error that says file, key, value and bound. Units are part of the names.",
+        "exist is an error that says file, key, value and bound. Units are part of the names. A file has at most",
+        "1,000,000 bytes and 12 levels, a table or list 10,000 entries, a text 4000 characters, a key 100.",
         "",
     ]
     for title, models in _FILES.items():
@@ -530,7 +567,7 @@ def _keys_page() -> str:
             about = _markdown(inspect.getdoc(model) or "")
             parts += [f"### {model.__name__}", "", about, ""]
             parts += [_table(("key", "value", "default", "bounds", "meaning"), rows)]
-    return "\n".join(parts)
+    return "\n".join([*parts, _kinds()])
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
@@ -678,7 +715,10 @@ def _fit_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
 def _fit_signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """Arrays as people write them: ``ndarray[float32]``."""
+    """Arrays as people write them, ``ndarray[float32]``; the fields of a model stand below it, with their bounds in the
+    page of keys."""
+    if isinstance(obj, type) and issubclass(obj, pydantic.BaseModel):
+        return "(**values)", None
 
     array = r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?(?:\w+\.)*(\w+)\]\]"
 

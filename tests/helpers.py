@@ -6,18 +6,15 @@ Numbers that tests compare with come from ``scenario.materials`` (the data files
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-import chemlab.scenarios
 from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.materials import read_toml
 from chemlab.physics.constants import SOLIDS
 from chemlab.physics.laws import heat, partition, settle_phases
 from chemlab.physics.layers import profile
@@ -34,8 +31,8 @@ TRACE = 1e-9
 
 
 def mapping(name: str) -> dict[str, Any]:
-    """A shipped scenario's content, to be changed."""
-    return read_toml(Path(chemlab.scenarios.__path__[0]) / f"{name}.toml")
+    """All that a shipped scenario says, as a mapping to be changed."""
+    return load_scenario(name).model_dump(mode="json")
 
 
 def laboratory(values: dict[str, Any] | str, seed: int = 0, **arguments: Any) -> raw_env:
@@ -87,7 +84,7 @@ def four_solvents() -> Scenario:
                 "dodecane": 1.0,
                 "Na": 1.0,
             },
-            "shelf": {"slots": 4},
+            "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]},
             "benches": {"ext": {"kind": "extraction", "step_limit": 10}},
             "limits": {"manager_actions": 10, "ticks": 10},
         }

@@ -123,12 +123,12 @@ def test_starts_can_be_recorded(tmp_path: Path) -> None:
     path = tmp_path / "starts.json"
     assert runner.invoke(app, ["starts", "salt_from_oil", "--episodes", "1", "-o", str(path)]).exit_code == 0
     scenario = load_scenario("salt_from_oil")
-    benches = json.loads(path.read_text())["benches"]
-    assert set(benches) == {"ext", "dit", "submit"}
-    for vessels in benches.values():
-        assert vessels
-        for vessel in vessels:
-            assert vessel["goal"] in scenario.goals
+    recorded = json.loads(path.read_text())
+    assert set(recorded["benches"]) == {"ext", "dit", "submit"}
+    for found in recorded["benches"].values():
+        assert found
+        assert set(found) <= set(scenario.goals)
+        for vessel in (recorded["vessels"][i] for indices in found.values() for i in indices):
             litres = sum(
                 mol * scenario.materials[name].molar_mass_g_mol / scenario.materials[name].density_kg_l / 1000.0
                 for name, mol in vessel["contents_mol"].items()

@@ -69,14 +69,18 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
     ("old", "new", "parts"),
     [
         ("charge = 0\n", 'charge = 0\nodour = "foul"\n', ["odour", "not permitted", "'foul'"]),
-        ("density_kg_l = 0.9", "density_kg_l = -0.9", ["density_kg_l", "greater than 0", "-0.9"]),
+        ("density_kg_l = 0.9", "density_kg_l = -0.9", ["density_kg_l", "or equal to 0.00001", "-0.9"]),
         ("density_kg_l = 0.9", "density_kg_l = 99.0", ["density_kg_l", "less than or equal to 25", "99.0"]),
         ("density_kg_l = 0.9\n", "", ["density_kg_l", "required"]),
         ("density_kg_l = 0.9", 'density_kg_l = "light"', ["density_kg_l", "number", "'light'"]),
         ("density_kg_l = 0.9", "density_kg_l = nan", ["density_kg_l", "nan"]),
-        ("heat_capacity_j_mol_k = 200.0", "heat_capacity_j_mol_k = 0.0", ["heat_capacity_j_mol_k", "greater than 0"]),
-        ("composition = { X = 2 }", "composition = { X = -2 }", ["composition", "positive"]),
-        ("composition = { X = 2 }", "composition = {}", ["composition", "positive"]),
+        (
+            "heat_capacity_j_mol_k = 200.0",
+            "heat_capacity_j_mol_k = 0.0",
+            ["heat_capacity_j_mol_k", "greater than or equal to 1"],
+        ),
+        ("composition = { X = 2 }", "composition = { X = -2 }", ["composition.X", "or equal to 0.001", "-2"]),
+        ("composition = { X = 2 }", "composition = {}", ["composition", "at least 1 item"]),
         ("composition = { X = 2 }", "composition = { X = nan }", ["composition"]),
         (
             "boiling_point_k = 400.0",
@@ -93,6 +97,23 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
         ('color = "#112233"', 'color = "grey"', ["color", "pattern", "'grey'"]),
         ("shade = 0.5", "shade = 1.5", ["shade", "less than or equal to 1", "1.5"]),
         ("center_nm = 300.0", "center_nm = 30.0", ["absorption.0.center_nm", "100", "30.0"]),
+        ("width_nm = 10.0 }", "width_nm = 0.0 }", ["absorption.0.width_nm", "or equal to 0.1", "0.0"]),
+        ("charge = 0", "charge = 11", ["charge", "less than or equal to 10", "11"]),
+        ("charge = 0", "charge = 1" + "0" * 400, ["charge", "whole number", "1329 bits"]),
+        (
+            "composition = { X = 2 }",
+            "composition = { X = 1e9 }",
+            ["composition.X", "or equal to 10000", "1000000000.0"],
+        ),
+        (
+            "composition = { X = 2 }",
+            "composition = { " + ", ".join(f"X{i} = 1" for i in range(51)) + " }",
+            ["composition", "at most 50 items"],
+        ),
+        ('formula = "X2"', f'formula = "{"X" * 201}"', ["formula", "at most 200 characters", "(203 characters)"]),
+        ('formula = "X2"', r'formula = "X\u0007"', ["formula", "none of them control"]),
+        ("shade = 0.5", "shade = 0.5\n" + '"bad\\nkey" = 1', ["a key must be 1 to 100 printable characters"]),
+        ('melting_point_k = "made up"\n', "", ["source", "cite", "melting_point_k"]),
         ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "not permitted"]),
     ],
 )
@@ -122,6 +143,36 @@ def test_a_gas_may_have_its_boiling_point_below_its_melting_point(tmp_path: Path
         changed('role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
     )
     assert load_materials([file])["goo"].boiling_point_k == 200.0
+
+
+def test_a_material_may_do_without_a_melting_point(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    text = changed("melting_point_k = 250.0\n", "").replace('melting_point_k = "made up"\n', "")
+    file.write_text(text)
+    assert load_materials([file])["goo"].melting_point_k is None
+
+
+@pytest.mark.parametrize("path", ["a\0b.toml", "x" * 5000 + ".toml", "/dev/zero", "folder.toml"])
+def test_a_path_that_is_no_file(tmp_path: Path, path: str) -> None:
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(DataError) as caught:
+        read_toml(tmp_path / path)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_folder_of_a_great_many_files(tmp_path: Path) -> None:
+    for i in range(101):
+        (tmp_path / f"{i}.toml").write_text("")
+    with pytest.raises(DataError, match=r"has 101 \.toml files; at most 100"):
+        load_materials([tmp_path])
+
+
+def test_of_very_many_mistakes_some_are_shown(tmp_path: Path) -> None:
+    file = tmp_path / "goo.toml"
+    file.write_text(changed("shade = 0.5\n", "shade = 0.5\n" + "".join(f"x{i} = 1\n" for i in range(1000))))
+    with pytest.raises(DataError, match="and 980 more") as caught:
+        load_materials([file])
+    assert len(str(caught.value).splitlines()) == 21
 
 
 def test_data_errors_are_value_errors() -> None:

@@ -81,11 +81,11 @@ def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
             ["violent.0", "not balanced", "charge 0 on the left, -2 on the right"],
         ),
         ("orders = { ", "orders = { water = 1, ", ["reaction.0", "orders.water", "not a reactant"]),
-        ("Na = 0.5", "Na = 0.0", ["reaction.0", "orders.Na = 0.0", "above 0"]),
-        ("Na = 0.5", "Na = -1.0", ["reaction.0", "orders.Na = -1.0", "above 0"]),
+        ("Na = 0.5", "Na = 0.0", ["reaction.0.orders.Na", "or equal to 0.01", "0.0"]),
+        ("Na = 0.5", "Na = -1.0", ["reaction.0.orders.Na", "or equal to 0.01", "-1.0"]),
         ('"1-chlorohexane" = 1, ', "", ["reaction.0", "orders must name every reactant"]),
-        ('"1-chlorohexane" = 2, Na = 2', '"1-chlorohexane" = -2, Na = 2', ["reaction.0", "reactants", "positive"]),
-        ("dodecane = 1, NaCl = 2", "", ["reaction.0", "products", "positive"]),
+        ('"1-chlorohexane" = 2, Na = 2', '"1-chlorohexane" = -2, Na = 2', ["reaction.0.reactants", "equal to 0.001"]),
+        ("dodecane = 1, NaCl = 2", "", ["reaction.0.products", "at least 1 item"]),
         ("pre_exponential = 10.0", "pre_exponential = -10.0", ["reaction.0.pre_exponential", "than 0", "-10.0"]),
         ("= 6000.0", "= -6000.0", ["reaction.0.activation_energy_j_mol", "greater than or equal to 0", "-6000.0"]),
         ("= 6000.0", "= 6e9", ["reaction.0.activation_energy_j_mol", "less than or equal to 500000"]),
@@ -93,6 +93,17 @@ def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
         ('source = "made up too"\n', "", ["violent.0.source", "required"]),
         ('name = "mine"', 'name = "mine"\nspeed = "fast"', ["speed", "not permitted", "'fast'"]),
         ("pre_exponential = 10.0", "pre_exponential = 10.0\ncatalyst = 1", ["reaction.0.catalyst", "not permitted"]),
+        ("Na = 0.5", "Na = 3e8", ["reaction.0.orders.Na", "less than or equal to 20", "300000000.0"]),
+        ('"1-chlorohexane" = 1, Na = 0.5', '"1-chlorohexane" = 11, Na = 10', ["orders: add up to 21; at most 20"]),
+        ("dodecane = 1", "dodecane = 1e3", ["reaction.0.products.dodecane", "less than or equal to 100", "1000.0"]),
+        ("pre_exponential = 10.0", "pre_exponential = 1e300", ["reaction.0.pre_exponential", "1e+30", "1e+300"]),
+        ('solid = "NaCl"', 'solid = "water"', ["salt.0", "not balanced"]),
+        (
+            'solid = "NaCl"\ncation = "Na+"\nanion = "Cl-"',
+            'solid = "NaCl"\ncation = "Cl-"\nanion = "Na+"',
+            ["salt.0", "a solid, a positive and a negative ion", "'Cl-' (charge -1)", "'Na+' (charge 1)"],
+        ),
+        ('name = "mine"', f'name = "{"m" * 201}"', ["name", "at most 200"]),
         # A number that is none would pass every comparison of the balance.
         ("dodecane = 1", "dodecane = nan", ["reaction.0"]),
     ],
@@ -129,6 +140,12 @@ def test_malformed_toml_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="not valid TOML") as caught:
         load(tmp_path, "[[reaction]\n")
     assert str(tmp_path / "mine.toml") in str(caught.value)
+
+
+def test_a_family_of_a_great_many_reactions(tmp_path: Path) -> None:
+    start, stop = FAMILY.index("[[reaction]]"), FAMILY.index("[[salt]]")
+    with pytest.raises(DataError, match=r"reaction: .*at most 200 items"):
+        load(tmp_path, FAMILY[:start] + FAMILY[start:stop] * 201)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
 import math
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from scipy.integrate import solve_ivp
+from scipy.optimize import linprog, minimize
 
 import chemlab
 import chemlab.scenarios
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import lab_starts
 from chemlab.materials import DataError, read_toml
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import Scenario, dump_scenario, load_scenario, restore_scenario, scenario_names
 
 BASE = """
 name = "tiny"
@@ -147,12 +154,12 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Goals.
         ('lab_goals = ["dodecane"]', 'lab_goals = ["water"]', ["lab_goals", "'water'", "dodecane, NaCl"]),
         ('lab_goals = ["dodecane"]', 'lab_goals = ["dodecane", "NaCl"]', ["theoretical_maximum_mol.NaCl", "above 0"]),
-        ("dodecane = 0.5", "dodecane = 0.0", ["theoretical_maximum_mol.dodecane", "above 0"]),
+        ("dodecane = 0.5", "dodecane = 0.0", ["theoretical_maximum_mol.dodecane", "or equal to 0.000001", "0.0"]),
         ("dodecane = 0.5", "dodecane = nan", ["theoretical_maximum_mol", "dodecane", "nan"]),
         # Amounts.
         ("capacity_l = 1.0\ncontents", "capacity_l = 0.01\ncontents", ["shelf.vessel.0", "do not fit", "0.01"]),
         ("scales = {", "fill = {", ["instruments.fill", "fill"]),
-        ("water = 10.0", "water = -1.0", ["stock.water", "between 0 and 10000", "-1.0"]),
+        ("water = 10.0", "water = -1.0", ["stock.water", "greater than or equal to 0", "-1.0"]),
         ("water = 10.0", "water = nan", ["stock.water", "finite", "nan"]),
         ("water = 10.0", 'water = "lots"', ["stock.water", "number", "'lots'"]),
         ("{ diethyl_ether = 4.0 }", "{ diethyl_ether = -4.0 }", ["shelf.vessel.0.contents.diethyl_ether", "-4.0"]),
@@ -167,7 +174,11 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]",
             ["shelf", "4 vessels do not fit on 3 slots"],
         ),
-        ("capacity_l = 1.0\ncontents", "capacity_l = 0.0\ncontents", ["shelf.vessel.0.capacity_l", "greater than 0"]),
+        (
+            "capacity_l = 1.0\ncontents",
+            "capacity_l = 0.0\ncontents",
+            ["shelf.vessel.0.capacity_l", "equal to 0.000001"],
+        ),
         # Benches.
         ('kind = "extraction"', 'kind = "alchemy"', ["benches.ext.kind", "'alchemy'", "extraction"]),
         ('kind = "extraction"', 'kind = "chemlab.bench:Nothing"', ["benches.ext.kind", "'chemlab.bench:Nothing'"]),
@@ -179,7 +190,8 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             ["benches.ext", "shape", "not permitted", "'round'"],
         ),
         ('kind = "extraction"', 'kind = "extraction"\ncount = 0', ["benches.ext.count", "greater than or equal to 1"]),
-        ('kind = "extraction"\nstep_limit = 5', 'kind = "extraction"', ["benches.ext.step_limit", "required"]),
+        # Of a kind that chemlab has no data on.
+        ('kind = "extraction"\nstep_limit = 5', 'kind = "my.own:Bench"', ["benches.ext.step_limit", "required"]),
         ("high = 350.0", "high = 250.0", ["benches.rxn", "temperature_k", "high = 250.0", "low = 275.0"]),
         ("hottest_k = 700.0", "hottest_k = 270.0", ["benches.dit", "270.0", "280.0"]),
         # Its agent would be manager_0, and there would be two of them.
@@ -220,13 +232,43 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("magnitudes = [-5, 5]", "magnitudes = [nan]", ["benches.dit", "process.0", "magnitudes", "nan"]),
         ('kind = "heat"', 'kind = "stare"', ["benches.dit", "process.0.kind", "'stare'"]),
         ('kind = "heat"', 'kind = "drain"', ["benches.dit.process.0", "kind", "heat, pour", "'drain'"]),
+        # What nothing can be done with, and what would take too much.
+        ("[[shelf.vessel]]\ncapacity_l = 1.0\ncontents = { diethyl_ether = 4.0 }\n", "", ["shelf", "at least one"]),
+        ('summary = "One', 'physics = "magic"\nsummary = "One', ["physics", "unknown tier", "paper", "'magic'"]),
+        ('title = "A tiny laboratory"', f'title = "{"x" * 301}"', ["title", "at most 300"]),
+        ('title = "A tiny laboratory"', r'title = "A \u001b[2J"', ["title", "none of them control"]),
+        ('summary = "One', f'summary = "{"x" * 4001}', ["summary", "4000 characters"]),
+        ('name = "tiny"', f'name = "{"x" * 101}"', ["name", "at most 100"]),
+        ("dodecane = 0.5", "dodecane = 1e5", ["theoretical_maximum_mol.dodecane", "less than or equal to 10000"]),
+        ("price = 0.01", "price = 1e7", ["instruments.scales.price", "less than or equal to 1000000"]),
+        ("{ diethyl_ether = 3.0 }", "{ diethyl_ether = 3.0 }, goal_mol = 4.0", ["benches.rxn.start", "do not fit"]),
+        (
+            'goals = ["dodecane", "NaCl"]',
+            f"goals = {[f'm{i}' for i in range(65)]}",
+            ["goals", "at most 64 items"],
+        ),
+        (
+            "slots = 3",
+            "slots = 64\n" + "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm"),
+            ["benches x slots x goals", "at most 20000"],
+        ),
+        ("water = 10.0", "water = 1" + "0" * 30, ["stock.water", "whole number", "9007199254740992"]),
+        ("magnitudes = [10, 20]", "magnitudes = " + "[" * 20 + "]" * 20, ["magnitudes", "more than 12 levels"]),
+        ("magnitudes = [10, 20]", "magnitudes = " + "[" * 5000, ["more than 12 levels"]),
+        ("water = 10.0", "water" + ".a" * 20 + " = 1", ["dotted key of more than 12 parts"]),
+        ("water = 10.0", "water = " + "9" * 5000, ["not valid TOML", "digits"]),
+        ("water = 10.0", "water = 1.0 #" + "#" * 1_000_000, ["larger than 1000000 bytes"]),
         # Instruments, limits, safety.
         ('kind = "balance"', 'kind = "nose"', ["instruments.scales.kind", "'nose'", "balance"]),
         ("price = 0.01", "price = -0.01", ["instruments.scales.price", "greater than or equal to 0", "-0.01"]),
         ("price = 0.01", "cost = 0.01", ["instruments.scales.cost", "not permitted"]),
         ("ticks = 50", "ticks = 0", ["limits.ticks", "greater than or equal to 1", "0"]),
         ("{ spill_l = 1.0 }", "{ explosion = 1.0 }", ["safety", "weights.explosion", "unknown", "spill_l"]),
-        ("{ spill_l = 1.0 }", "{ spill_l = -1.0 }", ["safety", "weights.spill_l", "-1.0", "at least 0"]),
+        (
+            "{ spill_l = 1.0 }",
+            "{ spill_l = -1.0 }",
+            ["safety", "weights.spill_l", "-1.0", "or equal to 0"],
+        ),
         # Reactions.
         ('reactions = "wurtz"', 'reactions = "alchemy"', ["reactions", "'alchemy'", "wurtz"]),
     ],
@@ -289,10 +331,35 @@ def test_a_material_of_ones_own_may_not_take_a_shipped_name(tmp_path: Path) -> N
 # -- what ships -----------------------------------------------------------------------------------------------------
 
 
-def most_moles(scenario: Scenario, goal: str) -> float:
-    """The optimum of a linear program over extents of reaction: all of ``goal`` that stock and shelf allow, mol.
+def chords(scenario: Scenario) -> list[tuple[int, int, int, float]]:
+    """Reactions (i, j, k) whose rates keep r_i^2 = c r_j r_k whatever the concentrations and the temperature, and c.
 
-    Salts count as formula units: dissolving one changes no amount of anything else.
+    By the inequality of Cauchy and Schwarz their extents, integrals of the rates over all vessels and all time, then
+    keep x_i^2 <= c x_j x_k, whatever is fed where and when.
+    """
+    steps = scenario.family.reaction
+    found = []
+    for i, j, k in itertools.permutations(range(len(steps)), 3):
+        names = {*steps[i].orders, *steps[j].orders, *steps[k].orders}
+        orders = [[steps[r].orders.get(name, 0.0) for name in names] for r in (i, j, k)]
+        energies = [steps[r].activation_energy_j_mol for r in (i, j, k)]
+        if (
+            j < k
+            and 2 * energies[0] == energies[1] + energies[2]
+            and np.allclose(2 * np.array(orders[0]), np.add(*orders[1:]))
+        ):
+            constants = [steps[r].pre_exponential for r in (i, j, k)]
+            found.append((i, j, k, constants[0] ** 2 / (constants[1] * constants[2])))
+    return found
+
+
+def most_moles(scenario: Scenario, goal: str) -> float:
+    """All of ``goal`` that stock, shelf and kinetics allow, mol: an optimum over extents of reaction.
+
+    A linear program for the stock; where kinetics ties extents together (see :func:`chords`), the plane that touches
+    the cone x_i^2 <= c x_j x_k nearest to the last optimum is added, until the optimum is inside. Each plane is an
+    upper bound, so the last optimum is one, too. Salts count as formula units: dissolving one changes no amount of
+    anything else.
     """
     have = dict.fromkeys(scenario.materials, 0.0)
     for contents in (scenario.stock, *(vessel.contents for vessel in scenario.shelf.vessel)):
@@ -303,9 +370,72 @@ def most_moles(scenario: Scenario, goal: str) -> float:
         return have[goal]
     change = np.array([[r.products.get(n, 0.0) - r.reactants.get(n, 0.0) for r in steps] for n in have])
     row = list(have).index(goal)
-    found = linprog(-change[row], A_ub=-change, b_ub=np.array(list(have.values())), method="highs")
-    assert found.status == 0
-    return have[goal] - float(found.fun)
+    planes, bounds = list(-change), list(have.values())
+    for _ in range(200):
+        found = linprog(
+            -change[row], A_ub=np.array(planes), b_ub=np.array(bounds), options={"primal_feasibility_tolerance": 1e-10}
+        )
+        assert found.status == 0
+        extents, inside = found.x, True
+        for i, j, k, c in chords(scenario):
+            if extents[i] > math.sqrt(c * extents[j] * extents[k]) + 1e-9:
+                slope = math.sqrt((extents[k] + 1e-9) / (extents[j] + 1e-9))
+                plane = np.zeros(len(steps))
+                plane[i], plane[j], plane[k] = 1.0, -0.5 * math.sqrt(c) * slope, -0.5 * math.sqrt(c) / slope
+                planes.append(plane)
+                bounds.append(0.0)
+                inside = False
+        if inside:
+            return have[goal] - float(found.fun)
+    raise AssertionError("the planes do not close in on an optimum")
+
+
+def coupled(first: list[float], second: list[float], times: list[float]) -> tuple[float, float, float]:
+    """mol of A-A, A-B and B-B when so many mol of A and B are fed at the beginning of each time, by integrating the
+    rate laws a^2, ab and b^2."""
+    amounts = np.zeros(5)  # A, B, A-A, A-B, B-B
+    for a, b, time in zip(first, second, times, strict=True):
+        amounts[:2] += a, b
+
+        def rates(_: float, y: np.ndarray) -> list[float]:
+            aa, ab, bb = y[0] * y[0], y[0] * y[1], y[1] * y[1]
+            return [-2 * aa - ab, -2 * bb - ab, aa, ab, bb]
+
+        amounts = solve_ivp(rates, (0.0, time), amounts, method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
+    return float(amounts[2]), float(amounts[3]), float(amounts[4])
+
+
+def test_the_most_of_a_mixed_product_by_feeding() -> None:
+    """What the files call the maximum is attained by one feed of equal amounts, and by no other schedule surpassed."""
+    at_once = coupled([1.0], [1.0], [1e6])
+    assert at_once == pytest.approx((1 / 3, 1 / 3, 1 / 3), abs=1e-5)
+    # 3 z^2 + (a + b) z - a b = 0 is 4 z^2 = (a - z)(b - z).
+    for a, b in ((1.0, 1.0), (1.0, 0.4), (0.25, 1.0)):
+        most = (math.sqrt((a + b) ** 2 + 12 * a * b) - (a + b)) / 6
+        assert 4 * most**2 == pytest.approx((a - most) * (b - most))
+
+        def lost(shares: np.ndarray, a: float = a, b: float = b) -> float:
+            feeds = np.exp(shares.reshape(2, 3))
+            feeds *= np.array([[a], [b]]) / feeds.sum(axis=1, keepdims=True)
+            return -coupled(list(feeds[0]), list(feeds[1]), [3.0, 3.0, 1e6])[1]
+
+        rng = np.random.default_rng(0)
+        tried = [lost(rng.normal(0.0, 2.0, 6)) for _ in range(8)]
+        best = minimize(lost, np.zeros(6), method="Nelder-Mead", options={"maxiter": 60})
+        assert -min(tried) < most
+        assert -best.fun <= most * (1 + 1e-6)
+        # Of unequal amounts the best is a constant ratio in the vessel, which three feeds only approach.
+        assert -best.fun == pytest.approx(most, rel=1e-4 if a == b else 0.05)
+    maxima = load_scenario("wurtz_any").theoretical_maximum_mol
+    assert maxima["5-methylundecane"] == pytest.approx(1 / 3, rel=1e-15)
+
+
+def test_the_laboratory_itself_comes_to_the_maximum_of_a_mixed_product() -> None:
+    slow = {"base": "wurtz_any", "name": "slow", "benches": {"rxn": {"tick": 1000.0, "step_limit": 3}}}
+    env = BenchEnv(load_scenario(slow), "rxn")
+    env.reset(seed=0, options={"goal": "5-methylundecane"})
+    made = sum(float(env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0], dtype=np.float32))[1]) for _ in range(3))
+    assert made == pytest.approx(env.arena.scenario.theoretical_maximum_mol["5-methylundecane"], rel=1e-3)
 
 
 def test_the_shipped_scenarios_are_those_of_the_folder() -> None:
@@ -346,7 +476,7 @@ def test_lint(name: str) -> None:
         assert most_moles(scenario, goal) > 0.0, f"{goal} cannot be made here"
     assert set(scenario.lab_goals) <= set(scenario.theoretical_maximum_mol) <= set(scenario.goals)
     for goal, mol in scenario.theoretical_maximum_mol.items():
-        assert mol == pytest.approx(most_moles(scenario, goal) / scenario.orders, rel=1e-9), goal
+        assert mol == pytest.approx(most_moles(scenario, goal) / scenario.orders, rel=1e-8), goal
     # Every reagent and everything that is added from a bottle has one; every priced bottle exists.
     for bench in labs.benches:
         wanted = list(getattr(bench.options, "reagents", {}))
@@ -583,3 +713,219 @@ def test_a_base_that_is_none(base: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "circle.toml").write_text(f'base = "{base}"\n')
     with pytest.raises(DataError, match=message):
         load_scenario(tmp_path / "circle.toml")
+
+
+def derived(folder: Path, text: str, base: str = "wurtz_dodecane") -> Scenario:
+    """A file with that base and that text, loaded."""
+    (folder / "derived.toml").write_text(f'base = "{base}"\nname = "derived"\n{text}')
+    return load_scenario(folder / "derived.toml")
+
+
+def test_a_file_can_take_keys_of_its_base_out(tmp_path: Path) -> None:
+    base = load_scenario("wurtz_dodecane").model_dump()
+    changed = derived(tmp_path, 'remove = ["benches.ext", "instruments", "costs.stock_per_mol.\'1-chlorohexane\'"]')
+    del base["benches"]["ext"], base["costs"]["stock_per_mol"]["1-chlorohexane"]
+    assert changed.model_dump() == {**base, "name": "derived", "instruments": {}}
+    assert Laboratories(changed).agents == ["manager_0", "rxn_0", "dit_0"]
+
+
+def test_what_is_taken_out_can_be_given_anew(tmp_path: Path) -> None:
+    solvent = (
+        derived(tmp_path, 'remove = ["benches.rxn.start.contents"]\n[benches.rxn.start.contents]\nhexane = 2.0\n')
+        .benches["rxn"]
+        .start
+    )
+    assert solvent.contents == {"hexane": 2.0}
+
+
+def test_a_base_of_a_base_is_taken_out_of(tmp_path: Path) -> None:
+    direct = derived(tmp_path, 'remove = ["instruments.balance"]', "wurtz_dodecane_direct")
+    assert "ext" not in direct.benches
+    assert list(direct.instruments) == ["uv_vis", "layer_camera", "gas_chromatograph"]
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ('remove = ["benches.cook"]', ["remove", "'benches.cook'", "'wurtz_dodecane'", "rxn, ext, dit"]),
+        ('remove = ["name.first"]', ["remove", "'name.first'", "no table"]),
+        ('remove = ["instruments", "instruments.balance"]', ["remove", "'instruments.balance' is not in the base"]),
+        ('remove = "instruments"', ["remove", "list of keys", "'instruments'"]),
+        ("remove = [3]", ["remove", "must be keys", "3"]),
+        ('remove = ["a = 1\\nb"]', ["remove", "must be keys"]),
+        ('remove = ["a b"]', ["remove", "must be keys", "'a b'"]),
+        ('remove = ["reactions"]', ["reactions", "required"]),
+        ("[benches.ext]", ["benches.ext", "empty table", 'remove = ["benches.ext"]']),
+        ("[costs]\nstock_per_mol = {}", ["costs.stock_per_mol", 'remove = ["costs.stock_per_mol"]']),
+    ],
+)
+def test_what_cannot_be_taken_out_is_named(tmp_path: Path, text: str, parts: list[str]) -> None:
+    with pytest.raises(DataError) as caught:
+        derived(tmp_path, text)
+    for part in [str(tmp_path / "derived.toml"), *parts]:
+        assert part in str(caught.value)
+
+
+def test_the_advice_about_an_empty_table_works(tmp_path: Path) -> None:
+    with pytest.raises(DataError) as caught:
+        derived(tmp_path, "[instruments]")
+    advice = re.search(r"remove = \[.*\]", str(caught.value))
+    assert advice is not None
+    assert not derived(tmp_path, advice.group()).instruments
+
+
+def test_only_a_file_with_a_base_can_take_keys_out(tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text('remove = ["instruments"]\n' + BASE)
+    with pytest.raises(DataError, match="remove: takes keys out of a base, and this scenario has none"):
+        load_scenario(tmp_path / "tiny.toml")
+
+
+def test_bases_have_an_end(tmp_path: Path) -> None:
+    for i in range(20):
+        (tmp_path / f"{i}.toml").write_text(f'base = "{i + 1}.toml"\n')
+    (tmp_path / "20.toml").write_text('base = "fictitious"\n')
+    with pytest.raises(DataError, match="more than 16 bases"):
+        load_scenario(tmp_path / "0.toml")
+    assert load_scenario(tmp_path / "10.toml").name == "fictitious"
+
+
+# -- what a kind of bench has anyway -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["reaction", "extraction", "distillation"])
+def test_what_a_bench_leaves_out_is_what_its_kind_has(kind: str, tmp_path: Path) -> None:
+    data = read_toml(Path(chemlab.__file__).parent / "data" / "benches" / f"{kind}.toml")
+    needed = {"reagents": {"Na": 1.0}, "tick": 0.01} if kind == "reaction" else {}
+    least = load_scenario({**read_toml(tiny(tmp_path)), "benches": {"x": {"kind": kind, **needed}}})
+    bench = least.benches["x"]
+    assert bench.step_limit == data["step_limit"]
+    assert bench.model_extra == {**needed, **{key: data[key] for key in data if key != "step_limit"}}
+    # A key that is given counts as a whole, and the shipped data stay as they were.
+    key, value = {
+        "reaction": ("temperature_k", {"low": 280.0, "high": 290.0, "step": 1.0}),
+        "extraction": ("process", [{"kind": "mix", "vessel": "EV", "magnitudes": [1]}]),
+        "distillation": ("hottest_k", 650.0),
+    }[kind]
+    other = load_scenario({**read_toml(tiny(tmp_path)), "benches": {"x": {"kind": kind, **needed, key: value}}})
+    assert other.benches["x"].model_extra == {**(bench.model_extra or {}), key: value}
+    assert load_scenario({**read_toml(tiny(tmp_path)), "benches": {"x": {"kind": kind, **needed}}}) == least
+
+
+def tiny(folder: Path) -> Path:
+    """The base of these tests with a bottle of ether, as a file."""
+    (folder / "tiny.toml").write_text(changed("water = 10.0", "water = 10.0\ndiethyl_ether = 1.0"))
+    return folder / "tiny.toml"
+
+
+# -- records -----------------------------------------------------------------------------------------------------------
+
+SHIPPED = {
+    "fictitious": "e4e595031b3892f0",
+    "salt_from_oil": "54ffe9afe9e10370",
+    "wurtz_any": "fa70cae24b53b146",
+    "wurtz_dodecane": "ecbc7ee1323dedc8",
+    "wurtz_dodecane_direct": "3c1725681724c231",
+    "wurtz_safe": "01a6e508ef2b357f",
+    "wurtz_scarce": "288e8e7240b8b0f8",
+    "wurtz_two_lines": "9967ca0aca001d2a",
+}
+"""Hashes of all that the shipped scenarios say, in the order in which they say it. The files may change; what they come
+to may not without a line in the changelog: records of episodes name their scenario by it."""
+
+
+def test_what_the_shipped_scenarios_say_has_not_changed() -> None:
+    def digest(name: str) -> str:
+        return hashlib.sha256(json.dumps(dump_scenario(load_scenario(name))).encode()).hexdigest()[:16]
+
+    assert {name: digest(name) for name in scenario_names()} == SHIPPED
+
+
+def test_a_dump_without_a_tier_is_of_the_papers(tmp_path: Path) -> None:
+    dumped = dump_scenario(load_scenario("wurtz_dodecane"))
+    assert "physics" not in dumped["scenario"]
+    assert restore_scenario(dumped, "a record").physics == "paper"
+
+
+def test_prices_of_bottles_that_are_not_there_do_not_hinder_restoring(slime: Path) -> None:
+    values = read_toml(slime) | {
+        "material_files": [str(slime.parent / "goo.toml")],
+        "reactions": "salt_water",
+        "goals": ["water"],
+        "lab_goals": ["water"],
+        "theoretical_maximum_mol": {"water": 5.0},
+        "stock": {"water": 5.0},
+        "costs": {"stock_per_mol": {"goo": 1.0}},
+    }
+    del values["benches"]["rxn"]
+    scenario = load_scenario(values)
+    assert "goo" not in scenario.materials
+    assert dump_scenario(restore_scenario(dump_scenario(scenario), "x")) == dump_scenario(scenario)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        (
+            "reactions.reaction.0.products.dodecane",
+            50.0,
+            r"reactions: reaction.0: not balanced: C 12 on the left, 600 ",
+        ),
+        ("reactions.reaction.0.orders.Na", 1e6, r"reaction.0.orders.Na: Input should be less than or equal to 20"),
+        ("reactions.reaction.0.products.gold", 1.0, r"reactions: unknown material 'gold'"),
+        ("reactions.salt.0.anion", "OH-", r"salt.0: not balanced"),
+        (
+            "scenario.shelf.vessel.0.capacity_l",
+            0.1,
+            r"shelf.vessel.0: contents of 0.4\d+ L do not fit in capacity_l = 0.1",
+        ),
+        ("scenario.benches.ext.start.capacity_l", 0.1, r"benches.ext.start: contents of .* do not fit"),
+        ("scenario.stock.H2", 1.0, r"stock: 'H2' is a gas"),
+        ("scenario.stock.gold", 1.0, r"stock: unknown material 'gold'"),
+        ("scenario.theoretical_maximum_mol", {}, r"theoretical_maximum_mol.dodecane: must be given"),
+        ("scenario.theoretical_maximum_mol.dodecane", 0.0, r"theoretical_maximum_mol.dodecane: .*0.000001"),
+        ("scenario.shelf.vessel", [], r"shelf: vessel: give at least one"),
+        ("scenario.physics", "magic", r"physics: unknown tier"),
+        ("scenario.title", "x" * 5000, r"scenario: title: a text must be 4000 characters at most"),
+        ("materials.water.density_kg_l", -1.0, r"materials.water: density_kg_l"),
+        ("materials", {}, r"unknown material"),
+    ],
+)
+def test_a_record_s_scenario_is_checked_as_a_file_is(key: str, value: Any, message: str) -> None:
+    data = json.loads(json.dumps(dump_scenario(load_scenario("wurtz_dodecane"))))
+    *parts, last = key.split(".")
+    at = data
+    for part in parts:
+        at = at[int(part)] if isinstance(at, list) else at[part]
+    at[last] = value
+    with pytest.raises(DataError, match=message) as caught:
+        restore_scenario(data, "run.jsonl")
+    assert str(caught.value).startswith("run.jsonl: ")
+
+
+# -- in a notebook and in a hint ---------------------------------------------------------------------------------------
+
+
+def test_a_scenario_says_what_it_is_in_a_line() -> None:
+    scenario = load_scenario("wurtz_dodecane")
+    assert repr(scenario) == (
+        "Scenario('wurtz_dodecane', title='Dodecane by the Wurtz reaction', "
+        "agents=['manager_0', 'rxn_0', 'ext_0', 'dit_0'], goals=['dodecane'], "
+        f"origin={scenario.origin!r})"
+    )
+    assert len(str(scenario)) < 300
+
+
+def test_a_hint_can_be_typed(tmp_path: Path) -> None:
+    assert load_scenario("wurtz_safe").reference == "wurtz_safe"
+    folder = tmp_path / "my labs"
+    folder.mkdir()
+    (folder / "a.toml").write_text('base = "wurtz_safe"\nname = "cheap"\n')
+    cheap = load_scenario(folder / "a.toml")
+    (typed,) = shlex.split(cheap.reference)
+    assert load_scenario(typed) == cheap
+    # Only the file of a shipped name goes by it.
+    (folder / "a.toml").write_text('base = "wurtz_safe"\n')
+    assert load_scenario(folder / "a.toml").reference == f"'{folder / 'a.toml'}'"
+    assert "to be written" in load_scenario({"base": "wurtz_safe", "name": "cheap"}).reference
+    with pytest.raises(DataError, match=re.escape(f"run: chemlab starts {cheap.reference}")):
+        lab_starts(cheap, "rxn")

@@ -296,9 +296,13 @@ class Laboratories:
             if lacking:
                 goal = self.scenario.goals[lacking[0]]
                 raise DataError(
-                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.name}"
+                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.reference}"
                 )
-            for row in pool.arrays.rows:
+            arrays = pool.arrays
+            positions = int(self.rules.arrays.most_positions)
+            if arrays.last_role.max(initial=0) >= positions:
+                raise DataError(f"prepare: {stage!r}: last_role = {arrays.last_role.max()} must be below {positions}")
+            for row in arrays.rows:
                 self._rest(row)
             pools.append(pool)
         self._prepared = np.cumsum(list(shares.values())), pools

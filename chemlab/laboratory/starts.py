@@ -14,18 +14,24 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import pydantic
+from pydantic import BaseModel, ConfigDict
 
 from ..arrays import Field, FloatArray, IntArray, StreamArray
 from ..chemistry import ChemistryTable
+from ..datafile import DataError, read_json, validated
 from ..files import write_text
 from ..jit import inner
-from ..materials import DataError
 from ..rng import uniform
 from ..scenario import Scenario, scenario_names
 from ..shelf import Shelf
 from ..tables import Table
 
 __all__ = ["SUBMIT", "Start", "StartPool", "draw_start", "lab_starts", "start_pool", "starts_file", "write_starts"]
+
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_FILE_BYTES = 20_000_000
+_SUFFIX = ".starts.json"
 
 SUBMIT = "submit"
 """Stands among the benches for vessels that were submitted."""
@@ -43,6 +49,39 @@ class Start(NamedTuple):
     """Where it was last, as the manager sees it."""
     last_role: int = 0
     """As which of the bench's vessels."""
+
+
+class _Vessel(BaseModel):
+    """A recorded vessel, whatever it was for."""
+
+    model_config = _FROZEN
+
+    capacity_l: float = pydantic.Field(gt=0.0, le=100.0)
+    contents_mol: dict[str, Annotated[float, pydantic.Field(ge=0.0, le=1e4)]]
+    last_bench: str | None = None
+    last_role: int = pydantic.Field(default=0, ge=0)
+
+    def start(self, goal: str) -> Start:
+        return Start(goal, 1.0, self.capacity_l, dict(self.contents_mol), self.last_bench, self.last_role)
+
+
+class _Recorded(BaseModel):
+    """A file of recorded vessels."""
+
+    model_config = _FROZEN
+
+    scenario: str
+    same_as: str | None = pydantic.Field(default=None, pattern=r"^[\w.-]+\.json$")
+    """File beside this one whose vessels these are, too."""
+    vessels: tuple[_Vessel, ...] = ()
+    """Each different vessel once."""
+    benches: dict[str, dict[str, tuple[Annotated[int, pydantic.Field(ge=0)], ...]]] = {}
+    """Index into the vessels of each that was recorded, by bench and goal."""
+
+
+def _read(path: Path) -> _Recorded:
+    recorded: _Recorded = validated(_Recorded, read_json(path, _FILE_BYTES), str(path))
+    return recorded
 
 
 class StartPool(NamedTuple):
@@ -97,47 +136,58 @@ def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
 def starts_file(scenario: Scenario) -> Path:
     """Where a scenario's recorded starting states are: with chemlab, or beside the user's scenario file."""
     shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
-    return shipped if scenario.name in scenario_names() else Path(scenario.origin).with_suffix(".starts.json")
+    return shipped if scenario.name in scenario_names() else Path(scenario.origin).with_suffix(_SUFFIX)
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
-    """Recorded vessels of one bench, or those that were submitted (:data:`SUBMIT`).
+    """Recorded vessels of one bench, or those that were submitted (:data:`SUBMIT`), in the order of recording.
 
     Raises:
-        DataError: nothing has been recorded for this scenario or bench, or the file names unknown materials.
+        DataError: nothing has been recorded for this scenario or bench, or the file does not fit the scenario.
     """
+    again = f"run: chemlab starts {scenario.reference}"
     path = starts_file(scenario)
     if not path.is_file():
-        raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; run: chemlab starts {scenario.name}")
-    recorded = json.loads(path.read_text(encoding="utf-8"))["benches"].get(bench, [])
-    if not recorded:
+        raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; {again}")
+    recorded = _read(path)
+    if recorded.same_as is not None:
+        path = path.with_name(recorded.same_as)
+        recorded = _read(path)
+    found = recorded.benches.get(bench)
+    if not found:
         raise DataError(f"starts: {path} has no vessels of bench {bench!r}; use starts='paper'")
     vessels: list[Start] = []
-    for entry in recorded:
-        unknown = set(entry["contents_mol"]) - set(scenario.materials)
-        if unknown or entry["goal"] not in scenario.goals:
-            raise DataError(f"{path}: benches.{bench}: unknown {sorted(unknown) or entry['goal']!r}; record it again")
-        last = entry.get("last_bench"), int(entry.get("last_role", 0))
-        vessels.append(Start(entry["goal"], 1.0, float(entry["capacity_l"]), dict(entry["contents_mol"]), *last))
+    for goal, indices in found.items():
+        for i in indices:
+            if i >= len(recorded.vessels):
+                raise DataError(f"{path}: benches.{bench}.{goal}: no vessel {i} among {len(recorded.vessels)}; {again}")
+            start = recorded.vessels[i].start(goal)
+            last = () if start.last_bench is None else (start.last_bench,)
+            unknown = {*start.contents_mol} - {*scenario.materials} | {goal} - {*scenario.goals}
+            unknown |= {*last} - {*scenario.benches}
+            if unknown:
+                raise DataError(f"{path}: benches.{bench}.{goal}: vessel {i}: unknown {min(unknown)!r}; {again}")
+            vessels.append(start)
     return vessels
 
 
 def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:
-    """Write recorded vessels by bench."""
-    content = {
-        "scenario": scenario.name,
-        "benches": {
-            bench: [
-                {
-                    "goal": start.goal,
-                    "capacity_l": start.capacity_l,
-                    "contents_mol": {n: float(f"{x:.6g}") for n, x in start.contents_mol.items()},
-                    **({} if start.last_bench is None else {"last_bench": start.last_bench}),
-                    **({"last_role": start.last_role} if start.last_role else {}),
-                }
-                for start in found
-            ]
-            for bench, found in vessels.items()
-        },
-    }
-    write_text(path, json.dumps(content, separators=(",", ":")) + "\n")
+    """Write recorded vessels by bench: each different vessel once, and by bench and goal which of them it was, in the
+    order of recording."""
+    numbers: dict[str, int] = {}
+    benches: dict[str, dict[str, list[int]]] = {}
+    for bench, found in vessels.items():
+        benches[bench] = {}
+        for start in found:
+            contents = {name: float(f"{mol:.6g}") for name, mol in start.contents_mol.items()}
+            vessel = {"capacity_l": start.capacity_l, "contents_mol": contents}
+            vessel |= {} if start.last_bench is None else {"last_bench": start.last_bench}
+            vessel |= {"last_role": start.last_role} if start.last_role else {}
+            number = numbers.setdefault(json.dumps(vessel, separators=(",", ":")), len(numbers))
+            benches[bench].setdefault(start.goal, []).append(number)
+    lines = [
+        f'{{"scenario":{json.dumps(scenario.name)},"vessels":[',
+        ",\n".join(numbers),
+        f'],"benches":{json.dumps(benches, separators=(",", ":"))}}}',
+    ]
+    write_text(path, "\n".join(lines) + "\n")

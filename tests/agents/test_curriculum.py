@@ -121,7 +121,7 @@ def test_wrong_shares(shares: dict[str, float], message: str) -> None:
 
 
 def test_a_scenario_that_nobody_has_played() -> None:
-    scenario = load_scenario("wurtz_dodecane").model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
+    scenario = load_scenario({"base": "wurtz_dodecane", "name": "never_played"})
     with pytest.raises(DataError, match="run: chemlab starts never_played"):
         Laboratories(scenario).prepare({"dit": 1.0})
 

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -30,7 +29,7 @@ from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.laboratory.starts import lab_starts
-from chemlab.materials import DataError, read_toml
+from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
 
 IDS = sorted(
@@ -714,7 +713,7 @@ def test_unknown_render_mode() -> None:
 
 
 def test_lab_starts_that_nobody_recorded() -> None:
-    content = read_toml(Path(load_scenario("wurtz_dodecane").origin))
+    content = load_scenario("wurtz_dodecane").model_dump(mode="json")
     scenario = load_scenario({**content, "name": "never_played"})
     with pytest.raises(DataError, match="run: chemlab starts never_played"):
         BenchEnv(scenario, "ext", starts="lab")

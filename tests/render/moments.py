@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from chemlab.chemistry import CLOCK, CLOCK_WAS
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.core import Laboratories
-from chemlab.materials import read_toml
 from chemlab.render.scene import Scene, bench_scene, laboratory_scene
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
@@ -62,7 +60,7 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
 
 def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
     """``wurtz_any`` with another shelf and other numbers of benches."""
-    data = read_toml(Path(load_scenario("wurtz_any").origin))
+    data = load_scenario("wurtz_any").model_dump(mode="json")
     vessel = data["shelf"]["vessel"][0]
     data["shelf"] = {"slots": slots, "vessel": [vessel] * min(4, slots)}
     for key, count in counts.items():

@@ -1,0 +1,181 @@
+"""Reading data files that others wrote: within bounds before they are parsed, against a model afterwards.
+
+Whatever is wrong with a file is a :class:`DataError` that names file, key, value and bound.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["DataError", "bounded", "dotted_key", "read_json", "read_toml", "validated"]
+
+_FILE_BYTES = 1_000_000
+_DEPTH = 12
+_ENTRIES = 10_000
+_TEXT = 4000
+_KEY = 100
+_INTEGER = 2**53  # beyond it a number in a file is no longer the number that is computed with
+_LINES = 20
+_SHOWN = 100
+
+_DOTTED = re.compile(
+    rf"""(?<![\w.-])(?:(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{_DEPTH}}}""",
+)
+"""A dotted key deeper than files may be: the parser's time grows with the square of its length."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""What moves a terminal's cursor, and halves of characters that no file can hold."""
+
+
+class DataError(ValueError):
+    """A data file (material, reaction, scenario) is wrong; the message names file, key, value and bound."""
+
+
+def _read(path: Path, limit: int) -> str:
+    if "\0" in str(path):
+        raise DataError(f"{str(path)!r}: a path has no null character")
+    try:
+        if path.exists() and not path.is_file():
+            raise DataError(f"{path}: is no file")
+        with path.open("rb") as handle:
+            content = handle.read(limit + 1)
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file") from error
+    except OSError as error:
+        raise DataError(f"{_shown(str(path))}: {error.strerror or error}") from error
+    if len(content) > limit:
+        raise DataError(f"{path}: is larger than {limit} bytes")
+    return content.decode("utf-8")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file.
+
+    Raises:
+        DataError: the file is missing, too large, malformed, or nested too deeply; the message names it.
+    """
+    try:
+        text = _read(path, _FILE_BYTES)
+        if _DOTTED.search(text):
+            raise DataError(f"{path}: a dotted key of more than {_DEPTH} parts")
+        return dict(bounded(tomllib.loads(text), str(path)))
+    except RecursionError as error:
+        raise DataError(f"{path}: nested more than {_DEPTH} levels deep") from error
+    except DataError:
+        raise
+    except ValueError as error:  # not TOML, not UTF-8, an integer of more digits than Python reads
+        raise DataError(f"{path}: not valid TOML: {error}") from error
+
+
+def read_json(path: Path, limit: int = _FILE_BYTES) -> Any:
+    """Parse a JSON file of at most ``limit`` bytes.
+
+    Raises:
+        DataError: the file is missing, too large, malformed, or nested too deeply; the message names it.
+    """
+    try:
+        return bounded(json.loads(_read(path, limit)), str(path))
+    except RecursionError as error:
+        raise DataError(f"{path}: nested more than {_DEPTH} levels deep") from error
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(f"{path}: not valid JSON: {error}") from error
+
+
+def dotted_key(text: object, where: str) -> list[str]:
+    """The parts of a key as TOML writes it: ``costs.stock_per_mol.'Na+'``.
+
+    Raises:
+        DataError: the text is no such key.
+    """
+    parts: list[str] = []
+    try:
+        if not isinstance(text, str) or "\n" in text or _DOTTED.search(text):
+            raise ValueError(text)
+        found = tomllib.loads(f"{text} = 0")
+        while isinstance(found, dict):
+            ((part, found),) = found.items()
+            parts.append(part)
+        if found != 0:
+            raise ValueError(text)
+    except ValueError as error:
+        raise DataError(f"{where}: must be keys as in a.b or a.'Na+', given {_shown(text)}") from error
+    return parts
+
+
+def bounded(content: Any, where: str) -> Any:
+    """``content``, once every table, list, text and integer in it is known to be of a reasonable size.
+
+    Raises:
+        DataError: something is nested too deeply, too long or too large, or a text has control characters.
+    """
+    left: list[tuple[tuple[str, ...], Any]] = [((), content)]
+    while left:
+        path, value = left.pop()
+
+        def wrong(problem: str, path: tuple[str, ...] = path) -> DataError:
+            return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
+
+        if isinstance(value, Mapping):
+            for key in value:
+                if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
+                    raise wrong(f"a key must be 1 to {_KEY} printable characters, given {_shown(key)}")
+            children = [((*path, key), child) for key, child in value.items()]
+        elif isinstance(value, (list, tuple)):
+            children = [((*path, str(i)), child) for i, child in enumerate(value)]
+        else:
+            if isinstance(value, str) and (len(value) > _TEXT or _CONTROL.search(value)):
+                raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {_shown(value)}")
+            if isinstance(value, int) and abs(value) > _INTEGER:
+                raise wrong(f"a whole number must be within {_INTEGER}, given one of {value.bit_length()} bits")
+            continue
+        if children and len(path) >= _DEPTH:
+            raise wrong(f"nested more than {_DEPTH} levels deep")
+        if len(children) > _ENTRIES:
+            raise wrong(f"has {len(children)} entries; at most {_ENTRIES}")
+        left += children
+    return content
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(text)} characters)"
+
+
+def _described(error: ValidationError, where: str) -> str:
+    """Turn a pydantic error into lines ``where: key: problem (given value)``."""
+    found = error.errors(include_url=False)
+    lines = []
+    for item in found[:_LINES]:
+        place = ".".join(str(part) for part in item["loc"])
+        message = re.sub(r"^Value error, ", "", item["msg"])
+        given = item.get("input")
+        bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"
+        lines.append(": ".join(filter(None, (where, place, message))) + ("" if bare else f", given {_shown(given)}"))
+    if len(found) > _LINES:
+        lines.append(f"{where}: and {len(found) - _LINES} more")
+    return "\n".join(lines)
+
+
+def validated(model: type[BaseModel], values: Any, where: str) -> Any:
+    """Build ``model`` from ``values``; failures become a :class:`DataError` naming ``where`` and the key."""
+    try:
+        return model.model_validate(dict(values) if isinstance(values, Mapping) else values)
+    except ValidationError as error:
+        raise DataError(_described(error, where)) from error

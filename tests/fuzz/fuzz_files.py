@@ -1,0 +1,321 @@
+"""Broken files, by the thousand: whatever is in a scenario, material, reaction or starts file, or in the scenario of a
+record, either it loads or the error is a DataError that names the file.
+
+    python tests/fuzz/fuzz_files.py --files 5000 --seed 0      # what fails is kept in --keep, one folder each
+
+Each try takes a set of files that load, changes one of them, in its structure or in its text, loads it,
+builds its laboratory and, with ``--turns``, plays some turns at random.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import signal
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from chemlab.chemistry import build_chemistry
+from chemlab.datafile import DataError, read_json, read_toml
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.starts import lab_starts, start_pool
+from chemlab.materials import shipped_materials
+from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
+
+SECONDS = 20
+LONGEST_MESSAGE = 20_000
+
+KINDS = ("scenario", "material", "reaction", "record", "starts")
+
+NASTY: tuple[Any, ...] = (
+    0, 1, -1, 2, 64, 65, 1e-300, 5e-324, 1e-6, 1e6, 3e8, 1e300, -0.0, 2**53, 2**63, -(2**63), 10**400,
+    float("inf"), float("-inf"), float("nan"), True, False, "", " ", "x" * 5000, "\x1b[31mred", "[/bold]", ":X:",
+    "../../x.toml", "/dev/zero", "/dev/zero.toml", "a\nb", "é", "\U0001f9ea", "\u2028", "a.b.c", "None", "nan",
+    "chemlab:Nothing", "air", "H2", "NaCl", "Na+", "manager", "wurtz_dodecane", "lab.toml",
+    [], {}, [[]], [{}], {"": 1}, {"a": {}},
+    [0] * 300, ["a"] * 300, [0] * 20_000, {str(i): 1.0 for i in range(300)}, {str(i): 1.0 for i in range(20_000)},
+)  # fmt: skip
+
+NUMBERS = 20  # with the three that are none
+"""Of these the first are numbers."""
+
+TEXTS = (
+    "[" * 100_000, "x = " + "[" * 3000, "x = " + "{a=" * 3000, "a." * 50_000 + "a = 1\n", "[" + "a." * 50_000 + "a]\n",
+    "\x00", "x = " + "9" * 5000, "x = 1e999", "x = 0x" + "f" * 50_000, "'''", '"""', "\ufeff", "[[shelf.vessel]]\n",
+    "[shelf]\n", "#" * 2_000_000,
+)  # fmt: skip
+
+
+NAMES = {"scenario": "lab.toml", "material": "goo.toml", "reaction": "own.toml"}
+
+
+class Files(NamedTuple):
+    """A set of files that load, parsed, by kind."""
+
+    scenario: dict[str, Any]
+    material: dict[str, Any]
+    reaction: dict[str, Any]
+
+
+def seeds() -> list[Files]:
+    """Sets of files to begin from: every shipped scenario with its family as the user's own, one that is written out,
+    and one with a material and a reaction of its own."""
+    goo = {key: shipped_materials()[name].model_dump(mode="json", exclude_none=True) for key, name in GOO.items()}
+    found = []
+    for name in scenario_names():
+        scenario = load_scenario(name)
+        family = scenario.family.model_dump(mode="json")
+        short = read_toml(Path(scenario.origin))
+        long = scenario.model_dump(mode="json", exclude_none=True) | {"material_files": ["goo.toml"]}
+        found += [Files(values | {"reactions": "own.toml"}, goo, family) for values in (short, long)]
+    slime = {
+        "reactants": {"goo": 1.0}, "products": {"slime": 1.0}, "pre_exponential": 1.0,
+        "activation_energy_j_mol": 0.0, "source": "made up",
+    }  # fmt: skip
+    own = copy.deepcopy(found[-1])
+    own.scenario["stock"]["goo"] = 1.0
+    own.scenario["goals"].append("slime")
+    own.reaction["reaction"].append(slime)
+    return [*found, own]
+
+
+GOO = {"goo": "dodecane", "slime": "dodecane", "ooze": "hexane"}
+
+
+def inline(value: Any) -> str:
+    """A value as TOML writes it within a line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(str(k))} = {inline(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    return json.dumps(str(value)).replace("\x7f", "\\u007f")
+
+
+def toml(content: dict[str, Any]) -> str:
+    """A file with one line for each key."""
+    return "".join(f"{json.dumps(key)} = {inline(value)}\n" for key, value in content.items())
+
+
+def places(content: Any) -> list[tuple[Any, Any]]:
+    """Every (container, key) of a nested structure."""
+    found, left = [], [content]
+    while left:
+        at = left.pop()
+        for key, value in list(at.items() if isinstance(at, dict) else enumerate(at)):
+            found.append((at, key))
+            if isinstance(value, (dict, list)):
+                left.append(value)
+    return found
+
+
+def change(content: dict[str, Any], rng: np.random.Generator) -> None:
+    """One change of structure, in place; every third of a number alone."""
+    everywhere = places(content)
+    numbers = [(at, key) for at, key in everywhere if type(at[key]) in (int, float) and abs(at[key]) < 1e200]
+    if numbers and rng.random() < 1 / 3:
+        at, key = numbers[rng.integers(len(numbers))]
+        factor = float(10.0 ** rng.integers(-12, 13) if rng.random() < 0.5 else rng.lognormal())
+        at[key] = NASTY[rng.integers(NUMBERS)] if rng.random() < 0.2 else at[key] * factor
+        return
+    if not everywhere:
+        content["x"] = 1
+        return
+    at, key = everywhere[rng.integers(len(everywhere))]
+    value = at[key]
+    nasty = copy.deepcopy(NASTY[rng.integers(len(NASTY))])
+    match int(rng.integers(7)):
+        case 0:
+            at[key] = nasty
+        case 1:
+            del at[key]
+        case 2:
+            other, where = everywhere[rng.integers(len(everywhere))]
+            at[key] = copy.deepcopy(other[where]) if where in other or isinstance(other, list) else nasty
+        case 3 if isinstance(at, dict):
+            names = [str(k) for _, k in everywhere]
+            at[names[rng.integers(len(names))] if rng.random() < 0.8 else str(nasty)[:200]] = at.pop(key)
+        case 4 if isinstance(at, list):
+            at.extend(copy.deepcopy(value) for _ in range(int(rng.choice([1, 3, 100, 1000]))))
+        case 5:
+            for _ in range(int(rng.choice([1, 3, 30, 100]))):
+                value = [value] if rng.random() < 0.5 else {"a": value}
+            at[key] = value
+        case _:
+            (at if isinstance(at, dict) else content)[str(nasty)[:200] or "x"] = copy.deepcopy(value)
+
+
+def scribble(text: str, rng: np.random.Generator) -> bytes:
+    """One change of the text itself."""
+    raw = text.encode("utf-8", "surrogatepass")
+    a, b = sorted(int(x) for x in rng.integers(0, len(raw) + 1, 2))
+    match int(rng.integers(6)):
+        case 0:
+            return raw[:a]
+        case 1:
+            return raw[:a] + raw[b:]
+        case 2:
+            return raw[:b] + raw[a:b] + raw[b:]
+        case 3:
+            return raw[:a] + rng.bytes(int(rng.integers(1, 9))) + raw[a:]
+        case 4:
+            flipped = bytearray(raw)
+            for i in rng.integers(0, max(len(raw), 1), 3):
+                if raw:
+                    flipped[i] = rng.integers(32, 127)
+            return bytes(flipped)
+        case _:
+            return raw[:a] + b"\n" + TEXTS[rng.integers(len(TEXTS))].encode() + raw[a:]
+
+
+def write(folder: Path, base: Files) -> None:
+    """A set of files."""
+    for kind, name in NAMES.items():
+        (folder / name).write_bytes(toml(getattr(base, kind)).encode())
+
+
+def write_broken(folder: Path, kind: str, base: Files, rng: np.random.Generator) -> None:
+    """A set of files with the one of ``kind`` changed."""
+    write(folder, base)
+    content = copy.deepcopy(getattr(base, kind))
+    for _ in range(int(rng.integers(0, 4))):
+        change(content, rng)
+    text, whole = toml(content), toml(getattr(base, kind))
+    (folder / NAMES[kind]).write_bytes(scribble(text, rng) if text == whole or rng.random() < 0.15 else text.encode())
+
+
+def write_json(path: Path, content: dict[str, Any], rng: np.random.Generator) -> None:
+    """A JSON file with a change or two."""
+    content = copy.deepcopy(content)
+    for _ in range(int(rng.integers(1, 4))):
+        change(content, rng)
+    text = json.dumps(content)
+    path.write_bytes(scribble(text, rng) if rng.random() < 0.2 else text.encode())
+
+
+def attempt(folder: Path, kind: str, base: Files, rng: np.random.Generator, turns: int) -> str:
+    """One try: ``loaded``, or what was wrong with the files.
+
+    Raises:
+        Exception: anything but a readable error: that is what is looked for.
+    """
+    try:
+        if kind == "record":
+            name = scenario_names()[rng.integers(len(scenario_names()))]
+            write_json(folder / "dump.json", dump_scenario(load_scenario(name)), rng)
+            scenario = restore_scenario(read_json(folder / "dump.json"), str(folder / "dump.json"))
+        elif kind == "starts":
+            shipped = load_scenario("salt_from_oil")
+            recorded = Path(load_scenario.__code__.co_filename).parent / "data" / "starts" / "salt_from_oil.json"
+            (folder / "lab.toml").write_text('base = "salt_from_oil"\nname = "lab"\n', encoding="utf-8")
+            write_json(folder / "lab.starts.json", read_json(recorded), rng)
+            scenario = load_scenario(folder / "lab.toml")
+            for bench in shipped.benches:
+                start_pool(build_chemistry(scenario), scenario, lab_starts(scenario, bench))
+        else:
+            write_broken(folder, kind, base, rng)
+            scenario = load_scenario(folder / "lab.toml")
+        again = restore_scenario(json.loads(json.dumps(dump_scenario(scenario))), str(folder))
+        assert dump_scenario(again) == dump_scenario(scenario), "a restored scenario is the same"
+        play(scenario, turns, int(rng.integers(2**31)))
+    except DataError as error:
+        message = str(error)
+        assert str(folder) in message or kind == "record", f"names no file: {message[:300]}"
+        assert len(message) <= LONGEST_MESSAGE, f"a message of {len(message)} characters: {message[:300]}"
+        return message.replace(str(folder), "")
+    return "loaded"
+
+
+def play(scenario: Any, turns: int, seed: int) -> None:
+    """Build the laboratory, and play that many random turns in it; every number that comes of it is finite."""
+    env = raw_env(scenario)
+    if not turns:
+        return
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    for agent in env.agent_iter(turns):
+        observation, reward, terminated, truncated, info = env.last()
+        assert observation is not None
+        assert np.isfinite(observation).all(), f"{agent} sees what is no number"
+        assert np.isfinite(reward), f"{agent} is paid what is no number"
+        if terminated or truncated:
+            env.step(None)
+            continue
+        mask = info.get("action_mask")
+        space = env.action_space(agent)
+        env.step(rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask))))
+
+
+@contextmanager
+def limited(seconds: int) -> Iterator[None]:
+    """A TimeoutError after that long."""
+
+    def stop(*_: Any) -> None:
+        raise TimeoutError(f"took more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
+    """Try ``files`` broken files.
+
+    Returns:
+        How many loaded and how many were refused, by kind; and a traceback of everything else, with its number.
+    """
+    bases, outcomes, failures = seeds(), Counter[str](), []
+    for number in range(files):
+        rng = np.random.default_rng([seed, number])
+        kind = KINDS[number % len(KINDS)]
+        base = bases[rng.integers(len(bases))]
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            try:
+                with limited(SECONDS):
+                    said = attempt(folder, kind, base, rng, turns)
+                outcomes[f"{kind}: {'loaded' if said == 'loaded' else 'refused'}"] += 1
+            except Exception:
+                outcomes[f"{kind}: failed"] += 1
+                failures.append(f"--- {seed}/{number} ({kind})\n{traceback.format_exc()[-3000:]}")
+                if keep is not None:
+                    kept = keep / f"{seed}-{number}"
+                    kept.mkdir(parents=True, exist_ok=True)
+                    for path in folder.iterdir():
+                        (kept / path.name).write_bytes(path.read_bytes())
+    return outcomes, failures
+
+
+def main() -> int:
+    """Run the fuzzer, print what failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--turns", type=int, default=0, help="random turns to play where a file loads")
+    parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
+    arguments = parser.parse_args()
+    outcomes, failures = fuzz(arguments.files, arguments.seed, arguments.turns, arguments.keep)
+    print("\n".join(failures))
+    for outcome, count in sorted(outcomes.items()):
+        print(f"{outcome}: {count}")
+    return min(len(failures), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,37 @@
+"""Two hundred broken files, the same every time; thousands by ``python tests/fuzz/fuzz_files.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from fuzz_files import KINDS, change, fuzz, places, seeds, toml, write
+
+from chemlab.datafile import read_toml
+from chemlab.scenario import load_scenario
+
+
+def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
+    for base in seeds():
+        write(tmp_path, base)
+        assert read_toml(tmp_path / "lab.toml") == base.scenario, "the writer writes what is meant"
+        load_scenario(tmp_path / "lab.toml")
+
+
+def test_broken_files_are_readable_errors() -> None:
+    outcomes, failures = fuzz(200, seed=0, turns=5)
+    assert not failures, "\n".join(failures)
+    # The fuzzer would prove nothing if it broke nothing, or everything.
+    assert sum(outcomes.values()) == 200
+    assert all(outcomes[f"{kind}: refused"] > 10 for kind in KINDS)
+    assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 10
+
+
+def test_a_change_stays_in_the_file_it_is_made_to() -> None:
+    one, other = seeds()[0].scenario, seeds()[0].scenario
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        change(one, rng)
+    assert toml(one) != toml(other)
+    assert other == seeds()[0].scenario
+    assert len(places(other)) > 100

@@ -1,0 +1,78 @@
+"""Recorded starting vessels: what the files may hold, and that each vessel is in them once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import chemlab
+from chemlab.datafile import DataError
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import Start, lab_starts, starts_file, write_starts
+from chemlab.scenario import load_scenario
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"benches": {"rxn": {"dodecane": [1]}}}, r"benches.rxn.dodecane: no vessel 1 among 1; run: chemlab starts "),
+        ({"benches": {"rxn": {"dodecane": [-1]}}}, r"benches.rxn.dodecane.0: .*greater than or equal to 0"),
+        ({"benches": {"rxn": {"gold": [0]}}}, r"benches.rxn.gold: vessel 0: unknown 'gold'"),
+        ({"benches": {}}, r"has no vessels of bench 'rxn'"),
+        ({"vessels": [{"capacity_l": 1.0, "contents_mol": {"gold": 1.0}}]}, r"vessel 0: unknown 'gold'"),
+        ({"vessels": [{"capacity_l": 1.0, "contents_mol": {}, "last_bench": "submit"}]}, r"unknown 'submit'"),
+        ({"vessels": [{"capacity_l": -1.0, "contents_mol": {}}]}, r"vessels.0.capacity_l: .*greater than 0"),
+        ({"same_as": "../x.json"}, r"same_as: .*pattern"),
+        ({"same_as": "nowhere.json"}, r"nowhere.json: no such file"),
+    ],
+)
+def test_recorded_vessels_that_do_not_fit(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text('base = "wurtz_dodecane"\nname = "lab"\n')
+    content = {
+        "scenario": "lab",
+        "vessels": [{"capacity_l": 1.0, "contents_mol": {"water": 1.0}, "last_bench": "dit"}],
+        "benches": {"rxn": {"dodecane": [0, 0]}},
+    }
+    path = tmp_path / "lab.starts.json"
+    path.write_text(json.dumps(content))
+    first, second = lab_starts(load_scenario(tmp_path / "lab.toml"), "rxn")
+    assert first == second
+    assert (first.goal, first.contents_mol, first.last_bench) == ("dodecane", {"water": 1.0}, "dit")
+    path.write_text(json.dumps({**content, **change}))
+    with pytest.raises(DataError, match=message):
+        lab_starts(load_scenario(tmp_path / "lab.toml"), "rxn")
+
+
+def test_what_is_recorded_is_read_again_and_stored_once(tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text('base = "wurtz_dodecane"\nname = "lab"\n')
+    scenario = load_scenario(tmp_path / "lab.toml")
+    one, two = Start("dodecane", 1.0, 1.2, {"water": 1.25}), Start("NaCl", 1.0, 1.2, {"water": 1.25}, "dit", 2)
+    recorded = {"dit": [one, one, two, one], "submit": [two, one._replace(goal="NaCl")]}
+    write_starts(starts_file(scenario), scenario, recorded)
+    assert len(json.loads(starts_file(scenario).read_text())["vessels"]) == 2
+    # Grouped by goal, in the order of recording within each: that is what is drawn from.
+    assert lab_starts(scenario, "dit") == [one, one, one, two]
+    assert lab_starts(scenario, "submit") == recorded["submit"]
+
+
+@pytest.mark.parametrize("path", sorted((Path(chemlab.__file__).parent / "data" / "starts").glob("*.json")))
+def test_no_shipped_vessel_is_stored_twice(path: Path) -> None:
+    vessels = json.loads(path.read_text()).get("vessels", [])
+    assert len({json.dumps(vessel, sort_keys=True) for vessel in vessels}) == len(vessels)
+
+
+def test_a_role_that_no_bench_has_is_refused(tmp_path: Path) -> None:
+    """It would be an index beyond the manager's observation."""
+    (tmp_path / "lab.toml").write_text('base = "wurtz_dodecane"\nname = "lab"\n')
+    scenario = load_scenario(tmp_path / "lab.toml")
+    for role, fits in ((2, True), (3, False)):
+        start = Start("dodecane", 1.0, 1.2, {"water": 1.25}, "dit", role)
+        write_starts(starts_file(scenario), scenario, {"dit": [start]})
+        if fits:
+            Laboratories(scenario).prepare({"dit": 1.0})
+        else:
+            with pytest.raises(DataError, match="last_role = 3 must be below 3"):
+                Laboratories(scenario).prepare({"dit": 1.0})
