@@ -230,7 +230,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("magnitudes = [0.5]", "magnitudes = [1.5]", ["benches.dit.process.1", "magnitudes", "at most 1", "1.5"]),
         ("magnitudes = [-5, 5]", "magnitudes = [0]", ["benches.dit.process.0", "magnitudes", "0"]),
         ("magnitudes = [-5, 5]", "magnitudes = [nan]", ["benches.dit", "process.0", "magnitudes", "nan"]),
-        ('kind = "heat"', 'kind = "stare"', ["benches.dit", "process.0.kind", "'stare'"]),
+        ('kind = "heat"', 'kind = "stare"', ["benches.dit.process.0", "kind", "heat, pour", "'stare'"]),
         ('kind = "heat"', 'kind = "drain"', ["benches.dit.process.0", "kind", "heat, pour", "'drain'"]),
         # What nothing can be done with, and what would take too much.
         ("[[shelf.vessel]]\ncapacity_l = 1.0\ncontents = { diethyl_ether = 4.0 }\n", "", ["shelf", "at least one"]),
