@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +17,7 @@ from helpers import Careless, four_solvents
 from typer.testing import CliRunner
 
 import chemlab.record as module
+import chemlab.record.format as format_module
 import chemlab.record.recorder as recorder_module
 import chemlab.record.verify as verify_module
 import chemlab.scenarios
@@ -22,7 +27,7 @@ from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.parallel import parallel_env
-from chemlab.record import Play, Recorder, RecordError, read_record, verify_record
+from chemlab.record import LIMITS, Play, Recorder, RecordError, read_record, verify_record
 from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
 
 SCENARIOS = scenario_names()
@@ -654,6 +659,99 @@ def test_misuse_of_a_recorder(tmp_path: Path) -> None:
         recorder.begin(0)
         with pytest.raises(ValueError, match="not over"):
             recorder.begin(0)
+
+
+# -- more than a record may be ---------------------------------------------------------------------------------
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
+    """Tighten the limits, so that small files break them."""
+    monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**limits))
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [("file_bytes", "larger than"), ("turns", "more than .* turns"), ("values", "more than .* values")],
+)
+def test_files_that_are_too_large(key: str, message: str, honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the limit a record is read, one beyond it is refused."""
+    content, record = honest.read_bytes(), read_record(honest)
+    sizes = {"file_bytes": len(content), "turns": len(record.turns), "values": sum(map(content.count, b",:[{"))}
+    limited(monkeypatch, **{key: sizes[key]})
+    assert verify_record(honest).status == "ok"
+    limited(monkeypatch, **{key: sizes[key] - 1})
+    result = verify_record(honest)
+    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert re.search(message, result.message)
+
+
+@pytest.mark.parametrize("key", ["materials", "reactions", "goals", "agents", "instruments"])
+def test_scenarios_that_are_too_large(key: str, honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = load_scenario("wurtz_dodecane")
+    sizes = {
+        "materials": len(spec.materials),
+        "reactions": len(spec.family.reaction) + len(spec.family.salt) + len(spec.family.violent),
+        "goals": len(spec.goals),
+        "agents": len(spec.bench_agents()),
+        "instruments": len(spec.instruments),
+    }
+    limited(monkeypatch, **{key: sizes[key]})
+    assert verify_record(honest).status == "ok"
+    limited(monkeypatch, **{key: sizes[key] - 1})
+    result = verify_record(honest)
+    assert result.status == "unchecked"
+    assert f"has {sizes[key]} {key}; a record's may have {sizes[key] - 1}" in result.message
+
+
+def test_a_line_that_is_too_much(honest: Path, tmp_path: Path) -> None:
+    lines = honest.read_bytes().split(b"\n")
+    for rubbish, problem in (
+        (b'{"turn":"' + b"a" * LIMITS.line_bytes + b'"}', "longer than"),
+        (b'{"turn":' + b"[" * 20 + b"]" * 20 + b"}", "inside each other"),
+        (b'{"turn":' + b"[" * 5000 + b"]" * 5000 + b"}", "no JSON"),
+        (b'{"turn":' + b"9" * 4000 + b"}", "whole number"),
+        (b'{"turn":1e400}', "not finite"),
+        (b'{"turn":1,"turn":1}', "the key 'turn' twice"),
+        (b'{"turn":"\\ud800"}', "no character"),
+    ):
+        path = tmp_path / "a.jsonl"
+        path.write_bytes(b"\n".join([*lines[:20], rubbish, *lines[21:]]))
+        record = read_record(path)
+        assert record.broken is not None
+        assert record.broken[0] == 21
+        assert problem in record.broken[1]
+        assert len(record.turns) == 19
+        result = verify_record(path)
+        assert (result.status, result.turns) == ("tampered", 19)
+        assert f"line 21 {record.broken[1]}" in result.message
+        path.write_bytes(rubbish + b"\n")
+        assert verify_record(path).status == "unchecked"
+
+
+def test_reading_takes_little_memory(honest: Path, tmp_path: Path) -> None:
+    """As many short texts as a record may have, each an object of its own: they take half a gigabyte, no more."""
+    head, line = honest.read_bytes().split(b"\n")[0], b'{"a":[' + b'"ab",' * 200_000 + b"1]}"
+    path = tmp_path / "a.jsonl"
+    path.write_bytes(b"\n".join([head, *[line] * 24, b""]))
+    assert LIMITS.values - 200_000 < sum(map(path.read_bytes().count, b",:[{")) < LIMITS.values
+    measure = (
+        "import resource, sys; from chemlab.record import read_record\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "assert len(read_record(sys.argv[1]).turns) == 24\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    found = subprocess.run([sys.executable, "-c", measure, path], capture_output=True, text=True, check=True)
+    kilobytes = int(found.stdout) / (1024 if sys.platform == "darwin" else 1)
+    assert kilobytes < 500_000
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+def test_what_is_no_file(tmp_path: Path) -> None:
+    """A pipe that nobody writes to is not waited for."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero"), tmp_path / ("a" * 300), Path("a\0b"), Path("")):
+        result = verify_record(path)
+        assert (result.status, result.exit_code) == ("unchecked", 5), path
 
 
 # -- things of one's own --------------------------------------------------------------------------------------

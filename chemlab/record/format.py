@@ -242,8 +242,9 @@ def _content(path: Path) -> bytes:
     except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
         if isinstance(error, RecordError):
             raise
-        part = path.with_name(path.name + ".part") if path.name else path
-        hint = f"; the episode was not finished: read {part}" if isinstance(error, OSError) and part.is_file() else ""
+        hint = ""
+        if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
+            hint = f"; the episode was not finished: read {path}.part"
         raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
     if len(content) > LIMITS.file_bytes:
         raise RecordError(f"{path}: is larger than {LIMITS.file_bytes} bytes, the most that a record may be")

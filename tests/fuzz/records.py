@@ -34,7 +34,7 @@ from chemlab.agents.run import play_episode
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.materials import DataError
-from chemlab.record import RecordError, Recorder, read_record, verify_record
+from chemlab.record import Recorder, RecordError, read_record, verify_record
 from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline
 from chemlab.render.replay import replay_page
 
@@ -64,9 +64,9 @@ def hostile(rng: np.random.Generator, pool: list[Any]) -> Any:
         None, True, False, 0, 1, -1, 255, 2**31, 2**63, 2**64, 2**127, 10**60, 0.5, -0.5, 1e-320, 1e308, -1e308, 1e6,
         Raw("NaN"), Raw("Infinity"), Raw("-Infinity"), Raw("1e999"), Raw("-0.0"), Raw("9" * 5000), Raw('"\\ud800"'),
         "", "x", "0" * 16, "\x1b[31mred", "[/bold]", ":smile:", "\u202e", "a\nb", "$x_", "../../x", "</script>", "\0",
-        "a" * 100_000, [], {}, [[]], [{}], {"": {}}, {"a": 1}, [0] * 3000, ["a"] * 300, {str(i): i for i in range(2000)},
-        Raw("[" * 30 + "]" * 30), Raw("[" * 3000 + "]" * 3000), Raw('{"a":1,"a":2}'), Raw("[1,]"), Raw("1 2"),
-        "posix:system", "chemlab.shelf:Shelf",
+        "a" * 100_000, [], {}, [[]], [{}], {"": {}}, {"a": 1}, [0] * 3000, ["a"] * 300,
+        dict.fromkeys(map(str, range(2000))), Raw("[" * 30 + "]" * 30), Raw("[" * 3000 + "]" * 3000),
+        Raw('{"a":1,"a":2}'), Raw("[1,]"), Raw("1 2"), "posix:system", "chemlab.shelf:Shelf",
     ]  # fmt: skip
     if rng.random() < 0.3:
         return copy.deepcopy(pool[rng.integers(len(pool))])
@@ -83,18 +83,31 @@ def places(value: Any) -> list[tuple[Any, Any]]:
     return found
 
 
+def descend(rng: np.random.Generator, root: Any) -> tuple[Any, Any]:
+    """(container, key) of a place inside; those near the top, on which much depends, come up more often."""
+    container = root
+    while True:
+        keys = list(container) if isinstance(container, dict) else range(len(container))
+        key = keys[rng.integers(len(keys))]
+        inner = container[key]
+        if not isinstance(inner, (dict, list)) or not inner or rng.random() < 0.2:
+            return container, key
+        container = inner
+
+
 def mutate_values(rng: np.random.Generator, lines: list[Any]) -> list[Any]:
     """The lines with a few values changed, most of them in the header and its scenario."""
     lines = copy.deepcopy(lines)
     for _ in range(int(rng.integers(1, 4))):
-        line = lines[0] if rng.random() < 0.7 else lines[rng.integers(len(lines))]
-        spots = places(line)
+        root = lines[0] if rng.random() < 0.7 else lines[rng.integers(len(lines))]
+        if root is lines[0] and rng.random() < 0.5:
+            # Scenario before its materials and reactions, which have most of the values.
+            data = root.get("scenario")
+            root = data.get("scenario", data) if isinstance(data, dict) and rng.random() < 0.5 else data or root
+        spots = places(root)
         if not spots:
             continue
-        container, key = spots[rng.integers(len(spots))]
-        # Near the top there are few places, and much depends on them.
-        if rng.random() < 0.3:
-            container, key = line, list(line)[rng.integers(len(line))]
+        container, key = spots[rng.integers(len(spots))] if rng.random() < 0.5 else descend(rng, root)
         kind = rng.integers(6)
         value = container[key]
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -144,7 +157,9 @@ def mutate_lines(rng: np.random.Generator, content: bytes) -> bytes:
         elif kind == 2:
             lines[i], lines[j] = lines[j], lines[i]
         else:
-            lines.insert(i, rng.choice([b"\n", b"{}\n", b"[]\n", b"null\n", b'{"end":{}}\n', b'{"end":1}\n', b"\xff\n"]))
+            lines.insert(
+                i, rng.choice([b"\n", b"{}\n", b"[]\n", b"null\n", b'{"end":{}}\n', b'{"end":1}\n', b"\xff\n"])
+            )
     return b"".join(lines)
 
 
