@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from chemlab import __version__
 from chemlab.cli import app
+from chemlab.files import replace_between, write_text
 from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
 
@@ -133,6 +134,18 @@ def test_starts_can_be_recorded(tmp_path: Path) -> None:
                 for name, mol in vessel["contents_mol"].items()
             )
             assert 0.0 < litres <= vessel["capacity_l"]
+
+
+def test_files_survive_a_failed_write(tmp_path: Path) -> None:
+    """A write that fails leaves the old file and no litter."""
+    path = tmp_path / "kept.txt"
+    write_text(path, "kept")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "\ud800")
+    assert path.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(ValueError, match="needs the lines"):
+        replace_between(path, "mark", ["x"])
 
 
 def test_version() -> None:

@@ -1,7 +1,7 @@
 """Records as a stranger might send them: every reader must say what is wrong with them, and none may die or hang.
 
-Run ``python tests/fuzz/records.py --files 5000 --seed 0`` (``--json`` for machines); ``--only N`` does file N again and
-leaves it for a look. Each file is an honest record with a few mutations: of bytes, of lines, or of the values in it,
+Run ``python tests/fuzz/fuzz_records.py --files 5000 --seed 0`` (``--json`` for machines); ``--only N`` does file N
+again and leaves it for a look. Each file is an honest record with a few mutations: of bytes, of lines, or of the values in it,
 which become the numbers, texts and nestings that programs dislike. It is verified and given to the other readers:
 replay page, charts, demonstrations, command line. It fails if
 
