@@ -22,8 +22,8 @@ _ABANDONED_S = 60.0
 def draft_of(path: Path) -> Iterator[Path]:
     """A draft to write to, which replaces ``path`` when the block ends: readers see the old file or the whole new one.
 
-    The draft lies in the same folder and has no suffix, so that nobody takes it for a result. It reaches the disk before
-    it takes the name, and so does the name before this returns. Where the block fails nothing has changed.
+    The draft lies in the same folder and has no suffix, so that nobody takes it for a result. It reaches the disk
+    before it takes the name, and so does the name before this returns. Where the block fails nothing has changed.
 
     Raises:
         OSError: it cannot be written; the error names ``path``.

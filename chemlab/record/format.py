@@ -307,7 +307,7 @@ def recorded_scenario(record: Record) -> Scenario:
     header = record.checked_header()
     try:
         scenario = restore_scenario(header.scenario, f"{record.path}: scenario")
-    except DataError as error:
+    except (DataError, TypeError) as error:  # a number where a table is meant
         raise RecordError(short(str(error), 500)) from error
     family = scenario.family
     sizes = {

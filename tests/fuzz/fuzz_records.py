@@ -1,9 +1,9 @@
 """Records as a stranger might send them: every reader must say what is wrong with them, and none may die or hang.
 
 Run ``python tests/fuzz/fuzz_records.py --files 5000 --seed 0`` (``--json`` for machines); ``--only N`` does file N
-again and leaves it for a look. Each file is an honest record with a few mutations: of bytes, of lines, or of the values in it,
-which become the numbers, texts and nestings that programs dislike. It is verified and given to the other readers:
-replay page, charts, demonstrations, command line. It fails if
+again and leaves it for a look. Each file is an honest record with a few mutations: of bytes, of lines, or of the
+values in it, which become the numbers, texts and nestings that programs dislike. It is verified and given to the other
+readers: replay page, charts, demonstrations, command line. It fails if
 
 - a reader raises anything but ``RecordError`` or ``DataError``, or with a message that a terminal should not be given,
 - a reader takes longer than ``--limit`` seconds (the process then ends with a traceback, the file stays),
