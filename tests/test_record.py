@@ -778,6 +778,31 @@ def test_a_bench_of_ones_own_is_imported_only_on_trust(tmp_path: Path, monkeypat
     assert "no_such_module" in result.message
 
 
+@pytest.mark.parametrize("key", ["bench", "process", "observe", "reward", "instrument", "manager"])
+def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, tmp_path: Path) -> None:
+    """Whatever of a scenario may be named in a file: one beside the record is not run."""
+    lines = load(honest)
+    spec, name = lines[0]["scenario"]["scenario"], "evil.py:Evil"
+    if key == "bench":
+        spec["benches"]["ext"]["kind"] = name
+    elif key == "process":
+        spec["benches"]["ext"]["process"][0]["kind"] = name
+    elif key == "instrument":
+        next(iter(spec["instruments"].values()))["kind"] = name
+    elif key == "manager":
+        spec["manager"]["reward"] = [name]
+    else:
+        spec["benches"]["rxn"][key] = [name]
+    (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\nEvil = 1\n")
+    path = store(tmp_path / "a.jsonl", lines)
+    result = verify_record(path)
+    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert "evil.py:Evil" in result.message
+    assert not (tmp_path / "ran").exists()
+    verify_record(path, trust=True)
+    assert (tmp_path / "ran").exists(), "the test would find out"
+
+
 class Nothing:
     """A reaction model in which nothing happens."""
 

@@ -164,7 +164,9 @@ class Witness:
         for station in labs.stations:
             arrays.append(station.stream[m])
             if station.busy[m]:  # an idle bench's other numbers are left over from experiments before
-                arrays += [station.goal[m], station.steps[m], station.supply[m]]
+                arrays += [station.goal[m], station.steps[m]]
+                if hasattr(station, "supply"):
+                    arrays.append(station.supply[m])
         return digest(b"".join([array.tobytes() for array in arrays]))
 
     @property

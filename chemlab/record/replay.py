@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.base import BENCH_KINDS
 from ..bench.models import ReactionModel, SeparationModel
 from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
 from ..materials import DataError
+from ..parts import strangers_code
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 
@@ -24,8 +24,8 @@ class Replay:
 
     Args:
         record: the record.
-        trust: import benches that the record's scenario names (``module:Class``); without it that is an error,
-            because a file from elsewhere should not decide what Python runs.
+        trust: import benches and other parts that the record's scenario names (``module:Name``, ``file.py:Name``);
+            without it that is an error, because a file from elsewhere should not decide what Python runs.
         reaction_model, separation_model: the user's own physics, where the record was made with such.
 
     Attributes:
@@ -45,17 +45,13 @@ class Replay:
         self.record = record
         scenario = recorded_scenario(record)
         header = record.checked_header()
-        own = [bench.kind for bench in scenario.benches.values() if bench.kind not in BENCH_KINDS]
-        if own and not trust:
-            raise RecordError(
-                f"{record.path}: needs {short(own[0])}, which is imported only if you say that you trust it"
-            )
         given = {"reaction_model": reaction_model, "separation_model": separation_model}
         for key, name in header.models.items():
             if given.get(key) is None:
                 raise RecordError(f"{record.path}: was made with {key} {short(name)}: give it to verify_record()")
         try:
-            self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model)
+            with strangers_code(allowed=trust):
+                self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model)
         except DataError as error:
             raise RecordError(short(str(error), 500)) from error
         self.rounds = header.rounds
