@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -799,7 +800,8 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     assert (result.status, result.exit_code) == ("unchecked", 5)
     assert "evil.py:Evil" in result.message
     assert not (tmp_path / "ran").exists()
-    verify_record(path, trust=True)
+    with contextlib.suppress(Exception):  # it is no part of that kind
+        verify_record(path, trust=True)
     assert (tmp_path / "ran").exists(), "the test would find out"
 
 

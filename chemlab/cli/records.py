@@ -14,7 +14,8 @@ from .common import JsonOption, app, err, out, readable_errors
 __all__: list[str] = []
 
 TrustOption = Annotated[
-    bool, typer.Option("--trust", help="Import benches of somebody's own (module:Class) that the record names.")
+    bool,
+    typer.Option("--trust", help="Import parts of somebody's own (module:Name, file.py:Name) that the record names."),
 ]
 _COLORS = {
     "ok": "green",
