@@ -38,7 +38,7 @@ from chemlab import __version__
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.state import TERMINATED
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
-from chemlab.render.history import Look, Move, Retold
+from chemlab.render.history import Look, Move, RecordReplay
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 __all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
@@ -82,8 +82,8 @@ class _Teller:
     """Cuts one record into the agents' episodes."""
 
     def __init__(self, record: Record, trust: bool) -> None:
-        self._retold = Retold(record, trust)
-        self._labs: Laboratories = self._retold.laboratories
+        self._replay = RecordReplay(record, trust)
+        self._labs: Laboratories = self._replay.laboratories
         self._open: dict[str, Demonstration] = {}
         self._latest: dict[str, Demonstration] = {}
         self._turn_at: dict[str, int] = {}
@@ -92,11 +92,11 @@ class _Teller:
 
     def tell(self) -> dict[str, list[Demonstration]]:
         """The episodes of every agent, in order."""
-        for move in self._retold.moves():
+        for move in self._replay.moves():
             self._enter(move)
         desk = self._labs.desk
         for agent, demonstration in list(self._open.items()):
-            self._close(agent, self._retold.look(self._labs.agents.index(agent)))
+            self._close(agent, self._replay.look(self._labs.agents.index(agent)))
             over = agent == MANAGER_AGENT and desk.status[0] == TERMINATED
             demonstration.terminated, demonstration.truncated = over, not over
         return self.found

@@ -24,7 +24,7 @@ from safetensors.numpy import load_file, save
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
-from chemlab.files import write_text
+from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
 
 __all__ = [
@@ -283,10 +283,7 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
         ValueError: weights and card do not agree.
     """
     PretrainedPolicy(card, weights)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_bytes(save(dict(weights)))
-    temporary.replace(path.with_name(f"{path.name}.safetensors"))
+    write_bytes(path.with_name(f"{path.name}.safetensors"), save(dict(weights)))
     write_text(path.with_name(f"{path.name}.json"), json.dumps(card.as_dict(), indent=1) + "\n")
     load_pretrained(path)
 

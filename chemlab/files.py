@@ -1,22 +1,88 @@
-"""Writing files so that a crash loses nothing."""
+"""Writing files so that a crash loses nothing, and leaves nothing behind for good."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import secrets
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["replace_between", "write_text"]
+__all__ = ["draft_of", "replace_between", "sync_file", "sync_folder", "write_bytes", "write_text"]
+
+_DRAFT = ".draft-"
+"""What names of drafts begin with, so that those left by a killed process can be told from anything of the user's."""
+_ABANDONED_S = 60.0
+"""A draft that nobody has written to for so long has no writer any more."""
+
+
+@contextmanager
+def draft_of(path: Path) -> Iterator[Path]:
+    """A draft to write to, which replaces ``path`` when the block ends: readers see the old file or the whole new one.
+
+    The draft lies in the same folder and has no suffix, so that nobody takes it for a result. It reaches the disk
+    before it takes the name, and so does the name before this returns. Where the block fails nothing has changed.
+
+    Raises:
+        OSError: it cannot be written; the error names ``path``.
+    """
+    draft = path.with_name(f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(path.parent)
+        yield draft
+        sync_file(draft)
+        draft.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        # Of the draft the user has never heard.
+        at = path if error.filename in (None, str(draft)) else error.filename
+        raise OSError(error.errno, error.strerror or str(error), str(at)) from error
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write ``content`` to ``path`` whole or not at all (see :func:`draft_of`)."""
+    with draft_of(path) as draft:
+        draft.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` by way of a temporary file: readers see the old file or the whole new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Write ``text`` to ``path`` as UTF-8, whole or not at all (see :func:`draft_of`)."""
+    write_bytes(path, text.encode())
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a file's content is on the disk."""
+    with path.open("rb+") as handle:
+        os.fsync(handle.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until a folder's names are on the disk, where the system lets one ask for that."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with contextlib.suppress(OSError):  # some network file systems refuse it for folders
+            os.fsync(handle)
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove drafts that killed processes have left in a folder."""
+    now = time.time()
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(_DRAFT):
+                with contextlib.suppress(OSError):  # somebody else has swept it
+                    if entry.is_file(follow_symlinks=False) and now - entry.stat().st_mtime > _ABANDONED_S:
+                        os.unlink(entry.path)
 
 
 def replace_between(path: Path, mark: str, lines: list[str]) -> None:

@@ -10,7 +10,9 @@ import hashlib
 import importlib
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,7 +20,7 @@ from typing import Any
 from .materials import DataError
 from .scenario import Scenario
 
-__all__ = ["load_part"]
+__all__ = ["load_part", "strangers_code"]
 
 
 def _from_file(path: Path) -> ModuleType:
@@ -38,6 +40,19 @@ def _from_file(path: Path) -> ModuleType:
     return sys.modules[name]
 
 
+_strangers: ContextVar[bool] = ContextVar("strangers", default=True)
+
+
+@contextmanager
+def strangers_code(allowed: bool) -> Iterator[None]:
+    """Whether scenarios may name code that is not chemlab's while the block runs; where not, that is a DataError."""
+    token = _strangers.set(allowed)
+    try:
+        yield
+    finally:
+        _strangers.reset(token)
+
+
 def load_part(
     name: str, scenario: Scenario, key: str, known: Mapping[str, str] | None = None, base: type | None = None
 ) -> Any:
@@ -54,6 +69,10 @@ def load_part(
         DataError: it cannot be loaded, or is something else.
     """
     known = known or {}
+    if name not in known and not _strangers.get():
+        raise DataError(
+            f"{scenario.origin}: {key}: needs {name!r}, which is imported only if you say that you trust it"
+        )
     where, _, wanted = known.get(name, name).partition(":")
     try:
         if where.endswith(".py"):

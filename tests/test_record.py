@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 import json
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +18,9 @@ from helpers import Careless, four_solvents
 from typer.testing import CliRunner
 
 import chemlab.record as module
+import chemlab.record.format as format_module
+import chemlab.record.recorder as recorder_module
+import chemlab.record.verify as verify_module
 import chemlab.scenarios
 from chemlab.agents.policy import make_policies
 from chemlab.agents.run import play_episode
@@ -21,7 +28,7 @@ from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.parallel import parallel_env
-from chemlab.record import Play, Recorder, RecordError, read_record, verify_record
+from chemlab.record import LIMITS, Play, Recorder, RecordError, read_record, verify_record
 from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
 
 SCENARIOS = scenario_names()
@@ -58,7 +65,7 @@ def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> Non
     for seed in (1, 2):
         path = play(tmp_path / f"{seed}.jsonl", name, policy, seed)
         result = verify_record(path)
-        assert (result.status, result.exit_code, result.notes) == ("ok", 0, []), result.message
+        assert (result.status, result.exit_code) == ("ok", 0), result.message
         record = read_record(path)
         assert result.turns == len(record.turns) > 0
         assert not record.torn
@@ -140,7 +147,7 @@ def test_streams_that_went_on(tmp_path: Path) -> None:
     assert verify_record(path).status == "ok"
     lines = load(path)
     lines[0]["streams"]["ext_0"] += 1
-    assert verify_record(store(path, lines, expert=True)).key == "hidden.state"
+    assert verify_record(store(path, lines)).key == "hidden.state"
 
 
 def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
@@ -181,9 +188,11 @@ def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
     path = play(tmp_path / "a.jsonl", file)
     file.unlink()
     result = verify_record(path)
-    assert result.status == "ok"
-    assert any("mine is the record's own" in note for note in result.notes)
-    assert verify_record(path, scenario="salt_from_oil").status == "other"
+    assert (result.status, result.exit_code) == ("foreign", 6)
+    assert "mine is the record's own" in result.message
+    assert verify_record(path, scenario="salt_from_oil").status == "foreign"
+    file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "mine"'))
+    assert verify_record(path, scenario=file).status == "ok"
 
 
 @pytest.mark.parametrize("name", [*SCENARIOS, ""])
@@ -203,29 +212,15 @@ def load(path: Path) -> Lines:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-def store(path: Path, lines: Lines, expert: bool) -> Path:
-    """Write lines back, as they are or (``expert``) with hashes that fit: anybody can compute those."""
-    chain, texts = "", []
-    for line in lines:
-        if expert:
-            body = json.dumps({k: v for k, v in line.items() if k != "chain"}, separators=(",", ":"))[:-1]
-            chain = hashlib.blake2b((chain + body).encode(), digest_size=8).hexdigest()
-            texts.append(f'{body},"chain":"{chain}"}}')
-        else:
-            texts.append(json.dumps(line, separators=(",", ":"), ensure_ascii=False))
-    path.write_text("\n".join(texts) + "\n")
+def store(path: Path, lines: Lines) -> Path:
+    """Write lines as a recorder would: anybody can."""
+    path.write_text("".join(json.dumps(x, separators=(",", ":"), ensure_ascii=False) + "\n" for x in lines))
     return path
 
 
 def first(lines: Lines, key: str, after: int = 1) -> int:
     """The first turn's line that has a key."""
     return next(i for i, line in enumerate(lines) if i >= after and key in line)
-
-
-def rehash(lines: Lines) -> None:
-    """The header's scenario hash as it would be for what it holds now."""
-    text = json.dumps(lines[0]["scenario"], separators=(",", ":"), ensure_ascii=False)
-    lines[0]["scenario_hash"] = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def reward(lines: Lines) -> None:
@@ -362,7 +357,7 @@ TAMPERING: dict[Callable[[Lines], None], tuple[str, str]] = {
     doubled: ("turn 10", "turn"),
     appended: ("", ""),
     ended_twice: ("", ""),
-    cut_short: ("end", "end.status"),
+    cut_short: ("end", "end"),
     seed: ("header", "streams"),
     goal: ("header", "goals.0"),
     stream: ("header", "streams.ext_0"),
@@ -379,14 +374,13 @@ TAMPERING: dict[Callable[[Lines], None], tuple[str, str]] = {
 """What is done to a record: where and at which key the first difference is."""
 
 
-@pytest.mark.parametrize("expert", [False, True], ids=["", "with hashes that fit"])
 @pytest.mark.parametrize("tamper", TAMPERING, ids=lambda tamper: tamper.__name__)
-def test_tampering_is_found(tamper: Callable[[Lines], None], expert: bool, honest: Path, tmp_path: Path) -> None:
+def test_tampering_is_found(tamper: Callable[[Lines], None], honest: Path, tmp_path: Path) -> None:
     lines = load(honest)
     before = json.dumps(lines)
     tamper(lines)
     assert json.dumps(lines) != before
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
     where, key = TAMPERING[tamper]
     assert (result.status, result.exit_code) == ("tampered", 1), result.message
     assert result.where.startswith(where)
@@ -395,18 +389,78 @@ def test_tampering_is_found(tamper: Callable[[Lines], None], expert: bool, hones
         assert result.turn is not None
         assert result.turn == result.turns
         assert result.recorded != result.recomputed
-    if not expert:
-        assert "line" in result.message
 
 
-def test_what_replay_cannot_know_is_in_the_hashes(honest: Path, tmp_path: Path) -> None:
-    """Names of policies change no number: only the hash tells, and whoever computes it again is not found out."""
+def test_what_no_record_can_prove_is_said(honest: Path, tmp_path: Path) -> None:
+    """Names of policies change no number: the verdict calls them a claim."""
     lines = load(honest)
-    lines[0]["policies"]["manager_0"] = "genius"
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=False))
-    assert (result.status, result.key) == ("tampered", "")
-    assert "line 1" in result.message
-    assert verify_record(store(tmp_path / "b.jsonl", lines, expert=True)).status == "ok"
+    lines[0]["policies"] = {"manager_0": "genius\x1b[31m"}
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
+    assert result.status == "ok"
+    assert result.notes == ["says that genius\\x1b[31m played, which nothing proves"]
+    play(tmp_path / "b.jsonl", "wurtz_any", options={"goal": "NaCl"})
+    assert any("NaCl" in note for note in verify_record(tmp_path / "b.jsonl").notes)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 20, -1])
+def test_an_end_before_the_episode_is_over(turns: int, honest: Path, tmp_path: Path) -> None:
+    """Whoever stops before it gets dear closes the record with what the simulator itself says there."""
+    record = read_record(honest)
+    keep = record.turns[:turns]
+    replay = module.Replay(record)
+    witness = recorder_module.Witness(replay.laboratories, 0)
+    for turn in keep:
+        witness.turn(0, replay.play(turn))
+    closing = witness.closing()
+    assert closing["end"]["status"] == "running"
+    for status in ("running", "submitted"):
+        closing["end"]["status"] = status
+        result = verify_record(store(tmp_path / "a.jsonl", [record.header, *keep, closing]))
+        assert (result.status, result.where, result.turns) == ("tampered", "end", len(keep)), result.message
+        assert result.score is None
+        assert "not over" in result.message
+
+
+def test_a_line_is_written_in_one_way(honest: Path, tmp_path: Path) -> None:
+    """Keys twice (of which readers may take either), spaces, other orders, other spellings of a number."""
+    lines = honest.read_text().splitlines()
+    end = json.loads(lines[-1])["end"]
+    for number, text in (
+        (-1, lines[-1].replace('"score":', '"score":1.0,"score":')),
+        (-1, lines[-1].replace('"score":', '"score": ')),
+        (-1, json.dumps({"end": dict(reversed(end.items()))}, separators=(",", ":"))),
+        (-1, lines[-1].replace('"turns":', '"turns":1e0,"turns":')),
+        (0, lines[0].replace('"seed":3', '"seed":3.0')),
+        (0, lines[0].replace('"rounds":false', '"rounds":0')),
+        (0, lines[0].replace('"seed":3', '"seed":true')),
+        (0, lines[0].replace('"seed":3', '"note":"audited","seed":3')),
+        (0, lines[0].replace('"seed":3', '"seed":3,"seed":3')),
+        (0, lines[0].replace('"seed":3', f'"seed":{2**128}')),
+        (5, lines[5].replace('"tick":', '"tick":0,"tick":')),
+    ):
+        assert text != lines[number]
+        changed = [*lines]
+        changed[number] = text
+        path = tmp_path / "a.jsonl"
+        path.write_text("\n".join(changed) + "\n")
+        assert verify_record(path).exit_code in (1, 5), text[:100]
+
+
+@pytest.mark.parametrize("value", ["Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60])
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_numbers_are_finite(value: str, elsewhere: bool, honest: Path, tmp_path: Path) -> None:
+    """Also where another platform is claimed, which may round."""
+    lines = load(honest)
+    if elsewhere:
+        lines[0]["environment"]["processor"] = "abacus"
+    path = store(tmp_path / "a.jsonl", lines)
+    score = repr(lines[-1]["end"]["score"])
+    text = path.read_text()
+    path.write_text(text.replace(f'"score":{score}', f'"score":{value}'))
+    assert path.read_text() != text
+    result = verify_record(path)
+    assert (result.status, result.exit_code) == ("tampered", 1), result.message
+    assert result.score == float(score)
 
 
 def test_bytes_after_the_end(honest: Path, tmp_path: Path) -> None:
@@ -426,9 +480,8 @@ def test_a_line_that_cannot_be_read(honest: Path, tmp_path: Path) -> None:
         assert "line 21" in result.message
 
 
-@pytest.mark.parametrize("expert", [False, True])
-def test_other_scenarios_are_told_apart(expert: bool, honest: Path, tmp_path: Path) -> None:
-    """A number of the scenario (with its hash) or of a material: found, whatever the results."""
+def test_other_scenarios_are_told_apart(honest: Path, tmp_path: Path) -> None:
+    """A number of the scenario or of a material, in the record alone: found, whatever the results."""
     for change in ("stock", "material", "bench"):
         lines = load(honest)
         data = lines[0]["scenario"]
@@ -438,30 +491,45 @@ def test_other_scenarios_are_told_apart(expert: bool, honest: Path, tmp_path: Pa
             data["materials"]["dodecane"]["boiling_point_k"] += 1.0
         else:
             data["scenario"]["benches"]["ext"]["step_limit"] += 1
-        result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
-        assert result.status == "tampered"
-        assert "scenario_hash" in result.message
-        rehash(lines)
-        result = verify_record(store(tmp_path / "a.jsonl", lines, expert))
-        assert result.status == ("other" if expert else "tampered")
+        result = verify_record(store(tmp_path / "a.jsonl", lines))
+        assert result.exit_code in (1, 6)
         assert "wurtz_dodecane" in result.message
+
+
+def test_a_right_record_on_an_easier_scenario_is_not_ok(tmp_path: Path) -> None:
+    """It is right in itself; a script that looks at the exit code must not take it for a result of the shipped one."""
+    shipped = load_scenario("wurtz_dodecane")
+    data = dump_scenario(shipped)
+    data["scenario"]["theoretical_maximum_mol"] = {"dodecane": shipped.theoretical_maximum_mol["dodecane"] / 2}
+    easier = restore_scenario(data, "test")
+    path = play(tmp_path / "a.jsonl", easier)
+    result = verify_record(path)
+    assert (result.status, result.exit_code) == ("foreign", 6)
+    assert result.score is not None
+    assert result.score > 1.0
+    assert "not " in result.message
+    assert verify_record(path, scenario=easier).status == "ok"
+    # Torn, and in the company of others: still not.
+    lines = load(path)
+    assert verify_record(store(tmp_path / "b.jsonl", lines[:-1])).status == "foreign"
+    lines[-1]["end"]["score"] = 0.9
+    assert verify_record(store(tmp_path / "b.jsonl", lines)).status == "tampered"
 
 
 def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     lines = load(honest)
     lines[0]["chemlab"] = "9.9"
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert (result.status, result.exit_code) == ("other", 4)
     assert "9.9" in result.message
-    assert verify_record(store(tmp_path / "a.jsonl", lines, expert=False)).status == "tampered"
     state(lines)  # which another version may keep otherwise
-    assert f"all {len(lines) - 2} turns agree" in verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).message
+    assert f"all {len(lines) - 2} turns and the score" in verify_record(store(tmp_path / "a.jsonl", lines)).message
     reward(lines)
-    assert "rewards.rxn_0: recorded" in verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).message
-    lines[0]["format"]["version"] = 2
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    assert "rewards.rxn_0: recorded" in verify_record(store(tmp_path / "a.jsonl", lines)).message
+    lines[0]["format"]["version"] = 1
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "other"
-    assert "format 2" in result.message
+    assert "format 1, made by chemlab 9.9; this chemlab reads format 2" in result.message
 
 
 def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -470,14 +538,23 @@ def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monk
     reward(lines)
     state(lines)
     lines[0]["environment"]["machine"] = "abacus"
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert (result.status, result.exit_code) == ("other", 4)
-    assert "2 values" in result.message
+    assert "1 numbers differ, by 1e-15 at most (turn " in result.message
+    assert "1 hashes" in result.message
     assert "abacus" in result.notes[0]
+    lines[0]["scenario"]["scenario"]["stock"]["water"] *= 1 + 1e-9
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).status != "ok"
+    lines = load(honest)
+    lines[0]["environment"]["machine"] = "abacus"
+    lines[4]["play"]["rxn_0"][0] = "seen by me"  # no hash at all
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).status == "tampered"
+    lines = load(honest)
+    lines[0]["environment"]["machine"] = "abacus"
     score(lines)
-    assert verify_record(store(tmp_path / "a.jsonl", lines, expert=True)).key == "end.score"
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).key == "end.score"
     # The same platform in another episode: nothing differs, and the difference is but a note.
-    monkeypatch.setattr(module, "_environment", lambda: {"machine": "abacus"})
+    monkeypatch.setattr(verify_module, "environment_here", lambda: {"machine": "abacus"})
     result = verify_record(honest)
     assert result.status == "ok"
     assert result.notes
@@ -499,7 +576,7 @@ def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monk
 def test_a_header_that_makes_no_sense(key: str, value: Any, honest: Path, tmp_path: Path) -> None:
     lines = load(honest)
     lines[0][key] = value
-    result = verify_record(store(tmp_path / "a.jsonl", lines, expert=True))
+    result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "tampered"
     assert result.where == "header"
 
@@ -526,7 +603,7 @@ def test_a_torn_record_can_be_read_up_to_the_tear(honest: Path, tmp_path: Path) 
     # A tear does not hide tampering.
     lines = load(honest)[:40]
     reward(lines)
-    assert verify_record(store(path, lines, expert=True)).status == "tampered"
+    assert verify_record(store(path, lines)).status == "tampered"
 
 
 def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
@@ -585,6 +662,99 @@ def test_misuse_of_a_recorder(tmp_path: Path) -> None:
             recorder.begin(0)
 
 
+# -- more than a record may be ---------------------------------------------------------------------------------
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
+    """Tighten the limits, so that small files break them."""
+    monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**limits))
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [("file_bytes", "larger than"), ("turns", "more than .* turns"), ("values", "more than .* values")],
+)
+def test_files_that_are_too_large(key: str, message: str, honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the limit a record is read, one beyond it is refused."""
+    content, record = honest.read_bytes(), read_record(honest)
+    sizes = {"file_bytes": len(content), "turns": len(record.turns), "values": sum(map(content.count, b",:[{"))}
+    limited(monkeypatch, **{key: sizes[key]})
+    assert verify_record(honest).status == "ok"
+    limited(monkeypatch, **{key: sizes[key] - 1})
+    result = verify_record(honest)
+    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert re.search(message, result.message)
+
+
+@pytest.mark.parametrize("key", ["materials", "reactions", "goals", "agents", "instruments"])
+def test_scenarios_that_are_too_large(key: str, honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = load_scenario("wurtz_dodecane")
+    sizes = {
+        "materials": len(spec.materials),
+        "reactions": len(spec.family.reaction) + len(spec.family.salt) + len(spec.family.violent),
+        "goals": len(spec.goals),
+        "agents": len(spec.bench_agents()),
+        "instruments": len(spec.instruments),
+    }
+    limited(monkeypatch, **{key: sizes[key]})
+    assert verify_record(honest).status == "ok"
+    limited(monkeypatch, **{key: sizes[key] - 1})
+    result = verify_record(honest)
+    assert result.status == "unchecked"
+    assert f"has {sizes[key]} {key}; a record's may have {sizes[key] - 1}" in result.message
+
+
+def test_a_line_that_is_too_much(honest: Path, tmp_path: Path) -> None:
+    lines = honest.read_bytes().split(b"\n")
+    for rubbish, problem in (
+        (b'{"turn":"' + b"a" * LIMITS.line_bytes + b'"}', "longer than"),
+        (b'{"turn":' + b"[" * 20 + b"]" * 20 + b"}", "inside each other"),
+        (b'{"turn":' + b"[" * 5000 + b"]" * 5000 + b"}", "no JSON"),
+        (b'{"turn":' + b"9" * 4000 + b"}", "whole number"),
+        (b'{"turn":1e400}', "not finite"),
+        (b'{"turn":1,"turn":1}', "the key 'turn' twice"),
+        (b'{"turn":"\\ud800"}', "no character"),
+    ):
+        path = tmp_path / "a.jsonl"
+        path.write_bytes(b"\n".join([*lines[:20], rubbish, *lines[21:]]))
+        record = read_record(path)
+        assert record.broken is not None
+        assert record.broken[0] == 21
+        assert problem in record.broken[1]
+        assert len(record.turns) == 19
+        result = verify_record(path)
+        assert (result.status, result.turns) == ("tampered", 19)
+        assert f"line 21 {record.broken[1]}" in result.message
+        path.write_bytes(rubbish + b"\n")
+        assert verify_record(path).status == "unchecked"
+
+
+def test_reading_takes_little_memory(honest: Path, tmp_path: Path) -> None:
+    """As many short texts as a record may have, each an object of its own: they take half a gigabyte, no more."""
+    head, line = honest.read_bytes().split(b"\n")[0], b'{"a":[' + b'"ab",' * 200_000 + b"1]}"
+    path = tmp_path / "a.jsonl"
+    path.write_bytes(b"\n".join([head, *[line] * 24, b""]))
+    assert LIMITS.values - 200_000 < sum(map(path.read_bytes().count, b",:[{")) < LIMITS.values
+    measure = (
+        "import resource, sys; from chemlab.record import read_record\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "assert len(read_record(sys.argv[1]).turns) == 24\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    found = subprocess.run([sys.executable, "-c", measure, path], capture_output=True, text=True, check=True)
+    kilobytes = int(found.stdout) / (1024 if sys.platform == "darwin" else 1)
+    assert kilobytes < 500_000
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+def test_what_is_no_file(tmp_path: Path) -> None:
+    """A pipe that nobody writes to is not waited for."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero"), tmp_path / ("a" * 300), Path("a\0b"), Path("")):
+        result = verify_record(path)
+        assert (result.status, result.exit_code) == ("unchecked", 5), path
+
+
 # -- things of one's own --------------------------------------------------------------------------------------
 
 
@@ -600,12 +770,39 @@ def test_a_bench_of_ones_own_is_imported_only_on_trust(tmp_path: Path, monkeypat
         result = verify_record(path)
         assert result.status == "unchecked"
         assert "filtration_bench" in result.message
-        assert verify_record(path, trust=True).status == "ok"
+        assert verify_record(path, trust=True).status == "foreign"
+        assert verify_record(path, trust=True, scenario=file).status == "ok"
     lines = load(path)
     lines[0]["scenario"]["scenario"]["benches"]["fil"]["kind"] = "no_such_module:Bench"
-    result = verify_record(store(tmp_path / "b.jsonl", lines, expert=True), trust=True)
+    result = verify_record(store(tmp_path / "b.jsonl", lines), trust=True)
     assert result.status == "unchecked"
     assert "no_such_module" in result.message
+
+
+@pytest.mark.parametrize("key", ["bench", "process", "observe", "reward", "instrument", "manager"])
+def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, tmp_path: Path) -> None:
+    """Whatever of a scenario may be named in a file: one beside the record is not run."""
+    lines = load(honest)
+    spec, name = lines[0]["scenario"]["scenario"], "evil.py:Evil"
+    if key == "bench":
+        spec["benches"]["ext"]["kind"] = name
+    elif key == "process":
+        spec["benches"]["ext"]["process"][0]["kind"] = name
+    elif key == "instrument":
+        next(iter(spec["instruments"].values()))["kind"] = name
+    elif key == "manager":
+        spec["manager"]["reward"] = [name]
+    else:
+        spec["benches"]["rxn"][key] = [name]
+    (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\nEvil = 1\n")
+    path = store(tmp_path / "a.jsonl", lines)
+    result = verify_record(path)
+    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert "evil.py:Evil" in result.message
+    assert not (tmp_path / "ran").exists()
+    with contextlib.suppress(Exception):  # it is no part of that kind
+        verify_record(path, trust=True)
+    assert (tmp_path / "ran").exists(), "the test would find out"
 
 
 class Nothing:
@@ -625,7 +822,7 @@ def test_physics_of_ones_own_has_to_be_given(tmp_path: Path) -> None:
     assert verify_record(path, reaction_model=Nothing()).status == "ok"
     lines = load(path)
     lines[0]["models"] = {}
-    assert verify_record(store(tmp_path / "b.jsonl", lines, expert=True)).status == "tampered"
+    assert verify_record(store(tmp_path / "b.jsonl", lines)).status == "tampered"
 
 
 # -- the command ----------------------------------------------------------------------------------------------
@@ -655,12 +852,12 @@ def test_the_commands(tmp_path: Path) -> None:
 def test_exit_codes_of_verify(honest: Path, tmp_path: Path) -> None:
     """The worst record decides."""
     lines = load(honest)
-    torn = store(tmp_path / "torn", lines[:-1], expert=True)
+    torn = store(tmp_path / "torn", lines[:-1])
     lines[0]["chemlab"] = "9.9"
-    other = store(tmp_path / "other", lines, expert=True)
+    other = store(tmp_path / "other", lines)
     lines = load(honest)
     score(lines)
-    tampered = store(tmp_path / "tampered", lines, expert=True)
+    tampered = store(tmp_path / "tampered", lines)
     missing = tmp_path / "missing"
     for files, code in (
         ([honest], 0),

@@ -6,7 +6,6 @@ Replay memory is written once: each checkpoint adds the steps since the last one
 
 from __future__ import annotations
 
-import os
 import pickle
 import random
 import shutil
@@ -18,6 +17,8 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
+
+from chemlab.files import draft_of, sync_file, sync_folder
 
 from ..sb3 import ChemlabVecEnv
 from .runs import Run
@@ -32,12 +33,6 @@ __all__ = [
 ]
 
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def _synced(path: Path) -> None:
-    """Wait until a file is on the disk: a folder must not be renamed before its content is there."""
-    with path.open("rb+") as handle:
-        os.fsync(handle.fileno())
 
 
 def random_state() -> dict[str, Any]:
@@ -74,8 +69,9 @@ def commit_checkpoint(
     draft.mkdir(parents=True)
     write(draft)
     run.keep_lines(draft)
+    # A folder must not be renamed before its content is on the disk.
     for file in draft.iterdir():
-        _synced(file)
+        sync_file(file)
     if best:
         copy = run.checkpoints / f"new-best-{step}"
         shutil.rmtree(copy, ignore_errors=True)
@@ -124,6 +120,7 @@ def _renamed(draft: Path, final: Path) -> None:
     """A folder of that name is from before a crash, of the same step."""
     shutil.rmtree(final, ignore_errors=True)
     draft.rename(final)
+    sync_folder(final.parent)
 
 
 def tidy(run: Run, last: int, best: int | None) -> None:
@@ -143,12 +140,8 @@ def _save_replay(run: Run, model: Any) -> int:
     if start < rows:
         at = np.arange(start, rows) % size
         target = run.checkpoints / "replay" / f"{start}-{rows}.npz"
-        target.parent.mkdir(exist_ok=True)
-        draft = target.with_suffix(".tmp")
-        with draft.open("wb") as handle:
+        with draft_of(target) as draft, draft.open("wb") as handle:
             np.savez(handle, **{name: getattr(buffer, name)[at] for name in _ARRAYS})
-        _synced(draft)
-        draft.replace(target)
     return rows
 
 

@@ -14,10 +14,18 @@ from .common import JsonOption, app, err, out, readable_errors
 __all__: list[str] = []
 
 TrustOption = Annotated[
-    bool, typer.Option("--trust", help="Import benches of somebody's own (module:Class) that the record names.")
+    bool,
+    typer.Option("--trust", help="Import parts of somebody's own (module:Name, file.py:Name) that the record names."),
 ]
-_COLORS = {"ok": "green", "tampered": "red", "torn": "yellow", "other": "yellow", "unchecked": "red"}
-_WORST_FIRST = ("tampered", "unchecked", "other", "torn", "ok")
+_COLORS = {
+    "ok": "green",
+    "tampered": "red",
+    "torn": "yellow",
+    "other": "yellow",
+    "foreign": "yellow",
+    "unchecked": "red",
+}
+_WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "torn", "ok")
 
 
 @app.command()
@@ -27,7 +35,7 @@ def verify(
         str | None,
         typer.Option(
             help="What the records must have been made on: a shipped scenario or a path. "
-            "Default: the shipped scenario of the same name, if there is one."
+            "Default: the shipped scenario of the same name."
         ),
     ] = None,
     trust: TrustOption = False,
@@ -36,8 +44,9 @@ def verify(
     """Check records of episodes by playing their actions on the simulator again and comparing every number.
 
     Ends with 0 if every record is right, 1 if something in one is not what happens (the first difference is named),
-    3 if the end is missing, 4 if it is of another version, scenario or platform, 5 if it is no record or cannot be
-    played here; of several records, with the first of 1, 5, 4, 3 there is.
+    3 if the end is missing, 4 if it is of another version or platform, 5 if it is no record or cannot be played here,
+    6 if it is right but on a scenario that is neither shipped nor given; of several records, with the first of 1, 5, 4,
+    6, 3 there is.
     """
     from ..record import EXIT_CODES, verify_record
 

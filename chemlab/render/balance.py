@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..laboratory.core import Laboratories
 from ..record import Record
-from .history import Move, Retold
+from .history import Move, RecordReplay
 
 __all__ = ["PLACES", "Balance", "Group", "Stage", "mole_balance"]
 
@@ -116,16 +116,16 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
         RecordError: the record cannot be played here.
         ValueError: it does not balance, which is a mistake of the simulator's.
     """
-    retold = Retold(record, trust)
-    labs = retold.laboratories
+    replay = RecordReplay(record, trust)
+    labs = replay.laboratories
     books = _Books(labs)
     stages = [books.stage("start")]
-    for move in retold.moves():
+    for move in replay.moves():
         books.enter(move)
         if move.scores:
             stages.append(books.stage(", ".join(move.scores)))
     # What comes after the last experiment (measuring, submitting) is the episode's end.
-    stages.append(books.stage("end" if retold.over else "so far"))
+    stages.append(books.stage("end" if replay.over else "so far"))
     balance = Balance(labs.shelf.layout.materials, tuple(stages), tuple(_groups(labs, stages)))
     balance.check()
     return balance

@@ -23,7 +23,7 @@ from ..scenario import Scenario
 from .balance import PLACES, Balance, Group, mole_balance
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure
-from .history import Move, Retold
+from .history import Move, RecordReplay
 
 __all__ = ["draw_moles", "draw_spectra", "draw_timeline", "spread"]
 
@@ -129,8 +129,8 @@ def _doing(labs: Laboratories, agent: int, action: Any) -> str:
 
 
 def _tell(record: Record, trust: bool) -> _Story:
-    retold = Retold(record, trust)
-    labs = retold.laboratories
+    replay = RecordReplay(record, trust)
+    labs = replay.laboratories
     story = _Story(labs, {agent: [] for agent in labs.agents})
     running: dict[str, tuple[int, str]] = {}
     earned = np.zeros(len(labs.agents))
@@ -143,7 +143,7 @@ def _tell(record: Record, trust: bool) -> _Story:
 
     note()
     open_tick = False
-    for move in retold.moves():
+    for move in replay.moves():
         by_manager = move.plays[0].agent == 0
         if open_tick and (by_manager or move.tick != tick):  # the tick that was running is over
             unit, open_tick = unit + 1, False
@@ -167,7 +167,7 @@ def _tell(record: Record, trust: bool) -> _Story:
     # The last turn may have settled accounts after it was noted.
     story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
     story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
-    story.over = retold.over
+    story.over = replay.over
     return story
 
 
@@ -352,8 +352,8 @@ class _Reaction:
 
 
 def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reaction]]:
-    retold = Retold(record, trust)
-    labs = retold.laboratories
+    replay = RecordReplay(record, trust)
+    labs = replay.laboratories
     spectra = {
         agent: channel_slices(bench.channels)["spectrum"]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
@@ -366,7 +366,7 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
         tick, before, goal = first.pop(agent)
         found.append(_Reaction(agent, tick, goal, score, before, np.array(seen[spectra[agent]]), contents))
 
-    for move in retold.moves():
+    for move in replay.moves():
         for play in move.plays:
             agent = labs.agents[play.agent]
             if agent in spectra and agent not in first:
@@ -379,7 +379,7 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
     for agent in list(first):
         number = labs.agents.index(agent)
         place = int(labs.rules.first[number - 1])
-        close(agent, retold.look(number).observation, labs.shelf.amounts[0, place].copy(), None)
+        close(agent, replay.look(number).observation, labs.shelf.amounts[0, place].copy(), None)
     return labs, found
 
 
@@ -487,7 +487,7 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
     rows = -(-len(groups) // columns)
     width, height = 8.2 * columns, 0.95 + 3.3 * rows
     figure = new_figure(width, height)
-    scenario = Retold(record, trust).laboratories.scenario
+    scenario = RecordReplay(record, trust).laboratories.scenario
     for i, group in enumerate(groups):
         left, top = 8.2 * (i % columns), 0.95 + 3.3 * (i // columns)
         axes = figure.add_axes(((left + 1.95) / width, 1.0 - (top + 2.75) / height, 4.1 / width, 2.4 / height))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..files import draft_of
+
 __all__ = ["FORMATS", "SETTINGS", "import_matplotlib", "new_figure", "save_figure"]
 
 FORMATS = ("png", "svg", "pdf")
@@ -13,6 +15,7 @@ SETTINGS: Any = {
     "axes.titlesize": 11.0,
     "legend.fontsize": 9.0,
     "figure.titlesize": 12.0,
+    "text.parse_math": False,  # text comes from scenarios, and a dollar there is a dollar
     "svg.hashsalt": "chemlab",  # the same results make the same file
 }
 """For ``matplotlib.rc_context``, around drawing and saving."""
@@ -47,12 +50,8 @@ def save_figure(figure: Any, path: Path) -> None:
     """Write a figure in the format of the path's ending; what was there stays until the new one is whole.
 
     Raises:
-        ValueError: unknown format.
+        ValueError: unknown format, or larger than a picture may be.
+        OSError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.stem}.draft{path.suffix}")
-    try:
-        figure.savefig(draft)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    with draft_of(path) as draft:
+        figure.savefig(draft, format=path.suffix.removeprefix("."))

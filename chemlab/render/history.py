@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import MaskArray, ObservationArray
-from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
-from ..record import Play, Record, RecordError, Replay
+from ..record import Play, RecordError, Replay
 
-__all__ = ["Look", "Move", "Retold"]
+__all__ = ["Look", "Move", "RecordReplay"]
 
 
 class Look(NamedTuple):
@@ -49,21 +48,11 @@ class Move:
     """what these agents saw after their last action, before their experiments ended"""
 
 
-class Retold:
-    """A record's moves in order, and the laboratory as it stands after the one that was told last.
+class RecordReplay(Replay):
+    """A replay that tells the record's moves in order, with what came of each.
 
-    Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that the record names.
-
-    Raises:
-        RecordError: it cannot be played here.
+    Arguments, attributes and errors are those of :class:`chemlab.record.Replay`.
     """
-
-    def __init__(self, record: Record, trust: bool = False) -> None:
-        self.record = record
-        self._replay = Replay(record, trust)
-        self.laboratories: Laboratories = self._replay.laboratories
 
     def look(self, agent: int) -> Look:
         """What an agent sees now."""
@@ -80,13 +69,13 @@ class Retold:
         """Play the record.
 
         Raises:
-            RecordError: what it says is not possible; the message names the turn.
+            RecordError: what it says is not possible or cannot be read; the message names the turn or the line.
         """
         labs = self.laboratories
         for number, turn in enumerate(self.record.turns):
             tick, busy, before = int(labs.desk.ticks[0]), labs.desk.busy[:, 0].copy(), labs.snapshot()
             try:
-                plays = self._replay.play(turn)
+                plays = self.play(turn)
             except (ValueError, TypeError) as error:
                 raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
             by_manager = plays[0].agent == 0
@@ -105,6 +94,10 @@ class Retold:
                 scores={labs.agents[agent]: float(labs.scores[0, agent]) for agent in ended},
                 last={labs.agents[agent]: self._last_look(before, plays, int(agent)) for agent in ended},
             )
+
+        if self.record.broken is not None:
+            line, problem = self.record.broken
+            raise RecordError(f"{self.record.path}: line {line} {problem} (see chemlab verify)")
 
     def _last_look(self, before: list[Any], plays: Sequence[Play], agent: int) -> Look:
         """What an agent whose experiment has ended saw last: the laboratory itself shows it an idle bench by now."""

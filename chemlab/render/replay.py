@@ -7,6 +7,8 @@ The record is played on the simulator again, so that records stay small; what is
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 from importlib.resources import files
@@ -19,7 +21,7 @@ from ..laboratory.core import Laboratories
 from ..laboratory.state import COST_ITEMS
 from ..laboratory.text import action_words, reading_words
 from ..physics.transfer import liquid_volume
-from ..record import Play, Record, Replay, verify_record
+from ..record import Play, Record, RecordError, Replay, verify_record
 from .scene import laboratory_scene
 
 __all__ = ["replay_data", "replay_page"]
@@ -30,6 +32,8 @@ _LONG = 30
 _STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
 """What frames leave out: the same in all of them, or kept as columns of numbers."""
 _INLINE = 14
+_MOST_TURNS = 20_000
+"""A page of more would be too much for a browser."""
 _EVENT_WORDS = {
     "spill_l": "{:.3g} L spilled",
     "relief_valve_mol": "{:.3g} mol lost through the relief valve",
@@ -228,10 +232,21 @@ def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
 
 
 def replay_page(record: Record, trust: bool = False) -> str:
-    """The page, complete; arguments and errors as for :func:`replay_data`."""
+    """The page, complete; arguments and errors as for :func:`replay_data`, and longer ones are refused."""
+    if len(record.turns) > _MOST_TURNS:
+        raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {_MOST_TURNS}")
     data = replay_data(record, trust)
     # In a script element only "</" and "<!--" mean anything; in JSON "<" can be written otherwise.
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
     page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
+    # The browser runs our script and no other, whatever stands in the data.
+    for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
+        page = page.replace(mark, _content_hash(page, element))
     head, tail = page.split("__DATA__")
     return head.replace("__TITLE__", html.escape(f"{data['title']}, seed {data['seed']}")) + text + tail
+
+
+def _content_hash(page: str, element: str) -> str:
+    """What a content security policy calls the element without attributes of this name."""
+    content = page.split(f"<{element}>")[1].split(f"</{element}>")[0]
+    return "sha256-" + base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()

@@ -19,7 +19,7 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.record import Play, Recorder, read_record
-from chemlab.render.history import Retold
+from chemlab.render.history import RecordReplay
 
 runner = CliRunner()
 
@@ -123,10 +123,10 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
     found = read_record(record(tmp_path / "one.jsonl", scenario))
     told = demonstrations(found)
     waiting = {agent: list(episodes) for agent, episodes in told.items()}
-    retold = Retold(found)
-    labs = retold.laboratories
+    replay = RecordReplay(found)
+    labs = replay.laboratories
     compared = 0
-    for move in retold.moves():
+    for move in replay.moves():
         if not move.begun:
             continue
         number = labs.agents.index(move.begun)

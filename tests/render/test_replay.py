@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
 import shutil
@@ -126,6 +128,27 @@ def test_names_cannot_break_out_of_the_page(episode: Path, tmp_path: Path) -> No
     assert json.loads(inside)["title"] == evil
 
 
+def test_the_page_allows_its_own_script_and_nothing_else(episode: Path) -> None:
+    """Its policy has the hashes of what stands in it, and no way around them (Content Security Policy 3)."""
+    text = replay_page(read_record(episode))
+    (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', text)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    hashes = {}
+    for element in ("script", "style"):
+        (content,) = re.findall(f"<{element}>(.*?)</{element}>", text, flags=re.DOTALL)
+        hashes[element] = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+    assert rules == {
+        "default-src": "'none'",
+        "script-src": f"'sha256-{hashes['script']}'",
+        "style-src": f"'sha256-{hashes['style']}'",
+        "img-src": "data:",
+        "form-action": "'none'",
+        "base-uri": "'none'",
+    }
+    # Attributes with style or code in them would be refused.
+    assert not re.search(r"""<[^>]*\s(?:style|on\w+)=""", text.split('<script id="data"')[0])
+
+
 def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
     part = tmp_path / "a.jsonl.part"
     part.write_bytes(b"".join(episode.read_bytes().splitlines(keepends=True)[:31]) + b'{"turn"')
@@ -191,6 +214,24 @@ def page(browser: Any, page_file: Path, episode: Path) -> Iterator[Any]:
     yield page
     assert said == []
     assert all(url.startswith((page_file.as_uri(), "data:")) for url in asked)
+    page.close()
+
+
+def test_no_other_script_runs(browser: Any, page_file: Path) -> None:
+    """Not even if something did get into the page as markup."""
+    page = browser.new_page()
+    page.goto(page_file.as_uri())
+    page.wait_for_selector("#slots svg")
+    page.evaluate(
+        """() => { const script = document.createElement('script'); script.textContent = 'window.ran = 1';
+        document.body.append(script);
+        document.body.insertAdjacentHTML('beforeend', '<img src="data:," onerror="window.ran = 2"><base href="http://x/">');
+        document.body.insertAdjacentHTML('beforeend', '<p id="p" style="color: rgb(1, 2, 3)">x</p>'); }"""
+    )
+    page.wait_for_timeout(200)
+    assert page.evaluate("window.ran") is None
+    assert page.evaluate("getComputedStyle(document.getElementById('p')).color") != "rgb(1, 2, 3)"
+    assert page.evaluate("document.baseURI").startswith("file:")
     page.close()
 
 

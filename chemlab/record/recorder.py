@@ -1,0 +1,332 @@
+"""Telling what happens in a laboratory as the lines of a record, and writing them while it happens."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, NamedTuple
+
+import llvmlite
+import numba
+import numpy as np
+
+from .. import __version__
+from ..arrays import IntArray, MaskArray, ObservationArray
+from ..chemistry import AMOUNTS, PRESENT, TEMPERATURE
+from ..files import sync_folder
+from ..laboratory.actions import MEASURE
+from ..laboratory.core import Laboratories
+from ..laboratory.state import RUNNING
+from ..materials import validated
+from ..scenario import SAFETY_EVENTS, dump_scenario
+from .format import FORMAT, Header, digest, seen_hash, to_text
+
+__all__ = ["Play", "Recorder", "Witness", "environment_here"]
+
+
+class Play(NamedTuple):
+    """What one agent was shown and did."""
+
+    agent: int
+    """Number of the agent (0 is the manager)."""
+    observation: ObservationArray
+    mask: MaskArray | None
+    action: Any
+
+
+class Witness:
+    """Says what happens in one laboratory as the lines of a record; made right after the laboratory's reset.
+
+    Recording and verifying are both this: what is written, and what it is compared with.
+    """
+
+    def __init__(self, laboratories: Laboratories, member: int) -> None:
+        self._labs, self._m = laboratories, member
+        self._member: IntArray = laboratories.members[member : member + 1]
+        count = len(laboratories.shelf.layout.materials)
+        self._amounts = slice(AMOUNTS, AMOUNTS + count)
+        self._vessels = np.zeros_like(laboratories.shelf.vessels[member])
+        self._bulk = {"stock": np.zeros(count), "waste": np.zeros(count)}
+        self.rewards = dict.fromkeys(laboratories.agents, 0.0)
+        self.turns = 0
+
+    def _streams(self) -> dict[str, int]:
+        labs = self._labs
+        streams = [labs.desk.stream, *(station.stream for station in labs.stations)]
+        return {agent: int(stream[self._m, 0]) for agent, stream in zip(labs.agents, streams, strict=True)}
+
+    def opening(
+        self,
+        seed: int | None,
+        goal: str | None,
+        rounds: bool,
+        policies: Mapping[str, str],
+        models: Mapping[str, str],
+        environment: Mapping[str, str],
+        version: str = __version__,
+    ) -> dict[str, Any]:
+        """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
+        labs = self._labs
+        positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
+        for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
+            positions += [f"{agent}.{position}" for position in bench.positions]
+        return {
+            "format": FORMAT,
+            "chemlab": version,
+            "seed": seed,
+            "options": {} if goal is None else {"goal": goal},
+            "rounds": rounds,
+            "policies": dict(policies),
+            "models": dict(models),
+            "environment": dict(environment),
+            "agents": labs.agents,
+            "goals": [labs.scenario.goals[goal] for goal in labs.desk.goal[self._m].tolist()],
+            "streams": self._streams(),
+            "materials": list(labs.shelf.layout.materials),
+            "positions": positions,
+            "hidden": self._hidden(),
+            "scenario": dump_scenario(labs.scenario),
+        }
+
+    def turn(self, tick: int, plays: Sequence[Play]) -> dict[str, Any]:
+        """What a turn (or a round of several agents) led to, right after it."""
+        labs, m = self._labs, self._m
+        line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
+        lost, events = [], {}
+        for play in plays:
+            agent = labs.agents[play.agent]
+            action = np.asarray(play.action)
+            # Of the action as the simulator takes it: a policy's float32 is what it is as float64.
+            recorded = action.astype(np.float64).tolist() if action.dtype.kind == "f" else action.tolist()
+            line["play"][agent] = [seen_hash(play.observation, play.mask), recorded]
+            info = labs.info(play.agent, m)
+            if info["illegal_action"]:
+                lost.append(agent)
+            if info["events"]:
+                events[agent] = info["events"]
+        for key, values in (("rewards", labs.rewards[m]), ("cost", labs.cost[m])):
+            found = {agent: value for agent, value in zip(labs.agents, values.tolist(), strict=True) if value}
+            if found:
+                line[key] = found
+        for agent, reward in line.get("rewards", {}).items():
+            self.rewards[agent] += reward
+        if lost:
+            line["lost"] = lost
+        if events:
+            line["events"] = events
+        ended = {agent: s for agent, s in zip(labs.agents, labs.scores[m].tolist(), strict=True) if s == s}
+        if ended:
+            line["scores"] = ended
+        if plays[0].agent == 0 and not lost:
+            kind, slot, instrument, _ = labs.actions.table[int(plays[0].action)].tolist()
+            if kind == MEASURE:
+                start, stop = labs.instruments.start[instrument : instrument + 2]
+                values = labs.desk.reading[m, slot, start:stop].tolist()
+                line["reading"] = {"slot": slot, "instrument": labs.instruments.names[instrument], "values": values}
+        line["hidden"] = self._hidden()
+        self.turns += 1
+        return line
+
+    def _hidden(self) -> dict[str, Any]:
+        """What has changed of what no agent sees."""
+        labs, m = self._labs, self._m
+        vessels: dict[str, Any] = {}
+        now = labs.shelf.vessels[m]
+        for position in np.flatnonzero((now != self._vessels).any(axis=1)):
+            row = now[position]
+            was = self._vessels[position]
+            if not row[PRESENT]:
+                vessels[str(position)] = None
+            elif (
+                row[TEMPERATURE] != was[TEMPERATURE]
+                or row[PRESENT] != was[PRESENT]
+                or (row[self._amounts] != was[self._amounts]).any()
+            ):
+                vessels[str(position)] = [row[TEMPERATURE].item(), [x or 0 for x in row[self._amounts].tolist()]]
+            was[:] = row
+        hidden: dict[str, Any] = {"vessels": vessels} if vessels else {}
+        for key, values in (("stock", labs.shelf.stock[m]), ("waste", labs.shelf.waste[m])):
+            if (values != self._bulk[key]).any():
+                hidden[key] = [x or 0 for x in values.tolist()]
+                self._bulk[key][:] = values
+        hidden["state"] = self._state()
+        return hidden
+
+    def _state(self) -> str:
+        labs, m = self._labs, self._m
+        arrays = [labs.shelf.vessels[m], labs.shelf.stock[m], labs.shelf.waste[m]]
+        # Readings are the largest part and in the record anyway, from when they were taken.
+        arrays += labs.state.member(m, without="reading")
+        for station in labs.stations:
+            arrays.append(station.stream[m])
+            if station.busy[m]:  # an idle bench's other numbers are left over from experiments before
+                arrays += [station.goal[m], station.steps[m]]
+                if hasattr(station, "supply"):
+                    arrays.append(station.supply[m])
+        return digest(b"".join([array.tobytes() for array in arrays]))
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode is over."""
+        return bool(self._labs.desk.status[self._m] != RUNNING)
+
+    def closing(self) -> dict[str, Any]:
+        """What the episode came to."""
+        labs, m = self._labs, self._m
+        totals = zip(SAFETY_EVENTS, labs.safety_totals[m].tolist(), strict=True)
+        result = {
+            "status": ("running", "submitted", "truncated")[int(labs.desk.status[m])],
+            "score": labs.result(self._member).item(),
+            **labs.outcome(m),
+            "rewards": self.rewards,
+            "costs": labs.costs(m),
+            "safety_events": {kind: value for kind, value in totals if value},
+            "manager_actions": int(labs.desk.actions[m]),
+            "ticks": int(labs.desk.ticks[m]),
+            "turns": self.turns,
+        }
+        return {"end": result}
+
+
+def environment_here() -> dict[str, str]:
+    """What numbers could depend on besides chemlab."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "llvm": ".".join(map(str, llvmlite.binding.llvm_version_info)),
+        "platform": sys.platform,
+        "machine": platform.machine(),
+        "processor": llvmlite.binding.get_host_cpu_name(),
+    }
+
+
+def _models(laboratories: Laboratories) -> dict[str, str]:
+    """Physics of the user's own that replaces chemlab's, by name."""
+    found = {}
+    for bench in laboratories.benches:
+        for key in ("reaction_model", "separation_model"):
+            model = getattr(bench, key, None)
+            if model is not None:
+                kind = model if hasattr(model, "__qualname__") else type(model)
+                found[key] = f"{kind.__module__}:{kind.__qualname__}"
+    return found
+
+
+class Recorder:
+    """Writes the episodes of one laboratory to a file each.
+
+    Use it as a context manager, or call :meth:`close`. ``begin`` comes after the laboratory's reset, ``turn`` after
+    every turn; the record is finished by the turn that ends the episode. One that is left before that stays
+    ``FILE.part``, readable as far as it goes.
+
+    Args:
+        path: the record; nothing may be there, unless ``force``.
+        laboratories: where the episode is played.
+        member: which of them.
+        policies: names of who plays each agent, for information.
+        rounds: turns are rounds, in which all busy benches act on what they saw when the tick began (parallel API).
+        force: replace what is at ``path``.
+
+    Raises:
+        ValueError: ``path`` is there already.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        laboratories: Laboratories,
+        member: int = 0,
+        policies: Mapping[str, str] | None = None,
+        rounds: bool = False,
+        force: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._labs, self._member = laboratories, member
+        self._policies, self._rounds, self._force = dict(policies or {}), rounds, force
+        self._file: BinaryIO | None = None
+        self._witness: Witness | None = None
+        self._tick = 0
+        for there in () if force else (self.path, self.part):
+            if there.exists():
+                raise ValueError(f"{there}: is already there; give another name, or --force to replace it")
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
+        """Begin the record of an episode; the laboratory has just been reset.
+
+        Args:
+            seed: what it was seeded with; None where its random streams went on, which the record then begins with.
+            options: those of the reset.
+
+        Raises:
+            DataError: a policy's name or the seed is longer than a record may have it.
+            OSError: the file cannot be written.
+        """
+        if self._file is not None:
+            raise ValueError(f"{self.path}: its episode is not over; a record holds one episode")
+        labs = self._labs
+        self._witness = Witness(labs, self._member)
+        opening = self._witness.opening(
+            seed,
+            (options or {}).get("goal"),
+            self._rounds,
+            self._policies,
+            _models(labs),
+            environment_here(),
+        )
+        validated(Header, opening, f"{self.path}: header")  # what could not be read again is not written either
+        self.part.parent.mkdir(parents=True, exist_ok=True)
+        self._file = self.part.open("wb" if self._force else "xb")
+        self._tick = 0
+        self._write(opening)
+
+    def turn(self, plays: Sequence[Play]) -> None:
+        """Write a turn that has just been played (a round, where the recorder is one of rounds).
+
+        Args:
+            plays: who acted, in the agents' order.
+        """
+        if self._witness is None or self._file is None:
+            raise ValueError(f"{self.path}: begin() comes first, and nothing after the end of the episode")
+        self._write(self._witness.turn(self._tick, plays))
+        self._tick = int(self._labs.desk.ticks[self._member])
+        if self._witness.over:
+            self._write(self._witness.closing())
+            os.fsync(self._file.fileno())
+            self.close()
+            if self.path.exists() and not self._force:
+                raise ValueError(f"{self.path}: somebody else has put a file there; the record is {self.part}")
+            self.part.replace(self.path)
+            sync_folder(self.path.parent)
+
+    def _write(self, line: dict[str, Any]) -> None:
+        assert self._file is not None
+        try:
+            text = to_text(line)
+        except ValueError as error:
+            where = f"turn {line['turn']}" if "turn" in line else "the beginning or the end"
+            raise ValueError(f"{self.part}: {where} has a number that is not finite; it cannot be recorded") from error
+        try:
+            self._file.write(text.encode() + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.part)) from error
+
+    def close(self) -> None:
+        """Close the file; the record of an unfinished episode stays ``FILE.part``."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None

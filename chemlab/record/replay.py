@@ -1,0 +1,112 @@
+"""A record's actions on the simulator again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..bench.models import ReactionModel, SeparationModel
+from ..laboratory.core import Laboratories
+from ..laboratory.state import RUNNING
+from ..materials import DataError
+from ..parts import strangers_code
+from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
+from .recorder import Play
+
+__all__ = ["Replay"]
+
+
+class Replay:
+    """A record's episode on the simulator again, turn by turn.
+
+    Args:
+        record: the record.
+        trust: import benches and other parts that the record's scenario names (``module:Name``, ``file.py:Name``);
+            without it that is an error, because a file from elsewhere should not decide what Python runs.
+        reaction_model, separation_model: the user's own physics, where the record was made with such.
+
+    Attributes:
+        laboratories: as it stands after the turns played so far.
+
+    Raises:
+        RecordError: the episode cannot be played here; the message says what is missing.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        trust: bool = False,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+    ) -> None:
+        self.record = record
+        scenario = recorded_scenario(record)
+        header = record.checked_header()
+        given = {"reaction_model": reaction_model, "separation_model": separation_model}
+        for key, name in header.models.items():
+            if given.get(key) is None:
+                raise RecordError(f"{record.path}: was made with {key} {short(name)}: give it to verify_record()")
+        try:
+            with strangers_code(allowed=trust):
+                self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model)
+        except DataError as error:
+            raise RecordError(short(str(error), 500)) from error
+        self.rounds = header.rounds
+        try:
+            self._reset(header)
+        except ValueError as error:
+            raise HeaderError(short(f"{record.path}: header: {error}", 500)) from error
+
+    def _reset(self, header: Header) -> None:
+        labs = self.laboratories
+        labs.seed(0, header.seed or 0)
+        labs.reset(labs.members, header.options.get("goal"))
+        if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
+            streams = [labs.desk.stream, *(station.stream for station in labs.stations)]
+            if list(header.streams) != labs.agents:
+                raise ValueError(f"streams: must be of {', '.join(labs.agents)}, given {short(list(header.streams))}")
+            if len(header.goals) != labs.scenario.orders:
+                raise ValueError(f"goals: must be {labs.scenario.orders}, given {len(header.goals)}")
+            for agent, stream in zip(labs.agents, streams, strict=True):
+                stream[0, 0] = header.streams[agent]
+            labs.desk.goal[0] = [labs.goal_index(name) for name in header.goals]
+
+    def play(self, turn: Mapping[str, Any]) -> list[Play]:
+        """Play one recorded turn; returns what each agent was shown and did.
+
+        Raises:
+            ValueError: such a turn is not possible: somebody else has the turn, or there is no such action.
+        """
+        labs, recorded = self.laboratories, turn.get("play")
+        if not isinstance(recorded, dict):
+            raise ValueError("play: says nothing of who played what")
+        if labs.desk.status[0] != RUNNING:
+            raise ValueError("play: the episode is over")
+        numbers = np.flatnonzero(labs.turns(labs.members)[:, 0]).tolist() if self.rounds else [labs.turn()]
+        having = [labs.agents[number] for number in numbers]
+        if list(recorded) != having:
+            given = short(", ".join(recorded)) or "nobody"
+            raise ValueError(f"play: {', '.join(having)} had the turn, not {given}")
+        plays, actions = [], []
+        for number, agent in zip(numbers, having, strict=True):
+            entry = recorded[agent]
+            if not isinstance(entry, list) or len(entry) != 2:
+                raise ValueError(f"play.{agent}: must be an observation's hash and an action, given {short(entry)}")
+            if not isinstance(entry[1], (int, list)):
+                raise ValueError(f"play.{agent}.1: must be an action, given {short(entry[1])}")
+            action = labs.checked(number, np.array(entry[1]) if isinstance(entry[1], list) else entry[1])
+            mask = labs.mask(number, labs.members)
+            seen = labs.observe(number, labs.members)[0]
+            plays.append(Play(number, seen, None if mask is None else mask[0], action[0]))
+            actions.append(action)
+        if self.rounds:
+            everybody: list[npt.NDArray[Any]] = [np.zeros(0)] * len(labs.agents)
+            for number, action in zip(numbers, actions, strict=True):
+                everybody[number] = action
+            labs.act_round(labs.members, everybody)
+        else:
+            labs.act(numbers[0], labs.members, actions[0])
+        return plays

@@ -1,0 +1,320 @@
+"""Playing a record again, and comparing all it says with what happens."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from .. import __version__
+from ..bench.models import ReactionModel, SeparationModel
+from ..scenario import Scenario, load_scenario, scenario_names
+from .format import Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
+from .recorder import Witness, environment_here
+from .replay import Replay
+
+__all__ = ["EXIT_CODES", "Status", "Verification", "verify_record"]
+
+_ROUNDING = 1e-6
+"""Relative difference that another processor or compiler may leave in a number by the end of an episode."""
+
+Status = Literal["ok", "tampered", "torn", "other", "unchecked", "foreign"]
+EXIT_CODES: dict[Status, int] = {"ok": 0, "tampered": 1, "torn": 3, "other": 4, "unchecked": 5, "foreign": 6}
+"""What ``chemlab verify`` ends with; 2 is a mistake on the command line."""
+assert set(EXIT_CODES) == set(get_args(Status))
+
+
+@dataclass
+class Verification:
+    """What came of playing a record again.
+
+    Attributes:
+        status: ``ok``; ``tampered`` (something in it is not what happens); ``torn`` (the end is missing, the rest is
+            right); ``other`` (of another version or platform, where numbers may differ: see ``message``); ``foreign``
+            (right, but on a scenario that is neither a shipped one nor the one asked for); ``unchecked`` (no record, or
+            it cannot be played here).
+        message: the finding in words.
+        turns: number of turns that were played again and found right.
+        turn: the first turn that is not, None where there is none or it is the first or the last line.
+        where: the first line that differs: ``header``, ``turn 12``, ``end``.
+        key: what differs there.
+        recorded, recomputed: its two values.
+        score: what the episode comes to when it is played, None where it was not played to its end.
+        notes: what else is worth knowing, and what the record claims that no playing can prove.
+    """
+
+    path: str
+    status: Status
+    message: str
+    turns: int = 0
+    turn: int | None = None
+    where: str = ""
+    key: str = ""
+    recorded: Any = None
+    recomputed: Any = None
+    score: float | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def exit_code(self) -> int:
+        """What ``chemlab verify`` ends with."""
+        return EXIT_CODES[self.status]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as plain Python values."""
+        return dict(vars(self))
+
+
+class _Absent:
+    """Stands for a key that is not there."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+_ABSENT = _Absent()
+
+
+def _differences(recorded: Any, recomputed: Any, key: str = "") -> Iterable[tuple[str, Any, Any]]:
+    """(key, recorded, recomputed) of everything that differs, in the order of the recomputed line."""
+    if isinstance(recorded, dict) and isinstance(recomputed, dict):
+        for name in [*recomputed, *(name for name in recorded if name not in recomputed)]:
+            inner = f"{key}.{name}" if key else str(name)
+            yield from _differences(recorded.get(name, _ABSENT), recomputed.get(name, _ABSENT), inner)
+    elif isinstance(recorded, list) and isinstance(recomputed, list) and len(recorded) == len(recomputed):
+        for i, (one, other) in enumerate(zip(recorded, recomputed, strict=True)):
+            yield from _differences(one, other, f"{key}.{i}")
+    elif isinstance(recorded, bool) is not isinstance(recomputed, bool) or recorded != recomputed:
+        yield key, recorded, recomputed
+
+
+def _is_hash(key: str, value: Any) -> bool:
+    return (key.startswith("play.") or key == "hidden.state") and bool(re.fullmatch("[0-9a-f]{16}", str(value)))
+
+
+class _Check:
+    """Plays a record again and keeps the first difference, and all that another platform may have made."""
+
+    def __init__(self, record: Record, header: Header, replay: Replay) -> None:
+        self.record, self.header, self.replay = record, header, replay
+        self.environment = environment_here()
+        self.elsewhere = header.environment != self.environment
+        # Another version keeps its state otherwise; what can be asked is whether it comes to the same results.
+        self.same_version = header.chemlab == __version__
+        self.rounded, self.largest, self.largest_at = 0, 0.0, ""
+        self.hashes = 0
+        self.good = 0
+        self.score: float | None = None
+        self.found: tuple[str, str, Any, Any] | None = None
+
+    def compare(self, number: int, where: str, recorded: dict[str, Any], recomputed: dict[str, Any]) -> bool:
+        """Whether line ``number`` is as it should be; keeps the first difference."""
+        try:
+            text = to_text(recomputed)
+        except ValueError:
+            self.found = (where, "", "finite numbers", "numbers that are not finite")
+            return False
+        if text.encode() == self.record.lines[number]:
+            return True
+        same = True
+        for key, one, other in _differences(recorded, recomputed):
+            same = False
+            if key == "hidden.state" and not self.same_version:
+                continue
+            if self.elsewhere and self._elsewhere(where, key, one, other):
+                continue
+            self.found = (where, key, one, other)
+            return False
+        if same:
+            self.found = (where, "", "the line as it is", "the same values, but written otherwise")
+        return not same
+
+    def _elsewhere(self, where: str, key: str, recorded: Any, recomputed: Any) -> bool:
+        """Whether another platform may have made a difference, which is then counted: the last digits of a number, or
+        the hash of something that has such."""
+        if _is_hash(key, recorded) and _is_hash(key, recomputed):
+            self.hashes += 1
+            return True
+        numbers = (float, int)
+        if not isinstance(recorded, numbers) or not isinstance(recomputed, float) or isinstance(recorded, bool):
+            return False
+        apart = abs(recorded - recomputed) / max(abs(recorded), abs(recomputed), 1.0)
+        if apart > _ROUNDING:
+            return False
+        self.rounded += 1
+        if apart >= self.largest:
+            self.largest, self.largest_at = apart, f"{where}: {key}"
+        return True
+
+    def run(self) -> None:
+        """Play, until something differs."""
+        record, header, labs = self.record, self.header, self.replay.laboratories
+        witness = Witness(labs, 0)
+        # What a header claims stands there as it claims it: the verdict says so.
+        claims = header.policies, header.models, header.environment, header.chemlab
+        opening = witness.opening(header.seed, header.options.get("goal"), header.rounds, *claims)
+        if not self.compare(0, "header", record.header, opening):
+            return
+        for number, turn in enumerate(record.turns):
+            where, tick = f"turn {number}", int(labs.desk.ticks[0])
+            if witness.over:
+                self.found = (where, "play", turn.get("play"), "nothing: the episode is over")
+                return
+            try:
+                plays = self.replay.play(turn)
+            except (ValueError, TypeError) as error:
+                key, _, problem = str(error).partition(": ")
+                self.found = (where, key if key.startswith("play") else "play", turn.get("play"), problem)
+                return
+            if not self.compare(number + 1, where, turn, witness.turn(tick, plays)):
+                return
+            self.good += 1
+        closing = witness.closing()
+        self.score = closing["end"]["score"] if witness.over else None
+        if record.end is None:
+            return
+        if not witness.over:
+            self.found = ("end", "end", record.end["end"], "nothing: the episode is not over")
+            return
+        self.compare(len(record.turns) + 1, "end", record.end, closing)
+
+
+def verify_record(
+    path: str | Path | Record,
+    scenario: str | Path | Scenario | None = None,
+    trust: bool = False,
+    reaction_model: ReactionModel | None = None,
+    separation_model: SeparationModel | None = None,
+) -> Verification:
+    """Play a record's actions on the simulator and compare all it says with what happens.
+
+    Args:
+        path: the record.
+        scenario: what it must have been made on; default: the shipped scenario of the same name.
+        trust: import benches of somebody's own that the record names.
+        reaction_model, separation_model: the physics it was made with, where that was not chemlab's.
+
+    Raises:
+        DataError: ``scenario`` is none.
+    """
+    name = str(path.path if isinstance(path, Record) else path)
+    asked = None if scenario is None else load_scenario(scenario)
+    try:
+        record = path if isinstance(path, Record) else read_record(path)
+    except RecordError as error:
+        return Verification(name, "unchecked", _plain(error, name))
+    other = _other_version(record)
+    try:
+        header = record.checked_header()
+        replay = Replay(record, trust, reaction_model, separation_model)
+    except RecordError as error:
+        status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
+        messages, where = [_plain(error, name)], "header" if isinstance(error, HeaderError) else ""
+        if record.broken is not None:
+            status, messages = "tampered", [_broken(record), *messages]
+        elif other:
+            status, messages = "other", [other, *messages]
+        return Verification(name, status, "; ".join(messages), where=where)
+    check = _Check(record, header, replay)
+    check.run()
+    return _verdict(check, other, _foreign(replay.laboratories.scenario, asked))
+
+
+def _plain(error: RecordError, name: str) -> str:
+    return short(str(error).removeprefix(f"{name}: "), 500)
+
+
+def _broken(record: Record) -> str:
+    assert record.broken is not None
+    return f"line {record.broken[0]} {record.broken[1]}"
+
+
+def _other_version(record: Record) -> str:
+    """What to say of a record that another version made."""
+    made = record.header.get("chemlab")
+    return "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
+
+
+def _foreign(spec: Scenario, asked: Scenario | None) -> str:
+    """What to say of a record on a scenario that nobody but the record vouches for."""
+    expected = asked
+    if asked is None and spec.name in scenario_names():
+        expected = load_scenario(spec.name)
+    actual = scenario_hash(spec)
+    if expected is None:
+        return f"scenario {spec.name} is the record's own (hash {actual}), none that chemlab ships"
+    same = scenario_hash(expected) == actual
+    return "" if same else f"its scenario {spec.name} (hash {actual}) is not {expected.origin}"
+
+
+def _verdict(check: _Check, other: str, foreign: str) -> Verification:
+    """The findings as one result, the worst first."""
+    record = check.record
+    result = Verification(str(record.path), "ok", "", turns=check.good, score=check.score)
+    problems = []
+    if check.found is not None:
+        result.where, result.key, recorded, recomputed = check.found
+        result.recorded, result.recomputed = _shown(recorded), _shown(recomputed)
+        result.turn = int(result.where.split()[1]) if result.where.startswith("turn") else None
+        place = ": ".join(part for part in (result.where, short(result.key)) if part)
+        problems.append(f"{place}: recorded {short(repr(recorded))}, recomputed {short(repr(recomputed))}")
+    elif record.broken is not None:
+        problems.append(_broken(record))
+    played = f"all {check.good} turns" + ("" if record.torn else f" and the score {check.score!r}")
+    right = f"{played} are right"
+    if record.torn:
+        right = f"the end is missing; all {check.good} turns up to there are right"
+    deviations = []
+    if check.rounded:
+        deviations.append(f"{check.rounded} numbers differ, by {check.largest:.1g} at most ({check.largest_at})")
+    if check.hashes:
+        deviations.append(
+            f"{check.hashes} hashes of what was seen or hidden differ, which only that platform can tell from invented"
+        )
+    if problems and (record.broken is not None or not other):
+        result.status, result.message = "tampered", "; ".join([*problems, *filter(None, (other, foreign))])
+    elif other or deviations:
+        result.status = "other"
+        elsewhere = f"made on another platform: {', '.join(deviations)}" if deviations else ""
+        agree = problems or ["nothing differs by more" if deviations else f"played on it, {played} agree"]
+        missing = "the end is missing" if record.torn else ""
+        result.message = "; ".join(filter(None, [other, foreign, elsewhere, *agree, missing]))
+    elif foreign:
+        result.status, result.message = "foreign", f"{foreign}; on it {right}"
+    else:
+        result.status, result.message = "torn" if record.torn else "ok", right
+    result.notes = _notes(check)
+    return result
+
+
+def _notes(check: _Check) -> list[str]:
+    """What a record claims, and no playing of it can prove."""
+    header, notes = check.header, []
+    if check.elsewhere:
+        differing = [
+            f"{key} {short(header.environment.get(key))} (here {value})"
+            for key, value in check.environment.items()
+            if header.environment.get(key) != value
+        ]
+        unknown = sorted(header.environment.keys() - check.environment.keys())
+        differing += [f"{short(key)} {short(header.environment[key])}" for key in unknown]
+        notes.append(f"says it was made with {', '.join(differing)}")
+    if header.policies:
+        who = ", ".join(sorted({short(name) for name in header.policies.values()}))
+        notes.append(f"says that {short(who, 200)} played, which nothing proves")
+    for key, name in header.models.items():
+        notes.append(f"played with the {key} that was given, for what it calls {short(name)}")
+    if header.seed is None:
+        notes.append("has no seed: its random streams and goals are what whoever made it wanted")
+    elif header.options:
+        notes.append(f"its goal was asked for: {short(header.options['goal'])}")
+    return notes
+
+
+def _shown(value: Any) -> Any:
+    """A value for a report: as it is where that is short."""
+    if value is _ABSENT:
+        return None
+    return value if isinstance(value, (int, float, bool)) or value is None else short(value)

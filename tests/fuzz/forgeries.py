@@ -1,0 +1,136 @@
+"""Results that must not be believed: forges records in the ways that once worked, and counts how they are taken.
+
+Run ``python tests/fuzz/forgeries.py`` (``--json`` for machines); ``--seeds`` says on how many episodes. It needs
+nothing but what every version of chemlab has had, so that it tells what an older one makes of the same forgeries;
+where that had a hash in every line, the forger computes it as anybody can.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from chemlab.agents.policy import make_policies
+from chemlab.agents.run import play_episode
+from chemlab.laboratory.aec import raw_env
+from chemlab.record import Recorder, verify_record
+from chemlab.scenario import dump_scenario, load_scenario, restore_scenario
+
+NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999")
+Lines = list[str]
+
+
+def store(path: Path, lines: Lines) -> Path:
+    """Write lines; where they had hashes of the lines before, with such."""
+    chain, texts = "", []
+    for line in lines:
+        body, mark, _ = line.partition(',"chain":"')
+        if mark:
+            chain = hashlib.blake2b((chain + body).encode(), digest_size=8).hexdigest()
+            line = f'{body},"chain":"{chain}"}}'
+        texts.append(line)
+    path.write_text("\n".join(texts) + "\n", encoding="utf-8")
+    return path
+
+
+def text_of(value: dict[str, Any], like: str) -> str:
+    """A line as a recorder writes it."""
+    text = json.dumps({k: v for k, v in value.items() if k != "chain"}, separators=(",", ":"), ensure_ascii=False)
+    return text[:-1] + ',"chain":""}' if ',"chain":"' in like else text
+
+
+def record(path: Path, scenario: Any, seed: int, policy: str = "random") -> Lines:
+    """An honest episode's lines."""
+    env = raw_env(scenario)
+    with Recorder(path, env.laboratories, force=True) as recorder:
+        play_episode(env, make_policies(policy, env.laboratories, seed), seed, policy, recorder=recorder)
+    return path.read_text(encoding="utf-8").splitlines()
+
+
+def cut_short(lines: Lines, path: Path) -> Iterator[Path]:
+    """The first turns, and an end that says what verification itself says should stand there."""
+    most = len(lines) - 3  # one turn is missing
+    for turns in sorted({turns for turns in (1, 10, most // 2, most) if 0 <= turns <= most}):
+        end = json.loads(lines[-1])
+        for _ in range(60):
+            found = verify_record(store(path, [*lines[: turns + 1], text_of(end, lines[-1])]))
+            keys = found.key.split(".")
+            if found.where != "end" or len(keys) < 2:
+                break
+            inner: Any = end
+            for key in keys[:-1]:
+                inner = inner[int(key)] if isinstance(inner, list) else inner[key]
+            if found.recomputed is None:
+                inner.pop(keys[-1], None)
+            else:
+                inner[int(keys[-1]) if isinstance(inner, list) else keys[-1]] = found.recomputed
+        yield path
+
+
+def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
+    """A score that is no number, of an episode that was played elsewhere."""
+    header = json.loads(lines[0])
+    header["environment"]["machine"] = "abacus"
+    score = json.dumps(json.loads(lines[-1])["end"]["score"])
+    for number in NUMBERS:
+        end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
+        yield store(path, [text_of(header, lines[0]), *lines[1:-1], end])
+
+
+def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:
+    """Keys twice, keys that mean nothing, numbers written otherwise: readers may differ about what they read."""
+    seed = f'"seed":{json.loads(lines[0])["seed"]}'
+    for new in (f'{seed},"audited":true', f'"seed":0,{seed}', f"{seed}.0"):
+        yield store(path, [lines[0].replace(seed, new, 1), *lines[1:]])
+    for new in ('"score":1.0,"score":', '"score": '):
+        yield store(path, [*lines[:-1], lines[-1].replace('"score":', new, 1)])
+
+
+def easier_scenario(lines: Lines, path: Path) -> Iterator[Path]:
+    """Played honestly, where half as much counts as everything; under the shipped name, and under another."""
+    header = json.loads(lines[0])
+    for name in (header["scenario"]["scenario"]["name"], "wurtz_house_rules"):
+        data = json.loads(json.dumps(dump_scenario(load_scenario("wurtz_dodecane"))))
+        data["scenario"]["name"] = name
+        data["scenario"]["theoretical_maximum_mol"] = {
+            goal: mol / 2 for goal, mol in data["scenario"]["theoretical_maximum_mol"].items()
+        }
+        yield store(path, record(path, restore_scenario(data, "easier"), header["seed"], "heuristic"))
+
+
+FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario)
+
+
+def forge(seeds: int, folder: Path) -> dict[str, Counter[str]]:
+    """How often each forgery was tried, and how it was taken: by status of its verification."""
+    found: dict[str, Counter[str]] = {}
+    for seed in range(seeds):
+        lines = record(folder / "honest.jsonl", "wurtz_dodecane", seed)
+        for forgery in FORGERIES:
+            counter = found.setdefault(forgery.__name__, Counter())
+            for path in forgery(lines, folder / "forged.jsonl"):
+                counter[verify_record(path).status] += 1
+    return found
+
+
+def main() -> int:
+    """Forge and report; 1 if one was found right."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        found = forge(args.seeds, Path(folder))
+    print(json.dumps(found) if args.json else "\n".join(f"{key}: {dict(value)}" for key, value in found.items()))
+    return 1 if any(counter["ok"] for counter in found.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,28 @@
+"""A few hundred mutated records; more by ``python tests/fuzz/fuzz_records.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from forgeries import NUMBERS, forge
+from fuzz_records import fuzz
+
+pytest.importorskip("matplotlib", reason="needs matplotlib (extra plot)")
+
+
+def test_mutated_records_are_refused_in_words(tmp_path: Path) -> None:
+    report = fuzz(200, 20, tmp_path)
+    assert report.failures == []
+    assert report.files == 200
+    # It does get through to what it is meant to try.
+    assert report.status["tampered"] > 50
+    assert sum(report.readers.values()) > sum(report.refused.values()) > 50
+
+
+def test_forged_records_are_not_believed(tmp_path: Path) -> None:
+    found = forge(2, tmp_path)
+    assert found["cut_short"].keys() == {"tampered"}
+    assert found["impossible_numbers"] == {"tampered": 2 * len(NUMBERS)}
+    assert found["other_spellings"].keys() <= {"tampered", "unchecked"}
+    assert found["easier_scenario"] == {"foreign": 4}

@@ -1,0 +1,114 @@
+"""Files are there whole or not at all, whatever happens to the process or the disk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from chemlab.files import draft_of, replace_between, write_bytes, write_text
+
+WRITER = """
+import sys
+from pathlib import Path
+from chemlab.files import write_bytes
+path = Path(sys.argv[1])
+print("ready", flush=True)
+for i in range(10**9):
+    write_bytes(path, bytes([i % 251]) * 300_000)
+"""
+SMALL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+from chemlab.files import write_bytes
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try:
+    write_bytes(Path(sys.argv[1]), b"x" * 5000)
+except OSError as error:
+    print(error)
+"""
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a.txt"
+    for text in ("one", "zwei, größer", ""):
+        write_text(path, text)
+        assert path.read_bytes() == text.encode()
+    assert [file.name for file in path.parent.iterdir()] == ["a.txt"]
+
+
+def test_a_failed_write_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_text(path, "kept")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "\ud800")
+    with pytest.raises(FileNotFoundError), draft_of(path) as draft:
+        draft.with_name("no such file").replace(draft)
+    with pytest.raises(FileNotFoundError), draft_of(path):
+        pass  # nothing was written, so nothing is replaced
+    with pytest.raises(ValueError, match="mark: begin"):
+        replace_between(path, "mark", ["x"])
+    assert path.read_text() == "kept"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+def test_a_killed_writer_leaves_a_whole_file(tmp_path: Path) -> None:
+    """Killed at whatever moment; what it leaves besides is swept once nobody can be writing it any more."""
+    path = tmp_path / "a.bin"
+    for delay in (0.0, 0.003, 0.011, 0.02, 0.031, 0.043):
+        with subprocess.Popen([sys.executable, "-c", WRITER, path], stdout=subprocess.PIPE) as writer:
+            assert writer.stdout is not None
+            writer.stdout.readline()
+            while not path.exists():
+                time.sleep(0.001)
+            time.sleep(delay)
+            writer.send_signal(signal.SIGKILL)
+        content = path.read_bytes()
+        assert len(content) == 300_000
+        assert len(set(content)) == 1
+    left = [file for file in tmp_path.iterdir() if file != path]
+    assert all(file.name.startswith(".draft-") and not file.suffix for file in left)
+    mine = tmp_path / ".drafts"
+    mine.write_text("of the user's")
+    old, young = tmp_path / ".draft-1-abc", tmp_path / ".draft-2-abc"
+    for file, age in [(old, 61.0), (young, 5.0), (mine, 1e6)]:
+        file.touch()
+        os.utime(file, (time.time() - age, time.time() - age))
+    write_bytes(path, b"next")
+    assert not old.exists()
+    assert young.exists()
+    assert mine.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+def test_a_disk_without_room(tmp_path: Path) -> None:
+    """The error names the file that was meant; the one that was there stays."""
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"kept")
+    found = subprocess.run([sys.executable, "-c", SMALL_DISK, path], capture_output=True, text=True, check=True)
+    assert f"File too large: '{path}'" in found.stdout
+    assert path.read_bytes() == b"kept"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_something_else_is_in_the_way(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    (folder / "inside").mkdir(parents=True)
+    with pytest.raises(OSError, match=r"folder'$"):
+        write_text(folder, "x")
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(OSError, match="file"):
+        write_text(file / "below", "x")
+    with pytest.raises(OSError, match="name too long"):
+        write_text(tmp_path / ("a" * 300), "x")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["file", "folder"]
+    # A name as long as the system allows leaves no room for a longer one beside it.
+    write_text(tmp_path / ("a" * 255), "x")
