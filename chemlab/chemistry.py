@@ -16,6 +16,8 @@ import numpy.typing as npt
 
 from .arrays import Field, FloatArray, Handle, IntArray, addresses, declared
 from .jit import COMPILED
+from .materials import DataError
+from .scenario import PHYSICS_TIERS as TIERS
 from .scenario import Scenario
 
 __all__ = [
@@ -51,10 +53,6 @@ ROLE_SOLVENT, ROLE_SOLUTE, ROLE_ION, ROLE_SOLID, ROLE_GAS = range(5)
 _ROLES = {"solvent": ROLE_SOLVENT, "solute": ROLE_SOLUTE, "ion": ROLE_ION, "solid": ROLE_SOLID, "gas": ROLE_GAS}
 
 WAVELENGTHS_NM: FloatArray = np.linspace(200.0, 800.0, 200)
-
-
-TIERS: dict[str, str] = {"paper": "chemlab.physics.laws.paper"}
-"""Module of the laws of each tier of physics, by the name that scenarios give (``physics = "paper"``)."""
 
 
 def tier_dimensions(tier: str) -> int:
@@ -102,6 +100,8 @@ class Chemistry(NamedTuple):
     """[n, 3] solid, cation, anion; rows of one cation stand together"""
     violent: Annotated[FloatArray, Structure("n M")]
     """[n, M] stoichiometry of reactions that go to completion at once"""
+    violent_event: Annotated[IntArray, Structure("n")]
+    """[n] safety event that each counts as, -1 for none"""
     air: Annotated[int, Structure("")]
     """Material index of air."""
     molar_volume: Annotated[FloatArray, Parameter("M")]
@@ -272,6 +272,18 @@ def _network(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
     )
 
 
+def _violent_events(scenario: Scenario) -> IntArray:
+    """[n] the safety event that each violent reaction counts as, -1 for none."""
+    kinds = scenario.safety_events
+    for step in scenario.family.violent:
+        if step.event is not None and step.event not in kinds:
+            raise DataError(
+                f"{scenario.origin}: reactions {scenario.family.name!r}: violent.event: unknown safety event "
+                f"{step.event!r}; known: {', '.join(kinds)}; declare your own under safety.events"
+            )
+    return np.array([-1 if s.event is None else kinds.index(s.event) for s in scenario.family.violent], dtype=np.int64)
+
+
 def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
     """The chemistry of a scenario, materials in the order of ``scenario.materials``; every world has the numbers of
     the data files."""
@@ -301,6 +313,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
         volatile=liquids[np.argsort(boiling[liquids], kind="stable")].astype(np.int64),
         salts=np.array(salts, dtype=np.int64).reshape(len(salts), 3),
         violent=_stoichiometry(scenario.family.violent, names),
+        violent_event=_violent_events(scenario),
         air=index["air"],
         molar_volume=np.array([m.molar_mass_g_mol / (1000.0 * m.density_kg_l) for m in table]),
         molar_mass=np.array([m.molar_mass_g_mol for m in table]),
@@ -315,7 +328,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
         ambient_pressure=scenario.ambient_pressure_kpa,
     )
     layout = Layout(tuple(names), tuple(names[i] for i in solvents), tuple(names[i] for i in dissolved))
-    return ChemistryTable(layout, values, worlds=worlds)
+    return ChemistryTable(layout, values, scenario.physics, worlds)
 
 
 def element_matrix(scenario: Scenario) -> FloatArray:

@@ -2,7 +2,7 @@
 
 A reaction family is one TOML file of ``chemlab/data/reactions`` (or a path of the user's): ``[[reaction]]``
 entries integrated by the kinetics kernel, ``[[salt]]`` entries taken to their dissolution equilibrium, and
-``[[violent]]`` entries that run to completion at once and are safety events.
+``[[violent]]`` entries that run to completion at once and may be safety events.
 """
 
 from __future__ import annotations
@@ -85,7 +85,10 @@ class Salt(BaseModel):
 
 
 class Violent(_Balanced):
-    """A reaction that goes to completion the moment its reactants meet; running it is a safety event."""
+    """A reaction that goes to completion the moment its reactants meet."""
+
+    event: Text | None = None
+    """Safety event that it counts as, by the mol of its first reactant; None: it is none."""
 
 
 class ReactionFamily(BaseModel):

@@ -56,8 +56,8 @@ SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
 times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
 
-PHYSICS_TIERS: tuple[str, ...] = ("paper",)
-"""Known tiers of physical laws; a scenario names one."""
+PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.laws.paper"}
+"""Tiers of physical laws that a scenario may name, with the module of each (see :mod:`chemlab.physics.laws`)."""
 
 _DATA = Path(__file__).resolve().parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -8,7 +8,6 @@ import math
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, ROLE_GAS, Chemistry
 from ....jit import helper, opened
-from ...events import METAL_IN_WATER
 from .partition import set_dissolved_total
 
 __all__ = ["react_violently", "settle_phases", "settle_salts"]
@@ -25,15 +24,11 @@ def _set_amount(row: FloatArray, chem: Handle, material: int, total: float, shar
 
 
 @helper
-def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, share: FloatArray) -> float:
-    """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``.
-
-    Returns:
-        mol of the first reactant (the metal) that reacted.
-    """
+def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+    """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``. The event that a
+    reaction counts as grows by the mol of its first reactant."""
     chemistry = opened(Chemistry, chem)
     n = chemistry.role.shape[0]
-    reacted = 0.0
     for v in range(chemistry.violent.shape[0]):
         extent, limiting = math.inf, -1
         for i in range(n):
@@ -50,8 +45,8 @@ def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, share: Flo
             change = chemistry.violent[v, i] * extent
             if change == 0.0:
                 continue
-            if change < 0.0 and first:
-                reacted += -change
+            if change < 0.0 and first and chemistry.violent_event[v] >= 0:
+                events[chemistry.violent_event[v]] -= change
                 first = False
             if chemistry.role[i] == ROLE_GAS:
                 waste[i] += change
@@ -59,7 +54,6 @@ def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, share: Flo
                 _set_amount(row, chem, i, 0.0, share)
             else:
                 _set_amount(row, chem, i, max(row[AMOUNTS + i] + change, 0.0), share)
-    return reacted
 
 
 @helper
@@ -102,16 +96,8 @@ def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
 
 @helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
-    """What happens by itself in any vessel, after any operation: violent reactions, then salts; gases leave.
-
-    Args:
-        row: vessel row, changed in place.
-        chem: the chemistry.
-        waste: [M] mol, receives vented gases.
-        events: safety events row; METAL_IN_WATER grows by the mol of metal that reacted.
-        share: [L] scratch.
-    """
-    events[METAL_IN_WATER] += react_violently(row, chem, waste, share)
+    """What happens by itself in any vessel, after any operation: violent reactions, then salts; gases leave."""
+    react_violently(row, chem, waste, events, share)
     settle_salts(row, chem, share)
     role = opened(Chemistry, chem).role
     for i in range(role.shape[0]):
