@@ -25,7 +25,6 @@ import typer
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
-import chemlab
 from chemlab.bench import operations, reaction
 from chemlab.bench.base import Bench, Channel
 from chemlab.bench.instruments import INSTRUMENT_KINDS
@@ -569,12 +568,14 @@ def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
 
 def _modules() -> list[str]:
     """Every public module that says what it offers."""
-    found = [module.name for module in pkgutil.walk_packages(chemlab.__path__, "chemlab.")]
-    # A package that is mapped into another folder is not below this one's path.
-    agents = importlib.util.find_spec("chemlab.agents")
-    assert agents is not None, "chemlab.agents is part of chemlab"
-    places = list(agents.submodule_search_locations or [])
-    found += ["chemlab.agents", *(m.name for m in pkgutil.walk_packages(places, "chemlab.agents."))]
+    found = []
+    for package in ("chemlab", "chemlab.agents"):
+        # Its own folder alone: in a checkout the path of chemlab has the checkout's other folders on it, too.
+        spec = importlib.util.find_spec(package)
+        assert spec is not None, f"{package} is there"
+        assert spec.origin is not None, f"{package} has a file"
+        found += [package, *(m.name for m in pkgutil.walk_packages([str(Path(spec.origin).parent)], f"{package}."))]
+    found.remove("chemlab")
     public = []
     for name in dict.fromkeys(found):
         if name.startswith(_NEVER_PUBLIC) or "._" in name:
