@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -317,6 +318,15 @@ class Scenario(BaseModel):
     def safety_events(self) -> tuple[str, ...]:
         """Kinds of safety event, in the order of every events array: chemlab's, then the scenario's own."""
         return (*SAFETY_EVENTS, *self.safety.events)
+
+    @property
+    def argument(self) -> str:
+        """What ``chemlab`` commands take for this scenario: a shipped one's name, else the path it was loaded from,
+        quoted for a shell; ``FILE.toml`` for one that has no file yet."""
+        path = Path(self._origin)
+        if path.suffix != ".toml":
+            return "FILE.toml"
+        return path.stem if path.parent == _scenario_folder() else shlex.quote(self._origin)
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""

@@ -296,7 +296,7 @@ class Laboratories:
             if lacking:
                 goal = self.scenario.goals[lacking[0]]
                 raise DataError(
-                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.name}"
+                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.argument}"
                 )
             for row in pool.arrays.rows:
                 self._rest(row)

@@ -108,7 +108,9 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
     """
     path = starts_file(scenario)
     if not path.is_file():
-        raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; run: chemlab starts {scenario.name}")
+        raise DataError(
+            f"starts: no laboratory runs recorded for {scenario.name}; run: chemlab starts {scenario.argument}"
+        )
     recorded = json.loads(path.read_text(encoding="utf-8"))["benches"].get(bench, [])
     if not recorded:
         raise DataError(f"starts: {path} has no vessels of bench {bench!r}; use starts='paper'")
