@@ -53,7 +53,7 @@ page = TextConsole()
 
 def plain(text: object) -> str:
     """Text from files and of people, to stand in a message with markup: brackets in it are brackets."""
-    return escape(str(text))
+    return escape(str(text).translate(_SIGNS))
 
 
 def event_words(events: Mapping[str, float]) -> list[str]:
@@ -71,7 +71,8 @@ def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
         rows: cells, shown as they are (markup is none here), or ``Text`` with a style.
         right: columns that stand flush right (numbers).
     """
-    cells = [[cell if isinstance(cell, Text) else Text(str(cell)) for cell in row] for row in rows]
+    # Signs are put in here already: what steers a terminal counts as no column when widths are worked out.
+    cells = [[cell if isinstance(cell, Text) else Text(str(cell).translate(_SIGNS)) for cell in row] for row in rows]
     flush = set(right)
     if title:
         page.print(Text(title, style="italic"))
