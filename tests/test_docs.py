@@ -227,6 +227,7 @@ def test_pictures_are_small() -> None:
     assert (images / "episode.webp").stat().st_size < 400_000
 
 
+@pytest.mark.slow
 def test_pages_build_without_warnings(tmp_path: Path) -> None:
     """Every scenario, command and environment has its page, and the tables are those of the spaces."""
     for package in ("sphinx", "myst_parser", "furo"):
