@@ -211,13 +211,49 @@ def test_console_commands_are_checked() -> None:
         parse(["run", "fictitious", "--altitude", "3"], "here")
 
 
-def test_links_between_pages_and_pictures_exist() -> None:
-    """Relative links of the pages and of README lead somewhere; those into generated pages are Sphinx's to check."""
-    for page in [*PAGES, ROOT / "README.md"]:
-        text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
-            if "://" not in target and "generated/" not in target:
-                assert (page.parent / target).exists(), f"{page.relative_to(ROOT)}: {target}"
+PROSE = [*PAGES, *sorted(ROOT.glob("*.md"))]
+
+
+def anchors(page: Path) -> set[str]:
+    """What links may name on a page: its headings as GitHub and MyST call them."""
+    headings = re.findall(
+        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M), re.M
+    )
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    """Every relative link works in a checkout; pages that Sphinx makes are named by roles, which Sphinx checks."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
+        if "://" in target:
+            continue
+        file = page.parent / target if target else page
+        assert file.exists(), f"{target} does not exist"
+        assert "generated" not in file.parts, (
+            f"{target}: not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
+        )
+        if anchor:
+            assert anchor in anchors(file), f"{target}#{anchor}: no such heading; there are {sorted(anchors(file))}"
+
+
+def test_the_map_leads_to_files() -> None:
+    """Every file that the map names is there, and every module of the physics is named."""
+    text = (DOCS / "map.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w./*]+(?:\.py|\.toml|/))`", text)
+    assert len(named) > 40
+    for row in text.splitlines():
+        folder = ROOT
+        for name in re.findall(r"`([\w./*]+(?:\.py|\.toml|/))`", row):
+            # A name without a folder stands in that of the one before it; code is below chemlab.
+            places = [folder, ROOT, ROOT / "chemlab", ROOT / "tests"]
+            found = next((place for place in places if next(iter(place.glob(name.rstrip("/"))), None)), None)
+            assert found is not None, f"{name}: no such file"
+            folder = (found / name).parent
+    stems = {Path(name).stem for name in named}
+    for module in (ROOT / "chemlab" / "physics").glob("*.py"):
+        assert module.stem in stems | {"__init__", "jit", "events"}, f"{module.name} is not on the map"
 
 
 def test_pictures_are_small() -> None:
