@@ -22,7 +22,7 @@ from .common import (
     chosen_agents,
     prepare,
 )
-from .screen import err, event_words, out, page, plain, show_table
+from .screen import err, event_words, happened, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.run import EpisodeResult, Turn
@@ -341,7 +341,8 @@ def _summary(spec: Scenario, policy: str, results: list[EpisodeResult]) -> dict[
         "score": sum(r.score for r in results) / count,
         "manager_actions": sum(r.manager_actions for r in results) / count,
         "ticks": sum(r.ticks for r in results) / count,
-        "unsafe_episodes": sum(bool(set(r.safety_events) - {"boiled_dry", "dry_heating"}) for r in results) / count,
+        "unsafe_episodes": sum(bool(set(happened(r.safety_events)) - {"boiled_dry", "dry_heating"}) for r in results)
+        / count,
     }
 
 

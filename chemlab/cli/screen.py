@@ -13,7 +13,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["TextConsole", "err", "event_words", "out", "page", "plain", "show_table"]
+__all__ = ["TextConsole", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
 
 _NOISE = 1e-9
 """Safety events below this (mol, L or whatever they are in) are what rounding leaves of none."""
@@ -56,9 +56,14 @@ def plain(text: object) -> str:
     return escape(str(text).translate(_SIGNS))
 
 
+def happened(events: Mapping[str, float]) -> dict[str, float]:
+    """Safety events, without what rounding leaves of none."""
+    return {kind: amount for kind, amount in events.items() if amount >= _NOISE}
+
+
 def event_words(events: Mapping[str, float]) -> list[str]:
-    """Safety events with their amounts, without what rounding leaves of none."""
-    return [f"{kind} {amount:.3g}" for kind, amount in events.items() if amount >= _NOISE]
+    """Safety events that happened, with their amounts."""
+    return [f"{kind} {amount:.3g}" for kind, amount in happened(events).items()]
 
 
 def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], right: Iterable[int] = ()) -> None:
