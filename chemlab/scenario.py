@@ -324,9 +324,10 @@ class Scenario(BaseModel):
         """What ``chemlab`` commands take for this scenario: a shipped one's name, else the path it was loaded from,
         quoted for a shell; ``FILE.toml`` for one that has no file yet."""
         path = Path(self._origin)
-        if path.suffix != ".toml":
+        shipped = path.parent == _scenario_folder()
+        if path.suffix != ".toml" or (shipped and path.stem != self.name):  # made or changed in code
             return "FILE.toml"
-        return path.stem if path.parent == _scenario_folder() else shlex.quote(self._origin)
+        return self.name if shipped else shlex.quote(self._origin)
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""

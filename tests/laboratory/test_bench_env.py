@@ -716,7 +716,7 @@ def test_unknown_render_mode() -> None:
 def test_lab_starts_that_nobody_recorded() -> None:
     content = read_toml(Path(load_scenario("wurtz_dodecane").origin))
     scenario = load_scenario({**content, "name": "never_played"})
-    with pytest.raises(DataError, match="run: chemlab starts never_played"):
+    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab starts FILE\.toml"):
         BenchEnv(scenario, "ext", starts="lab")
 
 
