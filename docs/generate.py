@@ -28,7 +28,7 @@ from sphinx.pycode import ModuleAnalyzer
 from chemlab.bench import operations, reaction
 from chemlab.bench.base import Bench
 from chemlab.cli import app as command
-from chemlab.laboratory import tables
+from chemlab.laboratory import describe as facts
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.materials import AbsorptionPeak, Material
@@ -70,8 +70,8 @@ def _table(head: Sequence[str], rows: Rows, right: Sequence[int] = ()) -> str:
     return "\n".join(["| " + " | ".join(head) + " |", rule, *lines, ""])
 
 
-def _facts(facts: tables.FactTable) -> str:
-    return (f"{facts.note}\n\n" if facts.note else "") + _table(facts.head, facts.rows, facts.right)
+def _facts(table: facts.FactTable) -> str:
+    return (f"{table.note}\n\n" if table.note else "") + _table(table.head, table.rows, table.right)
 
 
 def _code(text: object) -> str:
@@ -117,10 +117,10 @@ def _bench_tables(bench: Bench, level: str) -> str:
         [
             f"{level} Observation of `{bench.key}`: Box({space[0]})",
             "",
-            _facts(tables.channel_table(bench.channels)),
-            f"{level} Actions of `{bench.key}`: {tables.space_words(bench.action_space)}",
+            _facts(facts.channel_table(bench.channels)),
+            f"{level} Actions of `{bench.key}`: {facts.space_words(bench.action_space)}",
             "",
-            _facts(tables.action_table(bench.action_meanings, bool(bench.action_count))),
+            _facts(facts.action_table(bench.action_meanings, bool(bench.action_count))),
         ]
     )
 
@@ -136,13 +136,13 @@ def _spaces_of_all(labs: Laboratories) -> str:
         "",
         "Other scenarios have other numbers; each scenario's page has its own.",
         "",
-        _facts(tables.agent_table(labs)),
+        _facts(facts.agent_table(labs)),
         f"### Observation of `{MANAGER_AGENT}`: Box({labs.observation_sizes[0]})",
         "",
-        _facts(tables.channel_table(labs.channels)),
+        _facts(facts.channel_table(labs.channels)),
         f"### Actions of `{MANAGER_AGENT}`: Discrete({len(labs.actions)})",
         "",
-        _facts(tables.manager_action_table(labs)),
+        _facts(facts.manager_action_table(labs)),
     ]
     kinds = {bench.key: bench for bench in labs.benches}
     return "\n".join([*parts, *(_bench_tables(bench, "###") for bench in kinds.values())])
@@ -262,27 +262,27 @@ def _scenario_page(spec: Scenario) -> str:
         "",
         f"**{spec.title}.** {spec.summary}",
         "",
-        *tables.goal_words(spec),
+        *facts.goal_words(spec),
         "",
-        _facts(tables.agent_table(labs)),
+        _facts(facts.agent_table(labs)),
         "## What there is",
         "",
         f"A shelf of {spec.shelf.slots} slots; an episode begins with",
         "",
-        _facts(tables.vessel_table(spec)),
+        _facts(facts.vessel_table(spec)),
         "and the stock:",
         "",
-        _facts(tables.stock_table(spec)),
+        _facts(facts.stock_table(spec)),
         "Prices are in units of the score: 1 is the theoretical maximum of the product, pure.",
         "",
-        _facts(tables.instrument_table(spec)),
+        _facts(facts.instrument_table(labs)),
         "## Limits, costs, rewards",
         "",
-        tables.limit_words(spec),
+        facts.limit_words(spec),
         "",
-        tables.safety_words(spec),
+        facts.safety_words(spec),
         "",
-        tables.reward_words(spec),
+        facts.reward_words(spec),
         "",
     ]
     if results:
@@ -301,7 +301,7 @@ def _scenario_page(spec: Scenario) -> str:
     for bench in {bench.key: bench for bench in labs.benches}.values():
         count = bench.spec.count
         begins = bench.spec.start
-        contents = tables.amount_words(begins.contents)
+        contents = facts.amount_words(begins.contents)
         contents += f", {begins.goal_mol:g} mol of the goal" if begins.goal_mol else ""
         if (also := begins.companion) is not None:
             chance = "" if also.probability == 1.0 else f" with probability {also.probability:g}"
@@ -517,7 +517,9 @@ def _interface() -> dict[str, str]:
     packages = {
         "Data": [m for m in modules if m.count(".") == 1 and m != "chemlab.laboratory"],
         "Physics": [m for m in modules if m.startswith("chemlab.physics")],
+        "Operations": [m for m in modules if m.startswith("chemlab.operations.")],
         "Benches": [m for m in modules if m.startswith("chemlab.bench")],
+        "Instruments": [m for m in modules if m.startswith("chemlab.instruments.")],
         "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
         "Pictures": [m for m in modules if m.startswith("chemlab.render")],
         "Agents": [m for m in modules if m.startswith("chemlab.agents.")],

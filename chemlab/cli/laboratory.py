@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..agents.run import EpisodeResult, Turn
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
-    from ..laboratory.tables import FactTable
+    from ..laboratory.describe import FactTable
     from ..record import Recorder
 
 __all__: list[str] = []
@@ -70,13 +70,13 @@ def describe(
 
     JSON has everything of every agent, or with --agent of those.
     """
-    from ..laboratory import tables
+    from ..laboratory import describe as facts
 
     _, env = prepare(scenario, quiet=as_json)
     labs = env.laboratories
     agents = chosen_agents(labs.agents, agent or (), "--agent")
     if as_json:
-        typer.echo(json.dumps(tables.description(labs, agents or None), indent=1))
+        typer.echo(json.dumps(facts.description(labs, agents or None), indent=1))
     elif agents:
         for name in agents:
             _show_agent(labs, name)
@@ -93,42 +93,42 @@ def _show(title: str, facts: FactTable) -> None:
 
 def _show_scenario(labs: Laboratories) -> None:
     """Everything but the agents' spaces."""
-    from ..laboratory import tables
+    from ..laboratory import describe as facts
 
     spec = labs.scenario
     page.print(f"{plain(spec.title)} ({plain(spec.origin)})", soft_wrap=True)
-    page.print(plain(" ".join(tables.goal_words(spec)).replace("`", "")))
+    page.print(plain(" ".join(facts.goal_words(spec)).replace("`", "")))
     page.print()
     _show(
         f"Agents (all that one sees and may do: chemlab describe {spec.argument} --agent NAME)",
-        tables.agent_table(labs),
+        facts.agent_table(labs),
     )
-    _show("Benches", tables.bench_table(labs))
-    _show(f"Shelf of {spec.shelf.slots} slots, at the beginning", tables.vessel_table(spec))
-    _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", tables.stock_table(spec))
+    _show("Benches", facts.bench_table(labs))
+    _show(f"Shelf of {spec.shelf.slots} slots, at the beginning", facts.vessel_table(spec))
+    _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:
-        _show("Instruments", tables.instrument_table(spec))
-    for words in (tables.limit_words(spec), tables.safety_words(spec), tables.reward_words(spec)):
+        _show("Instruments", facts.instrument_table(labs))
+    for words in (facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
         page.print(plain(words.replace("`", "")))
 
 
 def _show_agent(labs: Laboratories, agent: str) -> None:
     """What an agent sees and may do, number by number."""
     from ..bench.base import Bench
-    from ..laboratory import tables
+    from ..laboratory import describe as facts
 
     number = labs.agents.index(agent)
-    role, space = labs.role(number), tables.space_words(labs.action_space(number))
-    _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", tables.channel_table(role.channels))
+    role, space = labs.role(number), facts.space_words(labs.action_space(number))
+    _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.channels))
     discrete = labs.action_counts[number] > 0
-    _show(f"Actions of {agent}: {space}", tables.action_list(role.action_meanings, discrete))
+    _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, discrete))
     if isinstance(role, Bench):
         page.print(f"Paid when an experiment ends: {plain(role.score_meaning)}.")
         page.print(f"An experiment has at most {role.step_limit} steps.")
     else:
-        page.print(f"Paid: {plain(tables.MANAGER_SCORE)}.")
-        page.print(plain(tables.limit_words(labs.scenario).replace("`", "")))
-    page.print(plain(tables.reward_words(labs.scenario)))
+        page.print(f"Paid: {plain(facts.MANAGER_SCORE)}.")
+        page.print(plain(facts.limit_words(labs.scenario).replace("`", "")))
+    page.print(plain(facts.reward_words(labs.scenario)))
     page.print()
 
 

@@ -14,7 +14,6 @@ from typing import Any
 import gymnasium
 
 from ..bench.base import Bench, Channel
-from ..bench.instruments import INSTRUMENT_KINDS
 from ..scenario import Scenario
 from .core import Laboratories
 
@@ -174,11 +173,11 @@ def stock_table(spec: Scenario) -> FactTable:
     return _facts(("bottle", "mol", "price a mol"), rows, (1, 2))
 
 
-def instrument_table(spec: Scenario) -> FactTable:
+def instrument_table(labs: Laboratories) -> FactTable:
     """The instruments of the characterization bench."""
     rows = [
-        (_code(name), INSTRUMENT_KINDS[i.kind].summary, f"{i.price:g}", f"{i.sample_fraction:g}", f"{i.noise:g}")
-        for name, i in spec.instruments.items()
+        (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", f"{i.noise:g}")
+        for (name, i), kind in zip(labs.scenario.instruments.items(), labs.instruments.kinds, strict=True)
     ]
     return _facts(("instrument", "reading", "price", "sample", "noise"), rows, (2, 3, 4))
 
