@@ -174,17 +174,16 @@ class Menu:
         """
         if all(part.isdigit() for part in typed.split()):
             return self._take_numbers([int(part) for part in typed.split()])
-        text = " ".join(typed.lower().split())
-        starting = [action for action in self._legal if self._meanings[action].lower().startswith(text)]
-        exact = [action for action in starting if self._meanings[action].lower() == text]
+        begins, says = _matchers(typed)
+        starting = [action for action in self._legal if begins(self._meanings[action])]
+        exact = [action for action in starting if len(self._meanings[action]) == len(" ".join(typed.split()))]
         if len(exact or starting) == 1:
             return (exact or starting)[0]
-        words = text.split()
-        found = starting or [a for a in self._legal if all(word in self._meanings[a].lower() for word in words)]
+        found = starting or [action for action in self._legal if says(self._meanings[action])]
         if found:
             self._narrow(found)
             return None
-        if any(meaning.lower().startswith(text) for meaning in self._meanings):
+        if any(begins(meaning) or says(meaning) for meaning in self._meanings):
             raise ValueError(f"{typed!r} is not possible now")
         raise ValueError(f"no action is called {typed!r}; type a number of the list, or ? for help")
 
@@ -200,6 +199,26 @@ class Menu:
                 return actions[0]
             self._narrow(actions)
         return None
+
+
+def _matchers(typed: str) -> tuple[Callable[[str], bool], Callable[[str], bool]]:
+    """(whether a meaning begins like what was typed, whether it has all of its words, in any order).
+
+    Words may be cut short, numbers may not, and a number belongs to the word before it: ``slot 1`` is neither slot 10
+    nor the 1 of ``rxn_1``.
+    """
+
+    def pattern(words: str) -> str:
+        before = r"(?<![\d.])" if words[0].isdigit() else ""
+        after = r"(?!\.?\d)" if words[-1].isdigit() else ""
+        return before + "[ _]".join(map(re.escape, words.split())) + after
+
+    phrases = [re.compile(pattern(phrase), re.IGNORECASE) for phrase in re.findall(r"\S+(?:\s+[\d.]+(?=\s|$))*", typed)]
+    beginning = re.compile(pattern(typed.strip()), re.IGNORECASE)
+    return (
+        lambda meaning: beginning.match(meaning) is not None,
+        lambda meaning: all(phrase.search(meaning) for phrase in phrases),
+    )
 
 
 def _joined(steps: Sequence[str]) -> str:
@@ -539,7 +558,7 @@ class HumanPolicy:
         if self._labs.action_counts[self._number]:
             lines += [
                 "Type the number of a line (several numbers go through the groups at once: 1 3),",
-                "or the beginning of what it says; any words narrow the list; b shows all of it again.",
+                "or the beginning of what it says; any words narrow the list (slot 0); b shows all of it again.",
             ]
         elif reagents:
             lines += [f"- {meaning}" for meaning in self._role.action_meanings]

@@ -209,7 +209,7 @@ class PretrainedPolicy:
 
 def _advice(bench: Role) -> str:
     what = f"chemlab/Bench-v0 --bench {bench.key}" if isinstance(bench, Bench) else "manager"
-    return f"chemlab train {what} --scenario {bench.scenario.reference}, then chemlab export"
+    return f"chemlab train {what} --scenario {bench.scenario.argument}, then chemlab export"
 
 
 def _difference(card: Card, bench: Role) -> str:

@@ -1,9 +1,17 @@
 """chemlab: a multi-agent chemistry laboratory for reinforcement-learning research."""
 
 import contextlib
+from pathlib import Path
 
 __version__ = "0.1.0"
 __all__ = ["__version__"]
+
+
+def _find_mapped_folders() -> None:
+    """In a checkout ``agents`` and ``scenarios`` stand beside this package and not in it: let them be found there."""
+    here = Path(__file__).resolve().parent
+    if not (here / "agents").is_dir() and (here.parent / "agents").is_dir():
+        __path__.append(str(here.parent))
 
 
 def _register_laboratory() -> None:
@@ -53,6 +61,7 @@ def _register_views() -> None:
             )
 
 
+_find_mapped_folders()
 _register_laboratory()
 _register_benches()
 _register_views()

@@ -391,13 +391,14 @@ class Scenario(_Grown):
         return (*SAFETY_EVENTS, *self.safety.events)
 
     @property
-    def reference(self) -> str:
-        """What a command takes for this scenario: a shipped one's name, or the path of its file, quoted for a shell."""
-        if Path(self.origin) == scenario_folder() / f"{self.name}.toml":
-            return self.name
-        if self.origin.endswith(".toml"):
-            return shlex.quote(self.origin)
-        return f"{self.name}.toml (a file to be written: this scenario is from none)"
+    def argument(self) -> str:
+        """What ``chemlab`` commands take for this scenario: a shipped one's name, else the path it was loaded from,
+        quoted for a shell; ``FILE.toml`` for one that has no file yet."""
+        path = Path(self._origin)
+        shipped = path.parent == scenario_folder()
+        if path.suffix != ".toml" or (shipped and path.stem != self.name):  # made or changed in code
+            return "FILE.toml"
+        return self.name if shipped else shlex.quote(self._origin)
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""

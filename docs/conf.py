@@ -60,7 +60,8 @@ autodoc_mock_imports = [
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!chemlab\.).*"),
-    (r"py:class", r"chemlab\..*\.(_\w+|F|Arguments|Environment|Drawn|ManagerRole)"),  # not public: they have no page
+    # Not public: they have no page.
+    (r"py:(class|obj)", r"chemlab\..*\.(_\w+|F|T|Arguments|Environment|Drawn|ManagerRole)"),
 ]
 suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
 

@@ -27,9 +27,9 @@ from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
 from chemlab.bench import operations, reaction
-from chemlab.bench.base import Bench, Channel
-from chemlab.bench.instruments import INSTRUMENT_KINDS
+from chemlab.bench.base import Bench
 from chemlab.cli import app as command
+from chemlab.laboratory import describe as facts
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.materials import AbsorptionPeak, Material
@@ -40,6 +40,7 @@ from chemlab.scenario import (
     CostSpec,
     InstrumentSpec,
     LimitSpec,
+    ManagerSpec,
     RewardSpec,
     SafetySpec,
     Scenario,
@@ -71,16 +72,16 @@ def _table(head: Sequence[str], rows: Rows, right: Sequence[int] = ()) -> str:
     return "\n".join(["| " + " | ".join(head) + " |", rule, *lines, ""])
 
 
+def _facts(table: facts.FactTable) -> str:
+    return (f"{table.note}\n\n" if table.note else "") + _table(table.head, table.rows, table.right)
+
+
 def _code(text: object) -> str:
     return f"`{text}`"
 
 
 def _codes(texts: Iterable[object]) -> str:
     return ", ".join(map(_code, texts))
-
-
-def _amounts(amounts: dict[str, float], unit: str = "mol") -> str:
-    return ", ".join(f"{amount:g} {unit} `{name}`" for name, amount in amounts.items()) or "nothing"
 
 
 def _markdown(docstring: str) -> str:
@@ -105,64 +106,11 @@ def _docstring(module: str) -> str:
     return ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or ""
 
 
-def _number(value: float) -> str:
-    """A number without an exponent."""
-    return f"{value:.10f}".rstrip("0").rstrip(".")
-
-
 def _autodoc(*lines: str) -> str:
     return "\n".join(["```{eval-rst}", *lines, "```", ""])
 
 
 # -- spaces -----------------------------------------------------------------------------------------------------------
-
-
-def _span(start: int, size: int) -> str:
-    return str(start) if size == 1 else f"{start} to {start + size - 1}"
-
-
-def _channel_table(channels: Sequence[Channel]) -> str:
-    """A row for each channel; the channels of a shelf's slots, which are the same for every slot, once."""
-    first = [channel for channel in channels if channel.name.startswith("slot_0_")]
-    slots = len({channel.name.split("_")[1] for channel in channels if channel.name.startswith("slot_")})
-    width = sum(channel.size for channel in first)
-    rows, at = [], 0
-    for channel in channels:
-        place, name = _span(at, channel.size), channel.name
-        at += channel.size
-        if name.startswith("slot_"):
-            if channel not in first:
-                continue
-            if slots > 1:
-                place, name = f"{width} s + {place}", name.replace("slot_0_", "slot_s_")
-        bounds = "" if channel.unit in ("one-hot", "0 or 1", "fraction") else f"{channel.low:g} to {channel.high:g} "
-        rows.append((place, _code(name), channel.size, bounds + channel.unit, channel.meaning))
-    note = f"s is the slot, 0 to {slots - 1}.\n\n" if slots > 1 else ""
-    return note + _table(("index", "channel", "size", "0 to 1 stands for", "meaning"), rows, right=(2,))
-
-
-def _action_table(meanings: Sequence[str], discrete: bool) -> str:
-    """A row for each number of a continuous action, or for each process of a table of discrete ones."""
-    if not discrete:
-        return _table(("number", "0 to 1 stands for"), enumerate(meanings))
-    rows, at = [], 0
-    for process, group in groupby(meanings, key=lambda meaning: meaning.rpartition(", ")[0] or meaning):
-        same = list(group)
-        magnitudes = ", ".join(meaning.removeprefix(process).removeprefix(", ") for meaning in same)
-        rows.append((_span(at, len(same)), process, magnitudes))
-        at += len(same)
-    return _table(("action", "what it does", "magnitudes"), rows)
-
-
-def _manager_actions(labs: Laboratories) -> str:
-    """The manager's actions by kind, with the first and the last of each."""
-    rows, at = [], 0
-    for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
-        numbers = list(group)
-        words = [labs.actions.action_meanings[n] for n in (numbers[0], numbers[-1])]
-        rows.append((_span(at, len(numbers)), _code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
-        at += len(numbers)
-    return _table(("action", "kind", "number", "meaning"), rows, right=(2,))
 
 
 def _bench_tables(bench: Bench, level: str) -> str:
@@ -171,16 +119,12 @@ def _bench_tables(bench: Bench, level: str) -> str:
         [
             f"{level} Observation of `{bench.key}`: Box({space[0]})",
             "",
-            _channel_table(bench.channels),
-            f"{level} Actions of `{bench.key}`: {_space(bench.action_space)}",
+            _facts(facts.channel_table(bench.channels)),
+            f"{level} Actions of `{bench.key}`: {facts.space_words(bench.action_space)}",
             "",
-            _action_table(bench.action_meanings, bool(bench.action_count)),
+            _facts(facts.action_table(bench.action_meanings, bool(bench.action_count))),
         ]
     )
-
-
-def _space(space: Any) -> str:
-    return f"Discrete({space.n})" if isinstance(space, gymnasium.spaces.Discrete) else f"Box({space.shape[0]})"
 
 
 # -- environments -----------------------------------------------------------------------------------------------------
@@ -189,22 +133,18 @@ def _space(space: Any) -> str:
 def _spaces_of_all(labs: Laboratories) -> str:
     """Every agent's spaces: a table of sizes, then the manager's parts and each kind of bench's."""
     spec = labs.scenario
-    rows = [
-        (_code(agent), f"Box({labs.observation_sizes[n]})", _space(labs.action_space(n)))
-        for n, agent in enumerate(labs.agents)
-    ]
     parts = [
         f"## Spaces in `{spec.name}`",
         "",
         "Other scenarios have other numbers; each scenario's page has its own.",
         "",
-        _table(("agent", "observation", "actions"), rows),
+        _facts(facts.agent_table(labs)),
         f"### Observation of `{MANAGER_AGENT}`: Box({labs.observation_sizes[0]})",
         "",
-        _channel_table(labs.channels),
+        _facts(facts.channel_table(labs.channels)),
         f"### Actions of `{MANAGER_AGENT}`: Discrete({len(labs.actions)})",
         "",
-        _manager_actions(labs),
+        _facts(facts.manager_action_table(labs)),
     ]
     kinds = {bench.key: bench for bench in labs.benches}
     return "\n".join([*parts, *(_bench_tables(bench, "###") for bench in kinds.values())])
@@ -318,61 +258,33 @@ def _chemistry(spec: Scenario) -> str:
 
 def _scenario_page(spec: Scenario) -> str:
     labs = Laboratories(spec)
-    agents = [
-        (_code(agent), f"Box({labs.observation_sizes[n]})", _space(labs.action_space(n)))
-        for n, agent in enumerate(labs.agents)
-    ]
-    start = [(f"slot {i}", f"{v.capacity_l:g} L", _amounts(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
-    stock = [
-        (_code(name), f"{mol:g}", _number(spec.costs.stock_per_mol.get(name, 0.0))) for name, mol in spec.stock.items()
-    ]
-    instruments = [
-        (_code(name), INSTRUMENT_KINDS[i.kind].summary, f"{i.price:g}", f"{i.sample_fraction:g}", f"{i.noise:g}")
-        for name, i in spec.instruments.items()
-    ]
     results = _results().get(spec.name, [])
-    limits, costs, safety, mix = spec.limits, spec.costs, spec.safety, spec.rewards
-    orders = "one order" if spec.orders == 1 else f"{spec.orders} orders"
     parts = [
         f"# {spec.name}",
         "",
         f"**{spec.title}.** {spec.summary}",
         "",
-        f"An episode has {orders}, for one of {_codes(spec.lab_goals)}."
-        if len(spec.lab_goals) > 1
-        else f"An episode has {orders}, for {_codes(spec.lab_goals)}.",
-        f"Experiments may be run for {_codes(spec.goals)}.",
+        *facts.goal_words(spec),
         "",
-        _table(("agent", "observation", "actions"), agents),
+        _facts(facts.agent_table(labs)),
         "## What there is",
         "",
         f"A shelf of {spec.shelf.slots} slots; an episode begins with",
         "",
-        _table(("place", "capacity", "contents"), start),
+        _facts(facts.vessel_table(spec)),
         "and the stock:",
         "",
-        _table(("bottle", "mol", "price a mol"), stock, right=(1, 2)),
+        _facts(facts.stock_table(spec)),
         "Prices are in units of the score: 1 is the theoretical maximum of the product, pure.",
         "",
-    ]
-    if instruments:
-        head = ("instrument", "reading", "price", "sample", "noise")
-        parts += [_table(head, instruments, right=(2, 3, 4))]
-    parts += [
-        f"Theoretical maximum: {_amounts(spec.theoretical_maximum_mol)}.",
-        "",
+        _facts(facts.instrument_table(labs)),
         "## Limits, costs, rewards",
         "",
-        f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "
-        f"spent on measuring. A tick costs {_number(costs.tick)}, a litre of waste {costs.waste_per_l:g}, a masked "
-        f"action {costs.illegal_action:g}.",
+        facts.limit_words(spec),
         "",
-        'Weights of safety events in `info["cost"]`: '
-        + ", ".join(f"`{kind}` {weight:g}" for kind, weight in safety.weights.items())
-        + f". A unit of that cost takes {safety.reward_price:g} off the reward.",
+        facts.safety_words(spec),
         "",
-        f"Reward mix: benches {mix.bench_local:g} of their own and {mix.bench_team:g} of the manager's result, the "
-        f"manager {mix.manager_local:g} and {mix.manager_team:g}.",
+        facts.reward_words(spec),
         "",
     ]
     if results:
@@ -391,7 +303,8 @@ def _scenario_page(spec: Scenario) -> str:
     for bench in {bench.key: bench for bench in labs.benches}.values():
         count = bench.spec.count
         begins = bench.spec.start
-        contents = _amounts(begins.contents) + (f", {begins.goal_mol:g} mol of the goal" if begins.goal_mol else "")
+        contents = facts.amount_words(begins.contents)
+        contents += f", {begins.goal_mol:g} mol of the goal" if begins.goal_mol else ""
         if (also := begins.companion) is not None:
             chance = "" if also.probability == 1.0 else f" with probability {also.probability:g}"
             contents += f", and{chance} {also.mol:g} mol `{also.material}` (`{also.if_goal}` where that is the goal)"
@@ -459,6 +372,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
         Companion,
         InstrumentSpec,
         LimitSpec,
+        ManagerSpec,
         CostSpec,
         SafetySpec,
         RewardSpec,
@@ -606,12 +520,14 @@ def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
 
 def _modules() -> list[str]:
     """Every public module that says what it offers."""
-    found = [module.name for module in pkgutil.walk_packages(chemlab.__path__, "chemlab.")]
-    # A package that is mapped into another folder is not below this one's path.
-    agents = importlib.util.find_spec("chemlab.agents")
-    assert agents is not None, "chemlab.agents is part of chemlab"
-    places = list(agents.submodule_search_locations or [])
-    found += ["chemlab.agents", *(m.name for m in pkgutil.walk_packages(places, "chemlab.agents."))]
+    found = []
+    for package in ("chemlab", "chemlab.agents"):
+        # Its own folder alone: in a checkout the path of chemlab has the checkout's other folders on it, too.
+        spec = importlib.util.find_spec(package)
+        assert spec is not None, f"{package} is there"
+        assert spec.origin is not None, f"{package} has a file"
+        found += [package, *(m.name for m in pkgutil.walk_packages([str(Path(spec.origin).parent)], f"{package}."))]
+    found.remove("chemlab")
     public = []
     for name in dict.fromkeys(found):
         if name.startswith(_NEVER_PUBLIC) or "._" in name:
@@ -641,7 +557,9 @@ def _interface() -> dict[str, str]:
     packages = {
         "Data": [m for m in modules if m.count(".") == 1 and m != "chemlab.laboratory"],
         "Physics": [m for m in modules if m.startswith("chemlab.physics")],
+        "Operations": [m for m in modules if m.startswith("chemlab.operations.")],
         "Benches": [m for m in modules if m.startswith("chemlab.bench")],
+        "Instruments": [m for m in modules if m.startswith("chemlab.instruments.")],
         "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
         "Pictures": [m for m in modules if m.startswith("chemlab.render")],
         "Agents": [m for m in modules if m.startswith("chemlab.agents.")],

@@ -5,11 +5,12 @@ Numbers that tests compare with come from ``scenario.materials`` (the data files
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.laboratory.actions import SUBMIT, WAIT
@@ -28,6 +29,11 @@ FloatArray = npt.NDArray[np.float64]
 PIXELS = 100
 TRACE = 1e-9
 """mol; tests call a solvent present only when there is clearly more or clearly less of it than the kernels' trace."""
+
+
+def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
+    """Cases of a test of which only ``quick`` run by default; with ``-m ""`` all of them do."""
+    return [value if value in quick else pytest.param(value, marks=pytest.mark.slow) for value in values]
 
 
 def mapping(name: str) -> dict[str, Any]:
@@ -299,4 +305,5 @@ __all__ = [
     "four_solvents",
     "molar_volume",
     "network_table",
+    "slow_but",
 ]

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers import mapping
+from rich.text import Text
 from typer.testing import CliRunner
 
 from chemlab import __version__
 from chemlab.cli import app
+from chemlab.cli.screen import event_words, page, show_table
 from chemlab.files import replace_between, write_text
-from chemlab.materials import DataError
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import DataError, shipped_materials
 from chemlab.scenario import load_scenario, scenario_names
 
 FIELDS = {
@@ -160,3 +168,220 @@ def test_where_an_error_comes_from_is_shown_on_request() -> None:
     assert (plain.exit_code, isinstance(plain.exception, SystemExit)) == (2, True)
     assert isinstance(runner.invoke(app, ["--traceback", "evaluate", "no_such"]).exception, DataError)
     assert runner.invoke(app, ["evaluate", "no_such"]).exit_code == 2
+
+
+# -- text is text -----------------------------------------------------------------------------------------------------
+
+HOSTILE = "0.1 [mol] of [/bold] [red]tape[/red] :smile: \x1b[31mfire\x1b[0m \x07\x9b2J\u202eback C:\\"
+MATERIAL = "[/bold] oil :smile: \x1b[31m"
+SEEN = "0.1 [mol] of [/bold] [red]tape[/red] :smile: ␛[31mfire␛[0m ␇\ufffd2J\ufffdback C:\\"
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """A scenario file all of whose free texts would steer a terminal, in a folder whose name a shell would split."""
+    values = mapping("salt_from_oil")
+    values |= {"title": HOSTILE, "summary": HOSTILE, "name": "hostile", "material_files": ["own.toml"]}
+    values["stock"] = {**values["stock"], MATERIAL: 1.0}
+    path = tmp_path / "my [red] labs" / "hostile lab.toml"
+    path.parent.mkdir()
+    path.write_text(_toml(values), encoding="utf-8")
+    hexane = shipped_materials()["hexane"].model_dump(exclude_none=True) | {"shade": 0.123}
+    path.with_name("own.toml").write_text(_toml({MATERIAL: hexane}), encoding="utf-8")
+    assert load_scenario(path).title == HOSTILE
+    return path
+
+
+def _toml(values: dict[str, object]) -> str:
+    """A mapping as TOML, in inline tables: JSON's strings and numbers are TOML's."""
+
+    def value(content: object) -> str:
+        if isinstance(content, dict):
+            return "{ " + ", ".join(f"{json.dumps(k)} = {value(v)}" for k, v in content.items()) + " }"
+        if isinstance(content, (list, tuple)):
+            return "[" + ", ".join(map(value, content)) + "]"
+        return json.dumps(content)
+
+    return "".join(f"{json.dumps(key)} = {value(content)}\n" for key, content in values.items())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "typed"),
+    [
+        (["run"], ""),
+        (["run", "--policy", "random"], ""),
+        (["describe"], ""),
+        (["describe", "--agent", "all"], ""),
+        (["play", "--role", "all"], "?\nmeasure slot 0\nsubmit slot 0\n"),
+    ],
+)
+def test_text_of_files_is_shown_as_it_is(hostile: Path, arguments: list[str], typed: str) -> None:
+    """No markup, no emoji, no way to the terminal; and nothing is lost."""
+    command, *options = arguments
+    done = runner.invoke(app, [command, str(hostile), *options], input=typed)
+    assert done.exit_code == 0, done.output
+    shown = " ".join(done.output.split())
+    assert SEEN in shown
+    assert not set(done.output) & {"\x1b", "\x07", "\x9b", "\u202e"}
+    if command == "describe":
+        assert "[/bold] oil :smile: ␛[31m" in shown
+
+
+def test_errors_and_hints_show_paths_as_they_are(hostile: Path) -> None:
+    done = runner.invoke(app, ["run", str(hostile.with_name("no\x1b[1m [such].toml"))])
+    assert done.exit_code == 2
+    assert "no␛[1m [such].toml" in done.output
+    assert "\x1b" not in done.output
+
+
+def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is said to be run can be pasted into a shell, for a file as for a shipped scenario."""
+    monkeypatch.chdir(tmp_path)
+    given = hostile.relative_to(tmp_path)
+    arguments = ["evaluate", str(given), "--bench", "ext", "--starts", "lab", "--episodes", "1"]
+    done = runner.invoke(app, arguments)
+    assert done.exit_code == 2
+    hint = done.output.partition("run: chemlab ")[2].strip()
+    assert hint == f"starts {shlex.quote(str(given))}"
+    assert runner.invoke(app, [*shlex.split(hint), "--episodes", "1"]).exit_code == 0
+    assert runner.invoke(app, arguments).exit_code == 0
+    assert load_scenario("fictitious").argument == "fictitious"
+    assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+LONG = ["a", "gas_chromatograph", "4-ethyl-5-methylnonane, 4,5-diethyloctane", "the quick brown fox", "", "12,345.678"]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
+@pytest.mark.parametrize("columns", [1, 3, 6, 9])
+def test_tables_break_no_word(
+    width: int, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every word stands whole on some line, and no line is longer than the terminal is wide."""
+    monkeypatch.setattr(page, "_width", width)
+    rows = [[LONG[(row + column) % len(LONG)] for column in range(columns)] for row in range(6)]
+    show_table("", [f"name_{i}" for i in range(columns)], rows, right=(0, 2))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= width
+    words = shown.replace(":", " ").split()
+    for cell in (cell for row in rows for cell in row):
+        assert set(cell.replace(":", " ").split()) <= set(words)
+
+
+def test_a_table_has_its_cells_in_their_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    show_table("", ("name", "number"), [("one", 1), (Text("[two]", style="red"), "22")], right=(1,))
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert lines[0] == " name   number"
+    assert lines[2:] == [" one         1", " [two]      22"]
+
+
+def test_rounding_is_no_accident() -> None:
+    assert event_words({"spill_l": 1e-21, "boiled_dry": 1.0, "relief_valve_mol": 2.5e-4}) == [
+        "boiled_dry 1",
+        "relief_valve_mol 0.00025",
+    ]
+
+
+# -- describe ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_scenario_is_described_as_it_is(name: str) -> None:
+    """Observations index by index without a gap, actions by number: those of the laboratory itself."""
+    told = json.loads(runner.invoke(app, ["describe", name, "--json"]).stdout)
+    labs = Laboratories(name)
+    assert list(told["agents"]) == labs.agents
+    assert told["stock"] == dict(labs.scenario.stock)
+    assert told["limits"]["ticks"] == labs.scenario.limits.ticks
+    for number, (agent, one) in enumerate(told["agents"].items()):
+        ends = [0, *(channel["stop"] for channel in one["observation"]["channels"])]
+        assert [channel["start"] for channel in one["observation"]["channels"]] == ends[:-1]
+        assert (ends[-1],) == labs.observation_space(number).shape == (one["observation"]["size"],)
+        space = labs.action_space(number)
+        assert len(one["actions"]["meanings"]) == int(space.n if one["actions"]["discrete"] else space.shape[0])
+        if agent == "manager_0":
+            assert one["actions"]["meanings"] == labs.actions.action_meanings
+
+
+def test_what_is_described_is_what_is_seen() -> None:
+    """The place a channel is said to have is where its number stands."""
+    told = json.loads(runner.invoke(app, ["describe", "wurtz_dodecane", "--agent", "manager", "--json"]).stdout)
+    assert list(told["agents"]) == ["manager_0"]
+    channels = {channel["name"]: channel for channel in told["agents"]["manager_0"]["observation"]["channels"]}
+    labs = Laboratories("wurtz_dodecane")
+    labs.reset(labs.members, "dodecane")
+    seen = labs.observe(0, labs.members)[0]
+    vessel = labs.shelf.vessel(0, 0)
+    for name, value in (("slot_0_fill", vessel.volume_l / vessel.capacity_l), ("slot_3_occupied", 0.0), ("ticks", 1.0)):
+        assert channels[name]["stop"] == channels[name]["start"] + 1
+        np.testing.assert_allclose(seen[channels[name]["start"]], value, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_descriptions_are_for_people(name: str) -> None:
+    """80 columns hold every line, and each action of an agent has a line with its number."""
+    labs = Laboratories(name)
+    shown = runner.invoke(app, ["describe", name]).stdout
+    parts = [*labs.agents, *labs.scenario.stock, *labs.scenario.instruments, *labs.scenario.goals]
+    assert all(part in shown for part in parts)
+    for number, agent in enumerate(labs.agents):
+        done = runner.invoke(app, ["describe", name, "--agent", agent])
+        lines = done.stdout.splitlines()
+        assert max(map(len, lines)) <= 80
+        joined = " ".join(done.stdout.split())
+        for action, meaning in enumerate(labs.role(number).action_meanings):
+            assert f" {action} {meaning}" in joined
+        assert all(channel.name.replace("slot_0", "slot_s") in joined for channel in labs.role(number).channels[:9])
+
+
+def test_describing_nobody() -> None:
+    done = runner.invoke(app, ["describe", "fictitious", "--agent", "chef"])
+    assert done.exit_code == 2
+    assert "--agent: nobody is called chef; known: manager_0, rxn_0, dit_0, all" in done.output
+
+
+# -- what the system says ---------------------------------------------------------------------------------------------
+
+
+def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder where a file is meant, a folder that is not there, a disk that is full."""
+    folder = tmp_path / "folder.toml"
+    folder.mkdir()
+    (tmp_path / "file").write_text("")
+    cases = [
+        (["run", str(folder)], f"error: {folder}: {os.strerror(errno.EISDIR)}\n"),
+        (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], os.strerror(errno.ENOENT)),
+        (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
+        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], os.strerror(errno.EISDIR)),
+    ]
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for arguments, words in cases:
+        done = runner.invoke(app, arguments)
+        assert done.exit_code == 2, done.output
+        assert words in done.output
+        assert "Traceback" not in done.output
+        assert isinstance(runner.invoke(app, ["--traceback", *arguments]).exception, OSError)
+    monkeypatch.setattr(json, "dumps", full)
+    done = runner.invoke(app, ["list", "--json"])
+    assert (done.exit_code, done.stderr) == (2, f"error: {os.strerror(errno.ENOSPC)}\n")
+    monkeypatch.undo()
+    assert runner.invoke(app, ["list"]).exit_code == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
+    command = [sys.executable, "-m", "chemlab", "list", "--json"]
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, f"error: {os.strerror(errno.ENOSPC)}\n")
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert "Traceback" not in done.stderr
+    assert "error" not in done.stderr

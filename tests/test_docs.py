@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +28,6 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(path.parts)]
 COMMAND: Any = typer.main.get_command(app)
-OPTIONAL = ("stable_baselines3", "sb3_contrib", "torch", "torchrl", "ray", "PIL", "matplotlib", "pygame", "minari")
-NEEDS = {
-    "train": "stable_baselines3",
-    "train-rllib": "ray",
-    "export": "stable_baselines3",
-    "figures": "matplotlib",
-    "plot": "matplotlib",
-}
-"""What a command needs beyond the core."""
-
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not a checkout")
 
 
@@ -76,14 +67,28 @@ def blocks_of(page: Path) -> list[Block]:
     return [Block(page, text[: m.start()].count("\n") + 1, m[1], m[2]) for m in found]
 
 
-def lacking(block: Block) -> list[str]:
-    """Optional packages that a block needs and that are not here."""
-    needed = {name for name in OPTIONAL if re.search(rf"^(from|import) {name}\b", block.text, re.M)}
-    if block.language == "bash":
-        needed |= {NEEDS[words[0]] for words in block.commands() if words[0] in NEEDS}
-        # The files that training would have made are not there either.
-        needed |= {"stable_baselines3"} if re.search(r"runs/trial|--policy trial", block.text) else set()
-    return sorted(name for name in needed if importlib.util.find_spec(name) is None)
+def lacking(error: BaseException) -> str:
+    """The package that is not installed, if that is why something failed."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    name = error.name if isinstance(error, ModuleNotFoundError) else None
+    return name if name is not None and importlib.util.find_spec(name.partition(".")[0]) is None else ""
+
+
+def makes(block: Block) -> list[str]:
+    """Files and folders that a block's commands are told to write."""
+    words = [word for command in block.commands() for word in command] if block.language == "bash" else []
+    return [path for option, path in pairwise(words) if option in ("-o", "--out", "--output", "--record")]
+
+
+def uses(block: Block, path: str) -> bool:
+    """Whether a block's commands name a path, one in it or below it, or one that begins like it (NAME.json)."""
+    if block.language != "bash":
+        return False
+    words = [word for command in block.commands() for given in command for word in re.split("[=,]", given)]
+    return any(
+        word == path or word.startswith((f"{path}/", f"{path}.")) or path.startswith(f"{word}/") for word in words
+    )
 
 
 def parse(words: list[str], where: str) -> None:
@@ -133,39 +138,68 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS).with_suffix("")))
 def test_code_runs(page: Path, folder: Path) -> None:
     """A page's blocks one after the other in one folder, each in a namespace of its own."""
-    left_out = []
+    left_out: list[str] = []
+    not_made: list[str] = []
     for block in blocks_of(page):
-        if missing := lacking(block):
-            left_out.append(f"{block.where} needs {', '.join(missing)}")
-            continue
-        if block.language == "python":
-            if re.search(r"make(_vec)?\(\s*[\"'](aec|parallel|chemlab)", block.text):
-                assert re.search(r"^(import chemlab|from chemlab)", block.text, re.M), f"{block.where}: import chemlab"
-            if block.file:
-                (folder / block.file).write_text(block.text, encoding="utf-8")
-            code = compile("\n" * block.line + block.text, str(page), "exec")
-            with contextlib.redirect_stdout(io.StringIO()):
-                exec(code, {"__name__": "__main__"})
-        elif block.language == "bash":
-            for words in block.commands():
-                run(words, block.where)
-        elif block.language == "console":
-            for words in block.commands():
-                parse(words, block.where)
-        elif block.language == "toml":
-            check_data(block, folder)
-        else:
-            assert block.language in ("text",), f"{block.where}: what is {block.language}?"
+        missing = next((f"{path}, which was not made" for path in not_made if uses(block, path)), "")
+        try:
+            if not missing:
+                check(block, page, folder)
+        except ImportError as error:
+            missing = lacking(error)
+            if not missing:
+                raise
+        if missing:
+            left_out.append(f"{block.where} needs {missing}")
+            not_made += makes(block)
     if left_out:
-        print("left out:", *left_out, sep="\n")
+        pytest.skip(f"everything else runs; {'; '.join(left_out)}")
+
+
+def check(block: Block, page: Path, folder: Path) -> None:
+    """Do with a block what is to be done with its kind.
+
+    Raises:
+        ImportError: it needs what is not installed.
+    """
+    if block.language == "python":
+        if re.search(r"make(_vec)?\(\s*[\"'](aec|parallel|chemlab)", block.text):
+            assert re.search(r"^(import chemlab|from chemlab)", block.text, re.M), f"{block.where}: import chemlab"
+        if block.file:
+            (folder / block.file).write_text(block.text, encoding="utf-8")
+        code = compile("\n" * block.line + block.text, str(page), "exec")
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(code, {"__name__": "__main__"})
+    elif block.language == "bash":
+        for words in block.commands():
+            run(words, block.where)
+    elif block.language == "console":
+        for words in block.commands():
+            parse(words, block.where)
+    elif block.language == "toml":
+        check_data(block, folder)
+    else:
+        assert block.language in ("text",), f"{block.where}: what is {block.language}?"
 
 
 def run(words: list[str], where: str) -> None:
     """A command in this process; it must not end with an error."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = COMMAND.main(args=words, prog_name="chemlab", standalone_mode=False)
+        code = COMMAND.main(args=["--traceback", *words], prog_name="chemlab", standalone_mode=False)
     assert code in (None, 0), f"{where}: chemlab {shlex.join(words)} ended with {code}: {said.getvalue()}"
+
+
+def test_what_was_not_made_is_not_asked_for() -> None:
+    made = Block(DOCS / "index.md", 1, "bash", "chemlab train manager --out runs/trial --quiet\n")
+    assert makes(made) == ["runs/trial"]
+    for command, expected in (
+        ("chemlab evaluate fictitious --policy heuristic,manager=runs/trial", True),
+        ("chemlab figures runs", True),
+        ("chemlab export runs/trial/best.zip", True),
+        ("chemlab run fictitious --policy runs/trials", False),
+    ):
+        assert uses(Block(DOCS / "index.md", 9, "bash", command + "\n"), "runs/trial") is expected
 
 
 def test_console_commands_are_checked() -> None:
@@ -177,13 +211,49 @@ def test_console_commands_are_checked() -> None:
         parse(["run", "fictitious", "--altitude", "3"], "here")
 
 
-def test_links_between_pages_and_pictures_exist() -> None:
-    """Relative links of the pages and of README lead somewhere; those into generated pages are Sphinx's to check."""
-    for page in [*PAGES, ROOT / "README.md"]:
-        text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
-            if "://" not in target and "generated/" not in target:
-                assert (page.parent / target).exists(), f"{page.relative_to(ROOT)}: {target}"
+PROSE = [*PAGES, *sorted(ROOT.glob("*.md"))]
+
+
+def anchors(page: Path) -> set[str]:
+    """What links may name on a page: its headings as GitHub and MyST call them."""
+    headings = re.findall(
+        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M), re.M
+    )
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    """Every relative link works in a checkout; pages that Sphinx makes are named by roles, which Sphinx checks."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
+        if "://" in target:
+            continue
+        file = page.parent / target if target else page
+        assert file.exists(), f"{target} does not exist"
+        assert "generated" not in file.parts, (
+            f"{target}: not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
+        )
+        if anchor:
+            assert anchor in anchors(file), f"{target}#{anchor}: no such heading; there are {sorted(anchors(file))}"
+
+
+def test_the_map_leads_to_files() -> None:
+    """Every file that the map names is there, and every module of the physics is named."""
+    text = (DOCS / "map.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w./*]+(?:\.py|\.toml|/))`", text)
+    assert len(named) > 40
+    for row in text.splitlines():
+        folder = ROOT
+        for name in re.findall(r"`([\w./*]+(?:\.py|\.toml|/))`", row):
+            # A name without a folder stands in that of the one before it; code is below chemlab.
+            places = [folder, ROOT, ROOT / "chemlab", ROOT / "tests"]
+            found = next((place for place in places if next(iter(place.glob(name.rstrip("/"))), None)), None)
+            assert found is not None, f"{name}: no such file"
+            folder = (found / name).parent
+    stems = {Path(name).stem for name in named}
+    for module in (ROOT / "chemlab" / "physics").glob("*.py"):
+        assert module.stem in stems | {"__init__", "constants", "events"}, f"{module.name} is not on the map"
 
 
 def test_pictures_are_small() -> None:
@@ -193,6 +263,7 @@ def test_pictures_are_small() -> None:
     assert (images / "episode.webp").stat().st_size < 400_000
 
 
+@pytest.mark.slow
 def test_pages_build_without_warnings(tmp_path: Path) -> None:
     """Every scenario, command and environment has its page, and the tables are those of the spaces."""
     for package in ("sphinx", "myst_parser", "furo"):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Careless, four_solvents
+from helpers import Careless, four_solvents, slow_but
 from typer.testing import CliRunner
 
 import chemlab.record as module
@@ -60,7 +60,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("policy", ["heuristic", "random", "careless"])
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", slow_but(SCENARIOS, "fictitious", "wurtz_safe", "wurtz_two_lines"))
 def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
     for seed in (1, 2):
         path = play(tmp_path / f"{seed}.jsonl", name, policy, seed)

@@ -916,16 +916,16 @@ def test_a_scenario_says_what_it_is_in_a_line() -> None:
 
 
 def test_a_hint_can_be_typed(tmp_path: Path) -> None:
-    assert load_scenario("wurtz_safe").reference == "wurtz_safe"
+    assert load_scenario("wurtz_safe").argument == "wurtz_safe"
     folder = tmp_path / "my labs"
     folder.mkdir()
     (folder / "a.toml").write_text('base = "wurtz_safe"\nname = "cheap"\n')
     cheap = load_scenario(folder / "a.toml")
-    (typed,) = shlex.split(cheap.reference)
+    (typed,) = shlex.split(cheap.argument)
     assert load_scenario(typed) == cheap
     # Only the file of a shipped name goes by it.
     (folder / "a.toml").write_text('base = "wurtz_safe"\n')
-    assert load_scenario(folder / "a.toml").reference == f"'{folder / 'a.toml'}'"
-    assert "to be written" in load_scenario({"base": "wurtz_safe", "name": "cheap"}).reference
-    with pytest.raises(DataError, match=re.escape(f"run: chemlab starts {cheap.reference}")):
+    assert load_scenario(folder / "a.toml").argument == f"'{folder / 'a.toml'}'"
+    assert load_scenario({"base": "wurtz_safe", "name": "cheap"}).argument == "FILE.toml"
+    with pytest.raises(DataError, match=re.escape(f"run: chemlab starts {cheap.argument}")):
         lab_starts(cheap, "rxn")

@@ -1,18 +1,18 @@
-"""What every command shares: the app, its consoles, its options, and errors a user can read."""
+"""What every command shares: the app, its options, and errors a user can read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.markup import escape
+from typer.core import TyperGroup
 
 from .. import __version__
 from ..materials import DataError
 from ..scenario import Scenario, load_scenario
+from .screen import err, out, page, plain
 
 if TYPE_CHECKING:
     from ..laboratory.aec import raw_env
@@ -24,21 +24,53 @@ __all__ = [
     "ScenarioArgument",
     "SeedOption",
     "app",
+    "chosen_agents",
     "err",
     "out",
     "prepare",
     "readable_errors",
 ]
 
+_shown = {"traceback": False}
+
+
+@contextmanager
+def readable_errors() -> Iterator[None]:
+    """What the user, a file or the disk got wrong is one line and exit code 2, not a traceback."""
+    try:
+        yield
+    except BrokenPipeError:  # whoever read our output has seen enough: click ends quietly
+        raise
+    except (DataError, ImportError, OSError, ValueError) as error:  # an ImportError names the missing extra
+        if _shown["traceback"]:
+            raise
+        err.print(f"[red]error[/red]: {plain(_message(error))}")
+        raise typer.Exit(2) from error
+
+
+def _message(error: Exception) -> str:
+    """One line; of what the system says, the file first."""
+    if isinstance(error, OSError) and error.strerror:
+        files = [str(file) for file in (error.filename, error.filename2) if file is not None]
+        return ": ".join([" -> ".join(files), error.strerror] if files else [error.strerror])
+    return str(error) or type(error).__name__
+
+
+class _Commands(TyperGroup):
+    """The commands; whatever one of them ends with can be read."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with readable_errors():
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="A multi-agent chemistry laboratory for reinforcement-learning research.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-# Text for people goes where it can be read without spoiling what a program reads from standard output.
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
@@ -54,21 +86,6 @@ PolicyOption = Annotated[
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
-
-
-_shown = {"traceback": False}
-
-
-@contextmanager
-def readable_errors() -> Iterator[None]:
-    """What the user got wrong is one message and exit code 2, not a traceback."""
-    try:
-        yield
-    except (DataError, ImportError, ValueError) as error:  # an ImportError names the missing extra
-        if _shown["traceback"]:
-            raise
-        err.print(f"[red]error[/red]: {escape(str(error))}", markup=True)
-        raise typer.Exit(2) from error
 
 
 @app.callback(invoke_without_command=True)
@@ -88,7 +105,25 @@ def prepare(scenario: str, quiet: bool) -> tuple[Scenario, raw_env]:
     """Load the scenario, say so, and build its laboratory."""
     spec = load_scenario(scenario)
     if not quiet:
-        out.print(f"[bold]{spec.name}[/bold]: {spec.summary}")
+        page.print(f"[bold]{plain(spec.name)}[/bold]: {plain(spec.summary)}")
     from ..laboratory.aec import raw_env
 
     return spec, raw_env(spec)
+
+
+def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> list[str]:
+    """Agents by id (``rxn_0``), by kind (``rxn``) or ``all``, in their order.
+
+    Args:
+        agents: all there are.
+        wanted: what was asked for.
+        what: the option that it was asked with.
+
+    Raises:
+        ValueError: nobody is called so.
+    """
+    kinds = {agent: agent.rpartition("_")[0] for agent in agents}
+    unknown = set(wanted) - set(kinds) - set(kinds.values()) - {"all"}
+    if unknown:
+        raise ValueError(f"{what}: nobody is called {', '.join(sorted(unknown))}; known: {', '.join(kinds)}, all")
+    return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(wanted)]

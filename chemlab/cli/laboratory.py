@@ -1,4 +1,4 @@
-"""Commands about laboratories: list, run, compare, starts."""
+"""Commands about laboratories: list, describe, run, compare, starts."""
 
 from __future__ import annotations
 
@@ -9,10 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from ..files import replace_between
 from ..scenario import Scenario, load_scenario, scenario_names
@@ -23,15 +19,16 @@ from .common import (
     ScenarioArgument,
     SeedOption,
     app,
-    err,
-    out,
+    chosen_agents,
     prepare,
-    readable_errors,
 )
+from .screen import err, event_words, happened, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.run import EpisodeResult, Turn
     from ..laboratory.aec import raw_env
+    from ..laboratory.core import Laboratories
+    from ..laboratory.describe import FactTable
     from ..record import Recorder
 
 __all__: list[str] = []
@@ -55,14 +52,84 @@ def list_scenarios(as_json: JsonOption = False) -> None:
         ]
         typer.echo(json.dumps(rows, indent=2))
         return
-    table = Table(title="Scenarios (play one with: chemlab run NAME)", box=SIMPLE)
-    table.add_column("name", no_wrap=True)
-    table.add_column("benches", no_wrap=True)
-    table.add_column("goals", justify="right")
-    table.add_column("summary")
-    for s in scenarios:
-        table.add_row(s.name, " ".join(s.benches), str(len(s.lab_goals)), s.summary)
-    Console().print(table)
+    title = "Scenarios (play one: chemlab run NAME; what is in it: chemlab describe NAME)"
+    cells = [(s.name, ", ".join(s.benches), len(s.lab_goals), s.summary) for s in scenarios]
+    show_table(title, ("name", "benches", "goals", "summary"), cells, right=(2,))
+
+
+@app.command()
+def describe(
+    scenario: ScenarioArgument,
+    agent: Annotated[
+        list[str] | None,
+        typer.Option(help="Whose observation and actions, number by number: an agent (rxn_0), a kind (rxn) or all."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell what is in a scenario: agents, vessels, stock, prices, limits, rewards; of an agent all it sees and may do.
+
+    JSON has everything of every agent, or with --agent of those.
+    """
+    from ..laboratory import describe as facts
+
+    _, env = prepare(scenario, quiet=as_json)
+    labs = env.laboratories
+    agents = chosen_agents(labs.agents, agent or (), "--agent")
+    if as_json:
+        typer.echo(json.dumps(facts.description(labs, agents or None), indent=1))
+    elif agents:
+        for name in agents:
+            _show_agent(labs, name)
+    else:
+        _show_scenario(labs)
+
+
+def _show(title: str, facts: FactTable) -> None:
+    """A table of facts, with names as they are."""
+    if facts.note:
+        title = f"{title}; {facts.note}"
+    show_table(title, facts.head, [[cell.replace("`", "") for cell in row] for row in facts.rows], facts.right)
+
+
+def _show_scenario(labs: Laboratories) -> None:
+    """Everything but the agents' spaces."""
+    from ..laboratory import describe as facts
+
+    spec = labs.scenario
+    page.print(f"{plain(spec.title)} ({plain(spec.origin)})", soft_wrap=True)
+    page.print(plain(" ".join(facts.goal_words(spec)).replace("`", "")))
+    page.print()
+    _show(
+        f"Agents (all that one sees and may do: chemlab describe {spec.argument} --agent NAME)",
+        facts.agent_table(labs),
+    )
+    _show("Benches", facts.bench_table(labs))
+    _show(f"Shelf of {spec.shelf.slots} slots, at the beginning", facts.vessel_table(spec))
+    _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
+    if spec.instruments:
+        _show("Instruments", facts.instrument_table(labs))
+    for words in (facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
+        page.print(plain(words.replace("`", "")))
+
+
+def _show_agent(labs: Laboratories, agent: str) -> None:
+    """What an agent sees and may do, number by number."""
+    from ..bench.base import Bench
+    from ..laboratory import describe as facts
+
+    number = labs.agents.index(agent)
+    role, space = labs.role(number), facts.space_words(labs.action_space(number))
+    _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.channels))
+    discrete = labs.action_counts[number] > 0
+    _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, discrete))
+    if isinstance(role, Bench):
+        page.print(f"Paid when an experiment ends: {plain(role.score_meaning)}.")
+        page.print(f"An experiment has at most {role.step_limit} steps.")
+    else:
+        page.print(f"Paid: {plain(facts.MANAGER_SCORE)}.")
+        page.print(plain(facts.limit_words(labs.scenario).replace("`", "")))
+    page.print(plain(facts.reward_words(labs.scenario)))
+    page.print()
 
 
 def _play(
@@ -109,22 +176,21 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
-    with readable_errors():
-        _, env = prepare(scenario, quiet=as_json)
-        seeds = range(seed, seed + episodes)
-        recorders = _recorders(env, policy, seeds, record, force)
-        if as_json:
-            for result in _play(env, policy, seeds, recorders=recorders):
-                typer.echo(json.dumps(result.as_dict()))
-            return
-        account = _Account(env)
-        results = []
-        for number, result in enumerate(_play(env, policy, seeds, account, recorders), start=1):
-            results.append(result)
-            account.close(result, number, episodes)
-        out.print(_result_table(results))
-        for recorder in recorders.values():
-            out.print(f"record: {escape(str(recorder.path))}")
+    _, env = prepare(scenario, quiet=as_json)
+    seeds = range(seed, seed + episodes)
+    recorders = _recorders(env, policy, seeds, record, force)
+    if as_json:
+        for result in _play(env, policy, seeds, recorders=recorders):
+            typer.echo(json.dumps(result.as_dict()))
+        return
+    account = _Account(env)
+    results = []
+    for number, result in enumerate(_play(env, policy, seeds, account, recorders), start=1):
+        results.append(result)
+        account.close(result, number, episodes)
+    _show_results(results)
+    for recorder in recorders.values():
+        out.print(f"record: {plain(recorder.path)}")
 
 
 class _Account:
@@ -140,16 +206,16 @@ class _Account:
         from ..laboratory.text import action_words
 
         labs = self._env.laboratories
-        words = action_words(labs, labs.agents.index(turn.agent), turn.action)
-        if (turn.agent, words) == self._last:
+        said = action_words(labs, labs.agents.index(turn.agent), turn.action)
+        if (turn.agent, said) == self._last:
             self._times += 1
         else:
             self._flush()
-            self._last, self._times, self._since = (turn.agent, words), 1, turn.tick
+            self._last, self._times, self._since = (turn.agent, said), 1, turn.tick
         notes = []
         if turn.info.get("illegal_action"):
             notes.append("[yellow]not possible now: the turn is lost[/yellow]")
-        notes += [f"[red]safety: {kind} {amount:.3g}[/red]" for kind, amount in turn.info.get("events", {}).items()]
+        notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(turn.info.get("events", {}))]
         score = turn.info.get("score") if turn.agent != "manager_0" else None
         outcome = self._outcome(turn, score)
         if notes or outcome:
@@ -161,7 +227,7 @@ class _Account:
         labs = self._env.laboratories
         if score is not None:
             bench = labs.benches[labs.bench_agents.index(turn.agent)]
-            return f"[green]experiment over: {score:+.3f} {bench.score_meaning}[/green]"
+            return f"[green]experiment over: {score:+.3f} {plain(bench.score_meaning)}[/green]"
         if turn.agent != "manager_0":
             return ""
         kind, *arguments = labs.actions.decode(int(turn.action))
@@ -169,9 +235,9 @@ class _Account:
             labs = self._env.laboratories
             station = labs.bench_agents.index(str(arguments[0]))
             vessel = labs.shelf.vessel(0, int(labs.rules.first[station]))
-            return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {labs.benches[station].score_meaning}"
+            return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {plain(labs.benches[station].score_meaning)}"
         if kind == "measure":
-            return reading_words(labs, int(arguments[0]), str(arguments[1]))
+            return plain(reading_words(labs, int(arguments[0]), str(arguments[1])))
         return ""
 
     def _flush(self, note: str = "") -> None:
@@ -180,7 +246,7 @@ class _Account:
         agent, words = self._last
         times = f" x{self._times}" if self._times > 1 else ""
         manager = agent == "manager_0"
-        what = f"[bold]{words}[/bold]" if manager else words
+        what = f"[bold]{plain(words)}[/bold]" if manager else plain(words)
         out.print(
             f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"
         )
@@ -190,18 +256,17 @@ class _Account:
         """The episode's end, in words."""
         self._flush()
         outcome, _, score = result.words().rpartition("; ")
-        out.print(f"episode {number}/{episodes} (seed {result.seed}): {outcome}; [bold]{score}[/bold]\n")
+        out.print(f"episode {number}/{episodes} (seed {result.seed}): {plain(outcome)}; [bold]{plain(score)}[/bold]\n")
 
 
-def _result_table(results: list[EpisodeResult]) -> Table:
-    table = Table(title="Results (mol of the goal submitted; actions of the manager)", box=SIMPLE)
-    for name in ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events"):
-        table.add_column(name, justify="left" if name in ("goal", "safety events") else "right", overflow="fold")
+def _show_results(results: list[EpisodeResult]) -> None:
+    rows = []
     for r in results:
-        events = ", ".join(f"{kind} {value:.3g}" for kind, value in r.safety_events.items()) or "none"
         numbers = (f"{r.submitted_mol:.3f}", f"{r.purity:.3f}", f"{sum(r.costs.values()):.4f}", f"{r.score:.3f}")
-        table.add_row(str(r.seed), r.goal, *numbers, str(r.manager_actions), str(r.ticks), events)
-    return table
+        events = ", ".join(event_words(r.safety_events)) or "none"
+        rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
+    head = ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events")
+    show_table("Results (mol of the goal submitted; actions of the manager)", head, rows, right=(0, *range(2, 8)))
 
 
 @app.command()
@@ -220,7 +285,7 @@ def compare(
 
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []
-    with readable_errors(), Progress(console=err, transient=True) as progress:
+    with Progress(console=err, transient=True) as progress:
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
         for name in names:
@@ -231,10 +296,38 @@ def compare(
                     results.append(result)
                     progress.advance(task)
                 rows.append(_summary(spec, played, results))
-        lines = _markdown(rows)
-        if update is not None:
-            replace_between(update, "results", lines)
-    typer.echo(json.dumps(rows) if as_json else "\n".join(lines))
+    cells = [_cells(row) for row in rows]
+    if update is not None:
+        lines = ["| " + " | ".join(_COLUMNS) + " |", "|---|---" + "|--:" * (len(_COLUMNS) - 2) + "|"]
+        lines += ["| " + " | ".join((f"`{name}`", *others)) + " |" for name, *others in cells]
+        replace_between(update, "results", lines)
+    if as_json:
+        typer.echo(json.dumps(rows))
+    else:
+        show_table("", _COLUMNS, cells, right=range(2, len(_COLUMNS)))
+
+
+_COLUMNS = (
+    "scenario",
+    "policy",
+    "submitted (mol)",
+    "purity",
+    "score",
+    "manager actions",
+    "ticks",
+    "spill, vent, metal fire",
+)
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """A summary in words, by ``_COLUMNS``."""
+    return (
+        row["scenario"],
+        row["policy"],
+        *(f"{row[key]:.3f}" for key in ("submitted_mol", "purity", "score")),
+        *(f"{row[key]:.1f}" for key in ("manager_actions", "ticks")),
+        f"{row['unsafe_episodes']:.0%} of episodes",
+    )
 
 
 def _summary(spec: Scenario, policy: str, results: list[EpisodeResult]) -> dict[str, Any]:
@@ -248,21 +341,9 @@ def _summary(spec: Scenario, policy: str, results: list[EpisodeResult]) -> dict[
         "score": sum(r.score for r in results) / count,
         "manager_actions": sum(r.manager_actions for r in results) / count,
         "ticks": sum(r.ticks for r in results) / count,
-        "unsafe_episodes": sum(bool(set(r.safety_events) - {"boiled_dry", "dry_heating"}) for r in results) / count,
+        "unsafe_episodes": sum(bool(set(happened(r.safety_events)) - {"boiled_dry", "dry_heating"}) for r in results)
+        / count,
     }
-
-
-def _markdown(rows: list[dict[str, Any]]) -> list[str]:
-    lines = [
-        "| scenario | policy | submitted (mol) | purity | score | manager actions | ticks | spill, vent, metal fire |",
-        "|---|---|--:|--:|--:|--:|--:|--:|",
-    ]
-    for r in rows:
-        lines.append(
-            f"| `{r['scenario']}` | {r['policy']} | {r['submitted_mol']:.3f} | {r['purity']:.3f} | {r['score']:.3f} "
-            f"| {r['manager_actions']:.1f} | {r['ticks']:.1f} | {r['unsafe_episodes']:.0%} of episodes |"
-        )
-    return lines
 
 
 @app.command()
@@ -270,20 +351,21 @@ def starts(
     scenario: ScenarioArgument,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 6,
     seed: SeedOption = 0,
-    out: Annotated[
+    output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
     ] = None,
 ) -> None:
     """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
     from rich.progress import Progress
 
-    with readable_errors(), Progress(console=err, transient=True) as progress:
+    with Progress(console=err, transient=True) as progress:
         spec, _ = prepare(scenario, quiet=True)
         from ..agents.starts import record_starts
         from ..laboratory.starts import starts_file, write_starts
 
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
-        path = out or starts_file(spec)
+        path = output or starts_file(spec)
         write_starts(path, spec, vessels)
-    typer.echo(f"{path}: " + ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items()))
+    counts = ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items())
+    out.print(f"{plain(path)}: {counts}")

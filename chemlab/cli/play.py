@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 
-from .common import JsonOption, ScenarioArgument, SeedOption, app, err, out, prepare, readable_errors
+from .common import JsonOption, ScenarioArgument, SeedOption, app, chosen_agents, prepare
 from .records import TrustOption
+from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
     from ..agents.policy import Policy
@@ -25,15 +24,6 @@ __all__: list[str] = []
 
 
 # -- play -------------------------------------------------------------------------------------------------------------
-
-
-def _people(labs: Laboratories, roles: Sequence[str]) -> list[str]:
-    """The agents a person plays: by id (``rxn_0``), by kind (``rxn``) or ``all``."""
-    kinds = {agent: agent.rpartition("_")[0] for agent in labs.agents}
-    unknown = set(roles) - set(kinds) - set(kinds.values()) - {"all"}
-    if unknown:
-        raise ValueError(f"role: nobody is called {', '.join(sorted(unknown))}; roles: {', '.join(kinds)}, all")
-    return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(roles)]
 
 
 def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
@@ -49,15 +39,15 @@ def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int)
         try:
             chosen[agent] = (name, pretrained_for(labs.role(labs.agents.index(agent)), laboratory=True))
         except ValueError as error:
-            err.print(f"{agent} is played by the scripted policy: {escape(str(error))}")
+            err.print(f"{agent} is played by the scripted policy: {plain(error)}")
     return chosen
 
 
 class _Told:
     """Tells people what has come of a turn: of their own all that its agent is told, of others' only that it was."""
 
-    def __init__(self, env: raw_env, people: Sequence[str], console: Console) -> None:
-        self._env, self._people, self._console = env, people, console
+    def __init__(self, env: raw_env, people: Sequence[str]) -> None:
+        self._env, self._people = env, people
         self._others: dict[str, int] = {}
 
     def __call__(self, turn: Turn) -> None:
@@ -69,11 +59,11 @@ class _Told:
             return
         self.flush()
         notes = ["not possible: the turn is lost"] if turn.info.get("illegal_action") else []
-        notes += [f"safety: {kind} {amount:.3g}" for kind, amount in turn.info.get("events", {}).items()]
+        notes += [f"safety: {words}" for words in event_words(turn.info.get("events", {}))]
         if "score" in turn.info and turn.agent != labs.agents[0]:
             notes.append(self._over(turn.agent))
         for note in notes:
-            self._console.print(f"  [bold]{note}[/bold]")
+            page.print(f"  [bold]{plain(note)}[/bold]")
 
     def _over(self, agent: str) -> str:
         labs = self._env.laboratories
@@ -87,15 +77,16 @@ class _Told:
         labs = self._env.laboratories
         kind, *arguments = labs.actions.decode(int(turn.action))
         if kind == "recall" and arguments[0] in self._people:
-            self._console.print(f"  the manager ends the experiment of {arguments[0]}: {self._over(str(arguments[0]))}")
+            over = plain(self._over(str(arguments[0])))
+            page.print(f"  the manager ends the experiment of {arguments[0]}: {over}")
         if kind == "measure" and turn.agent in self._people:
-            self._console.print(f"  {reading_words(labs, int(arguments[0]), str(arguments[1]))}")
+            page.print(plain(f"  {reading_words(labs, int(arguments[0]), str(arguments[1]))}"))
 
     def flush(self) -> None:
         """Say who else has acted in the meantime."""
         if self._others:
             counts = ", ".join(f"{agent} {count}x" for agent, count in self._others.items())
-            self._console.print(f"  (meanwhile: {counts})", style="dim")
+            page.print(f"  (meanwhile: {counts})", style="dim")
         self._others = {}
 
 
@@ -121,52 +112,50 @@ def play(
 
     At each of your turns you see what that role's agent sees, no more. Type ? for help and q to leave.
     """
-    with readable_errors():
-        from ..agents.human import HumanPolicy, Left
-        from ..agents.run import play_episode
-        from ..record import Recorder
+    from ..agents.human import HumanPolicy, Left
+    from ..agents.run import play_episode
+    from ..record import Recorder
 
-        _, env = prepare(scenario, quiet=False)
-        labs = env.laboratories
-        if goal is not None:
-            labs.goal_index(goal)
-        people = _people(labs, role or ["manager"])
-        others = _background(background, labs, people, seed)
-        console = Console(highlight=False)
-        policies: dict[str, Policy] = {agent: policy for agent, (_, policy) in others.items()}
-        names = {agent: "human" if agent in people else others[agent][0] for agent in labs.agents}
-        recorder = None if record is None else Recorder(record, labs, policies=names, force=force)
-        told = _Told(env, people, console)
-        for agent in people:
-            policies[agent] = HumanPolicy(labs, labs.agents.index(agent), _ask(console), console, told.flush)
-        console.print(f"You play {', '.join(people)}. Type ? for help, q to leave.")
-        left = None
-        options = None if goal is None else {"goal": goal}
-        with recorder or nullcontext():
-            try:
-                result = play_episode(env, policies, seed, "human", told, options, recorder)
-            except (Left, KeyboardInterrupt) as error:
-                left = error
-        if left is not None:
-            _leave(left, recorder.part if recorder is not None else None)
-        told.flush()
-        console.print(f"\nThe episode is over: {result.words()}")
-        if recorder is not None:
-            console.print(f"record: {escape(str(recorder.path))}", soft_wrap=True)
+    _, env = prepare(scenario, quiet=False)
+    labs = env.laboratories
+    if goal is not None:
+        labs.goal_index(goal)
+    people = chosen_agents(labs.agents, role or ["manager"], "--role")
+    others = _background(background, labs, people, seed)
+    policies: dict[str, Policy] = {agent: policy for agent, (_, policy) in others.items()}
+    names = {agent: "human" if agent in people else others[agent][0] for agent in labs.agents}
+    recorder = None if record is None else Recorder(record, labs, policies=names, force=force)
+    told = _Told(env, people)
+    for agent in people:
+        policies[agent] = HumanPolicy(labs, labs.agents.index(agent), _ask(), page, told.flush)
+    page.print(f"You play {', '.join(people)}. Type ? for help, q to leave.")
+    left = None
+    options = None if goal is None else {"goal": goal}
+    with recorder or nullcontext():
+        try:
+            result = play_episode(env, policies, seed, "human", told, options, recorder)
+        except (Left, KeyboardInterrupt) as error:
+            left = error
+    if left is not None:
+        _leave(left, recorder.part if recorder is not None else None)
+    told.flush()
+    page.print(plain(f"\nThe episode is over: {result.words()}"))
+    if recorder is not None:
+        out.print(f"record: {plain(recorder.path)}")
 
 
-def _ask(console: Console) -> Callable[[str], str]:
+def _ask() -> Callable[[str], str]:
     """How people are asked; a prompt may have brackets, which are no markup."""
     with suppress(ImportError):  # where there is one, lines can be edited and called back
         import readline  # noqa: F401
-    return lambda prompt: console.input(prompt, markup=False)
+    return lambda prompt: page.input(prompt, markup=False)
 
 
 def _leave(reason: BaseException, part: Path | None) -> None:
     """End before the episode does."""
     interrupted = isinstance(reason, KeyboardInterrupt)
     kept = f"; the record so far: {part}" if part is not None and part.exists() else ""
-    out.print(f"\n{escape('interrupted' if interrupted else str(reason))}{escape(kept)}")
+    out.print(plain(f"\n{'interrupted' if interrupted else reason}{kept}"))
     raise typer.Exit(130 if interrupted else 0)
 
 
@@ -187,21 +176,20 @@ def demos(
     An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations come from
     playing the records again; records that do not hold what happens are refused. Needs the extra `data`.
     """
-    with readable_errors():
-        from ..agents.demonstrations import write_datasets
+    from ..agents.demonstrations import write_datasets
 
-        written = write_datasets(files, name, agent, force, trust, lambda note: err.print(escape(note)))
+    written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
     rows = [dataset.as_dict() for dataset in written]
     if as_json:
         typer.echo(json.dumps(rows))
         return
     for row in rows:
-        out.print(_dataset_line(row))
+        out.print(plain(_dataset_line(row)))
     out.print("load one with: minari.load_dataset(NAME)")
 
 
 def _dataset_line(row: Mapping[str, object]) -> str:
     return (
         f"{row['id']}: {row['episodes']} episodes, {row['steps']} steps, mean return {row['mean_return']:.3f}, "
-        f"in {escape(str(row['path']))}"
+        f"in {row['path']}"
     )

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
-from .common import app, out, readable_errors
+from .common import app
 from .records import TrustOption
+from .screen import out, plain
 
 __all__: list[str] = []
 
@@ -35,7 +35,7 @@ def _save(path: Path, force: bool, draw: Callable[[], Any]) -> None:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)
-    out.print(escape(str(path)))
+    out.print(plain(path))
 
 
 def _beside(record: Path, kind: str) -> Path:
@@ -51,10 +51,9 @@ def curves(
     force: ForceOption = False,
 ) -> None:
     """Learning curves of training runs, finished or not, with evaluations and the scripted policy's line."""
-    with readable_errors():
-        from ..agents.evaluation.curves import draw_curves
+    from ..agents.evaluation.curves import draw_curves
 
-        _save(output, force, lambda: draw_curves(folders))
+    _save(output, force, lambda: draw_curves(folders))
 
 
 @plot.command()
@@ -62,11 +61,10 @@ def timeline(
     record: RecordArgument, output: OutputOption = None, force: ForceOption = False, trust: TrustOption = False
 ) -> None:
     """Who did what when: actions and experiments of every agent, costs and rewards adding up."""
-    with readable_errors():
-        from ..record import read_record
-        from ..render.charts import draw_timeline
+    from ..record import read_record
+    from ..render.charts import draw_timeline
 
-        _save(output or _beside(record, "timeline"), force, lambda: draw_timeline(read_record(record), trust))
+    _save(output or _beside(record, "timeline"), force, lambda: draw_timeline(read_record(record), trust))
 
 
 @plot.command()
@@ -74,11 +72,10 @@ def spectra(
     record: RecordArgument, output: OutputOption = None, force: ForceOption = False, trust: TrustOption = False
 ) -> None:
     """Spectra of the vessel before and after each reaction experiment, with the materials' peaks."""
-    with readable_errors():
-        from ..record import read_record
-        from ..render.charts import draw_spectra
+    from ..record import read_record
+    from ..render.charts import draw_spectra
 
-        _save(output or _beside(record, "spectra"), force, lambda: draw_spectra(read_record(record), trust))
+    _save(output or _beside(record, "spectra"), force, lambda: draw_spectra(read_record(record), trust))
 
 
 @plot.command()
@@ -92,8 +89,7 @@ def moles(
     trust: TrustOption = False,
 ) -> None:
     """Where the moles went, from start to product: a balance for each element that reacted and each other material."""
-    with readable_errors():
-        from ..record import read_record
-        from ..render.charts import draw_moles
+    from ..record import read_record
+    from ..render.charts import draw_moles
 
-        _save(output or _beside(record, "moles"), force, lambda: draw_moles(read_record(record), trust, only or ()))
+    _save(output or _beside(record, "moles"), force, lambda: draw_moles(read_record(record), trust, only or ()))

@@ -46,7 +46,8 @@ import numpy.typing as npt
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from ..scenario import Scenario
+from ..bench.models import ReactionModel, SeparationModel
+from ..scenario import RewardSpec, Scenario
 from .common import OneLaboratory
 from .rendering import RENDER_MODES
 from .state import RUNNING, TERMINATED
@@ -55,10 +56,21 @@ __all__ = ["env", "raw_env"]
 
 
 def env(
-    scenario: str | Path | Scenario = "wurtz_dodecane", **kwargs: Any
+    scenario: str | Path | Scenario = "wurtz_dodecane",
+    render_mode: str | None = None,
+    rewards: str | RewardSpec | None = None,
+    reaction_model: ReactionModel | None = None,
+    separation_model: SeparationModel | None = None,
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
-    """The laboratory in PettingZoo's order-enforcing wrapper; arguments as for :class:`raw_env`."""
-    return OrderEnforcingWrapper(raw_env(scenario, **kwargs))
+    """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
+    return OrderEnforcedLaboratory(raw_env(scenario, render_mode, rewards, reaction_model, separation_model))
+
+
+class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
+    """PettingZoo's wrapper, which names what is in it."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} around {self.env!r}>"
 
 
 class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
@@ -73,7 +85,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: unknown render mode.
+        ValueError: unknown render mode or reward mix.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
@@ -83,8 +95,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         "is_parallelizable": False,
     }
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    def _allocate(self) -> None:
         self._one_action = np.zeros(1, dtype=np.int64)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:

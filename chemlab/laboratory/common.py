@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +48,14 @@ class OneLaboratory(Rendered):
         self.state_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self._members = self.laboratories.members
         self._seeded = False
+        self._allocate()
+
+    @abstractmethod
+    def _allocate(self) -> None:
+        """Make the arrays that the interface reuses in every step."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.scenario.name}: {', '.join(self.possible_agents)}>"
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
         """The agent's observation space (always the same object)."""

@@ -296,7 +296,7 @@ class Laboratories:
             if lacking:
                 goal = self.scenario.goals[lacking[0]]
                 raise DataError(
-                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.reference}"
+                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.argument}"
                 )
             arrays = pool.arrays
             positions = int(self.rules.arrays.most_positions)

@@ -58,8 +58,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         "render_fps": 8,
     }
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    def _allocate(self) -> None:
         labs = self.laboratories
         self._turns = np.zeros((len(labs.agents), 1), dtype=np.bool_)
         self._actions = [

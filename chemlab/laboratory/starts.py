@@ -145,7 +145,7 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
     Raises:
         DataError: nothing has been recorded for this scenario or bench, or the file does not fit the scenario.
     """
-    again = f"run: chemlab starts {scenario.reference}"
+    again = f"run: chemlab starts {scenario.argument}"
     path = starts_file(scenario)
     if not path.is_file():
         raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; {again}")

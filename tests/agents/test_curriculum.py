@@ -121,8 +121,8 @@ def test_wrong_shares(shares: dict[str, float], message: str) -> None:
 
 
 def test_a_scenario_that_nobody_has_played() -> None:
-    scenario = load_scenario({"base": "wurtz_dodecane", "name": "never_played"})
-    with pytest.raises(DataError, match="run: chemlab starts never_played"):
+    scenario = load_scenario("wurtz_dodecane").model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
+    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab starts FILE\.toml"):
         Laboratories(scenario).prepare({"dit": 1.0})
 
 
@@ -207,6 +207,7 @@ class _Stop:
     def finishing(self) -> None: ...
 
 
+@pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
     arguments = arguments_of({**SMALL, "scenario": "wurtz_any", "imitate": "heuristic", "imitate_steps": 200})
     train(arguments, tmp_path / "whole")
@@ -222,6 +223,7 @@ def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
 # -- imitation --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: Path) -> None:
     """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
     scores = {}
@@ -265,6 +267,7 @@ def test_only_learners_with_a_policy_can_imitate() -> None:
 # -- who plays --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
     run = tmp_path / "run"
     train(arguments_of({**SMALL, "background": "hasty"}), run)

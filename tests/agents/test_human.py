@@ -127,6 +127,34 @@ def test_words_choose_or_narrow() -> None:
 
 
 @pytest.mark.parametrize(
+    ("typed", "slots"),
+    [("slot 0", {0}), ("slot 1", {1}), ("start rxn 0 on slot 1", {1}), ("SLOT 1 oil", {1}), ("rxn_1", set(range(12)))],
+)
+def test_a_number_is_the_whole_number_of_the_word_before_it(typed: str, slots: set[int]) -> None:
+    """Slot 1 is not slot 10, and slot 0 is not the 0 of rxn_0."""
+    meanings = [
+        f"start rxn_{bench} on slot {slot}, goal {goal}"
+        for bench in (0, 1)
+        for slot in range(12)
+        for goal in ("a", "oil")
+    ]
+    found = Menu(meanings, [meaning.split(" ") for meaning in meanings], range(len(meanings)))
+    found.take(typed)
+    left = [meanings[action] for _, actions in found.entries() for action in actions]
+    assert {int(meaning.split("slot ")[1].split(",")[0]) for meaning in left} == slots
+    if "rxn" in typed:
+        assert len({meaning.split()[1] for meaning in left}) == 1
+
+
+def test_a_number_that_is_cut_short_is_no_action() -> None:
+    meanings = [f"submit slot {slot}" for slot in (1, 10, 12)]
+    paths = [meaning.split() for meaning in meanings]
+    assert Menu(meanings, paths, [0, 1, 2]).take("submit slot 1") == 0
+    with pytest.raises(ValueError, match="'submit slot 1' is not possible now"):
+        Menu(meanings, paths, [1, 2]).take("submit slot 1")
+
+
+@pytest.mark.parametrize(
     ("typed", "part"),
     [("4", "from 1 to 3"), ("0", "from 1 to 3"), ("pour 2", "not possible now"), ("fly", "no action"), ("3 1", "what")],
 )

@@ -294,6 +294,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> None:
     """Two episodes from the seeds that training reported are the two that it reported; the page has them."""
     content = collect_laboratories(trained, episodes=2)

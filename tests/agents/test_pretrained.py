@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
@@ -296,7 +297,7 @@ def test_what_it_puts_out_depends_on_what_it_sees_alone(name: str) -> None:
         np.testing.assert_array_equal(together, policy.values(moved))
 
 
-@pytest.mark.parametrize("name", pretrained_names())
+@pytest.mark.parametrize("name", slow_but(pretrained_names(), "wurtz_ext", "fictitious_rxn", "wurtz_safe_manager"))
 def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     policy = load_pretrained(name)
     card = policy.card

@@ -140,6 +140,7 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.slow
 def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     file = sweep_file(

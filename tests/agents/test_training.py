@@ -173,6 +173,7 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> N
         time.sleep(0.005)
 
 
+@pytest.mark.slow
 def test_kill_9_at_any_moment(tmp_path: Path) -> None:
     """Killed twice by the system, at moments nobody chose, it still says where it goes on and ends the same."""
     arguments = small("ppo", steps=100 * 64, checkpoints=100, evaluations=5)

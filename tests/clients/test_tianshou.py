@@ -70,6 +70,7 @@ def learner(env: gymnasium.Env[Any, Any], exploration: float) -> DQN[Any]:
 
 @pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 @pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
+@pytest.mark.slow
 def test_dqn_with_masks_learns(agent: str) -> None:
     np.random.seed(0)  # noqa: NPY002 - Tianshou explores with NumPy's global stream
     torch.manual_seed(0)

@@ -5,6 +5,7 @@ Expected values come from the design (agents, turns, spaces, rewards), not from 
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections import Counter
 from pathlib import Path
@@ -24,6 +25,7 @@ from chemlab.bench.base import channel_slices
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.parallel import parallel_env
 from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
 
@@ -770,3 +772,21 @@ def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None
 def test_an_unknown_scenario_is_refused() -> None:
     with pytest.raises(DataError, match="atlantis"):
         raw_env("atlantis")
+
+
+@pytest.mark.parametrize("make", [laboratory_env, raw_env, parallel_env])
+def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
+    """Arguments by name, and a repr of one line that says which laboratory it is."""
+    arguments = inspect.signature(make).parameters.values()
+    assert [argument.name for argument in arguments] == [
+        "scenario",
+        "render_mode",
+        "rewards",
+        "reaction_model",
+        "separation_model",
+    ]
+    assert all(argument.kind is argument.POSITIONAL_OR_KEYWORD for argument in arguments)
+    shown = repr(make("fictitious", rewards="cooperative"))
+    assert "env of fictitious: manager_0, rxn_0, dit_0>" in shown
+    assert len(shown) < 120
+    assert "\n" not in shown

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from benchmarks.soak import broken, soak
+from helpers import slow_but
 
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, WAIT
@@ -59,7 +60,7 @@ def assert_same_seen(one: dict[str, npt.NDArray[Any]], member: int, other: dict[
         np.testing.assert_array_equal(array[member], other[agent])
 
 
-@pytest.mark.parametrize("count", [1, 3, 8])
+@pytest.mark.parametrize("count", slow_but([1, 3, 8], 3))
 @pytest.mark.parametrize("name", ["wurtz_any", "wurtz_two_lines", "wurtz_scarce"])
 def test_members_are_single_laboratories(name: str, count: int) -> None:
     """Member i with seed s + i is a parallel laboratory with that seed, through several episodes, in everything."""
@@ -297,7 +298,7 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
 # -- soak -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "wurtz_two_lines"))
 def test_a_short_soak(name: str) -> None:
     """A small version of tests/benchmarks/soak.py, which plays ten thousand episodes of each scenario."""
     figures = soak(name, 100, 32, seed=1)

@@ -715,7 +715,7 @@ def test_unknown_render_mode() -> None:
 def test_lab_starts_that_nobody_recorded() -> None:
     content = load_scenario("wurtz_dodecane").model_dump(mode="json")
     scenario = load_scenario({**content, "name": "never_played"})
-    with pytest.raises(DataError, match="run: chemlab starts never_played"):
+    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab starts FILE\.toml"):
         BenchEnv(scenario, "ext", starts="lab")
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import slow_but
 
 from chemlab.agents.policy import make_policies
 from chemlab.laboratory.aec import raw_env
@@ -92,7 +93,7 @@ def test_another_process_plays_the_same_episodes() -> None:
 
 
 @pytest.mark.parametrize("policy", ["random", "heuristic"])
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", slow_but(SCENARIOS, "fictitious", "wurtz_two_lines"))
 def test_a_used_environment_plays_like_a_new_one(name: str, policy: str) -> None:
     env = raw_env(name)
     first = episode(env, policy, 1)
@@ -106,7 +107,7 @@ def test_a_used_environment_plays_like_a_new_one(name: str, policy: str) -> None
     assert episode(env, policy, 5, reset=False) == episode(other, policy, 5, reset=False)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", slow_but(SCENARIOS, "fictitious", "wurtz_two_lines"))
 def test_seeds_differ(name: str) -> None:
     env = raw_env(name)
     assert len({episode(env, "random", seed) for seed in range(5)}) == 5

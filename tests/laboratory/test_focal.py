@@ -18,6 +18,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from helpers import slow_but
 
 from chemlab.agents.policy import make_policies
 from chemlab.agents.views import focal_env, focal_vector_env
@@ -262,7 +263,7 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("background", ["heuristic", "random"])
+@pytest.mark.parametrize("background", slow_but(["heuristic", "random"], "heuristic"))
 @pytest.mark.parametrize(
     ("name", "agent"), [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
 )

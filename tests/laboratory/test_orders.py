@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, laboratory, manager, mapping
+from helpers import allowed, laboratory, manager, mapping, slow_but
 
 import chemlab.scenarios
 from chemlab.agents.policy import make_policies
@@ -143,7 +143,7 @@ def test_a_truncated_episode_pays_what_was_submitted() -> None:
     assert env.laboratories.result(env.laboratories.members)[0] == pytest.approx(worth - price, rel=1e-12)
 
 
-@pytest.mark.parametrize("orders", [1, 2, 3])
+@pytest.mark.parametrize("orders", slow_but([1, 2, 3], 2))
 def test_random_play_with_orders(orders: int) -> None:
     """Rewards add up to the score, atoms to what there was, and the episode ends when the design says."""
     values = mapping(LINES)

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers import slow_but
 from pettingzoo.test import parallel_api_test
 
 from chemlab.laboratory import parallel_env
@@ -86,7 +87,7 @@ def a_round(
 # -- the same laboratory --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", slow_but(range(3), 0))
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_one_script_is_one_episode(name: str, seed: int) -> None:
     """Rewards, costs, scores, infos, observations, masks and the whole state, after every round."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import PIXELS, TRACE, Glassware, composition, four_solvents
+from helpers import PIXELS, TRACE, Glassware, composition, four_solvents, slow_but
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -99,7 +99,7 @@ def random_turns(laboratories: Laboratories, rng: np.random.Generator, policy: R
     return played
 
 
-@pytest.mark.parametrize("scenario", scenario_names())
+@pytest.mark.parametrize("scenario", slow_but(scenario_names(), "fictitious", "salt_from_oil", "wurtz_two_lines"))
 def test_random_agents_break_no_invariant(scenario: str) -> None:
     """Forty thousand turns of random agents, one in ten of them against the mask: atoms to 1e-9 and all the rest."""
     laboratories = Laboratories(scenario, 40)

@@ -29,12 +29,11 @@ def play(cache: Path) -> str:
     "content",
     [
         # A class that is no more, a module that is no more, and a file that a crash has cut.
-        pickle.dumps("stamp").replace(b"stamp", b"other") + b"",
-        b"cchemlab.laboratory.view\nNoSuchClass\n.",
-        b"cchemlab.no_such_module\nAnything\n.",
-        b"\x80\x04",
+        pytest.param(pickle.dumps("stamp").replace(b"stamp", b"other"), id="other"),
+        pytest.param(b"cchemlab.laboratory.view\nNoSuchClass\n.", id="class", marks=pytest.mark.slow),
+        pytest.param(b"cchemlab.no_such_module\nAnything\n.", id="module", marks=pytest.mark.slow),
+        pytest.param(b"\x80\x04", id="cut", marks=pytest.mark.slow),
     ],
-    ids=["other", "class", "module", "cut"],
 )
 def test_another_versions_cache_is_compiled_again(content: bytes, tmp_path: Path) -> None:
     expected = play(tmp_path)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.policy import make_policies
@@ -101,7 +102,7 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["heuristic", "random"])
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "fictitious", "wurtz_two_lines"))
 def test_pages_are_small(name: str, policy: str, tmp_path: Path) -> None:
     found = read_record(record(tmp_path / "a.jsonl", name, policy, 1))
     text = replay_page(found)
