@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
-__all__ = ["check_marks", "replace_between", "write_bytes", "write_text"]
+__all__ = ["check_folder", "check_marks", "replace_between", "write_bytes", "write_text"]
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -22,6 +23,20 @@ def write_bytes(path: Path, content: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8, see :func:`write_bytes`."""
     write_bytes(path, text.encode())
+
+
+def check_folder(path: Path) -> None:
+    """Make a folder if it is not there, and see that files can be written to it: before there is anything to lose.
+
+    Raises:
+        ValueError: they cannot.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
 
 
 def check_marks(path: Path, mark: str) -> tuple[str, int, int]:

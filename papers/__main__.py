@@ -2,8 +2,8 @@
 
 | Tables | Made into |
 |---|---|
-| `papers/chemgymrl/results/` | `docs/results/summary.md`, the paper's figures, README's table of the paper's experiments |
-| `experiments/results/` | `docs/results/laboratory.md` and its curves, the other tables of README and `docs/results.md` |
+| `papers/chemgymrl/results/` | `docs/results/summary.md`, the paper's figures, README's table of its experiments |
+| `experiments/results/` | `docs/results/laboratory.md` with curves, the other tables of README and `docs/results.md` |
 
 ``--collect RUNS`` first makes those tables from training runs, as ``chemlab sweep`` leaves them, and plays their best
 checkpoints; what the tables have of other runs stays. Needs the extra ``plot``, and for collecting ``train``.
@@ -83,14 +83,14 @@ def make(out: Path) -> list[str]:
     lacking = write_figures(results, out)
     page, laboratory = write_page(results, out, lacking), write_laboratory(LABORATORY, out)
     tables = {
-        "paper": lambda: paper_table(results),
-        "managers": lambda: brief_table(LABORATORY, shipped=True),
-        "measuring": lambda: brief_table(LABORATORY, shipped=False),
-        "benches": lambda: benches_table(LABORATORY),
+        "paper": paper_table(results),
+        "managers": brief_table(LABORATORY, shipped=True),
+        "measuring": brief_table(LABORATORY, shipped=False),
+        "benches": benches_table(LABORATORY),
     }
     for file, marks in PAGES.items():
         for mark in marks:
-            replace_between(file, mark, tables[mark]())
+            replace_between(file, mark, tables[mark])
     missing = [f"{stem}: missing: {'; '.join(what)}" for stem, what in lacking.items() if what]
     left_out = [*results.left_out, *(laboratory.left_out if laboratory else ())]
     written = [page, *([laboratory.page] if laboratory else []), *PAGES]

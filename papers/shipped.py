@@ -37,7 +37,7 @@ def collect_benches(folder: Path, episodes: int = EPISODES, watch: Callable[[str
     In the laboratory all other roles are scripted, so that only the bench's policy differs. All play the same seeds,
     which neither training nor the choice of the checkpoint has seen.
 
-    The table has two rows for each policy, of the ``trained`` and of the ``scripted`` player, with the means over goals:
+    The table has two rows for each policy, of the ``trained`` and of the ``scripted`` player, with means over goals:
     return by starting state (``paper``, ``lab``), and in the laboratory the return of the bench's agents together
     (``reward``) and the manager's ``score``.
 
@@ -94,4 +94,5 @@ def benches_table(folder: Path) -> list[str]:
         ]
         lines.append([f"`{row['name']}`", row["starts"], *cells])
     names = ("paper's starts", "laboratory's starts", "in the laboratory", "laboratory's score")
-    return markdown_table({"policy": False, "trained on": False, **dict.fromkeys(names, True)}, lines)
+    made: list[str] = markdown_table({"policy": False, "trained on": False, **dict.fromkeys(names, True)}, lines)
+    return made

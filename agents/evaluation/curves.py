@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from chemlab.shelf import FloatArray
 from ..training.runs import Evaluation
 from .results import TrainedRun, display_name, read_runs, task_title
 
-__all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_runs"]
+__all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_tasks"]
 
 Tasks = dict[str, dict[str, list[TrainedRun]]]
 """Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
@@ -66,24 +66,13 @@ def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray
     return steps, means.mean(axis=0), between, single
 
 
-def group_runs(folders: Sequence[Path]) -> Tasks:
-    """The runs in and below some folders that have begun to learn, by task (bench, goals, starting states) and label.
-
-    Raises:
-        ValueError: a folder is not there, or has no such run.
-    """
+def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
+    """Those runs that have begun to learn, by task (bench, goals, starting states) and label."""
     tasks: Tasks = {}
-    seen = set()
-    for folder in folders:
-        runs = [run for run in read_runs(folder) if len(run.curve) or run.evaluations]
-        if not runs:
-            raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
-        for run in runs:
-            path = (folder / run.name).resolve()
-            if path not in seen:
-                seen.add(path)
-                label = str(run.config.get("label", path.name))
-                tasks.setdefault(task_title(run), {}).setdefault(label, []).append(run)
+    for run in runs:
+        if len(run.curve) or run.evaluations:
+            label = str(run.config.get("label", run.name))
+            tasks.setdefault(task_title(run), {}).setdefault(label, []).append(run)
     return tasks
 
 
@@ -94,7 +83,13 @@ def draw_curves(folders: Sequence[Path]) -> Any:
         ValueError: a folder is not there, or has no run.
         ImportError: matplotlib is not installed.
     """
-    return draw_tasks(group_runs(folders))
+    runs: dict[Path, TrainedRun] = {}
+    for folder in folders:
+        own = {(folder / run.name).resolve(): run for run in read_runs(folder)}
+        if not group_tasks(own.values()):
+            raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
+        runs |= own
+    return draw_tasks(group_tasks(runs.values()))
 
 
 def draw_tasks(tasks: Tasks) -> Any:

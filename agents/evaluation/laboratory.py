@@ -266,9 +266,15 @@ class _Player:
             values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
             rows.append(
                 {
-                    **{"scenario": self.group.scenario, "background": self.group.background},
-                    **{"policy": policy, "run": run, "goal": goal, "episodes": self.episodes, "seed": RESULT_SEED},
-                    **{"chemlab": chemlab.__version__, "same_task": same_task},
+                    "scenario": self.group.scenario,
+                    "background": self.group.background,
+                    "policy": policy,
+                    "run": run,
+                    "goal": goal,
+                    "episodes": self.episodes,
+                    "seed": RESULT_SEED,
+                    "chemlab": chemlab.__version__,
+                    "same_task": same_task,
                     **{name: number(float(values[name].mean())) for name in MEASURES},
                 }
             )

@@ -172,8 +172,8 @@ def _from_rows(name: str, rows: dict[str, list[dict[str, str]]]) -> TrainedRun:
     scripted = {one["goal"]: _cell(one["heuristic"]) for one in returns}
     means = {"mean": _mean(best), "last_mean": _mean(last), "heuristic_mean": _mean(scripted)}
     result = RunResult(**scalars, **means, by_goal=best, last_by_goal=last, heuristic_by_goal=_known(scripted))  # type: ignore[arg-type]
-    config = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")} | {"seed": result.seed}
-    config |= {"goals": list(best), **json.loads(row["arguments"]), "versions": json.loads(row["versions"])}
+    config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
+    config |= {"seed": result.seed, "goals": list(best), **json.loads(row["arguments"]), "versions": json.loads(row["versions"])}
     steps: dict[int, list[dict[str, str]]] = {}
     for one in rows.get("evaluations.csv.gz", ()):
         steps.setdefault(int(one["step"]), []).append(one)
@@ -255,7 +255,8 @@ class Cell:
     def relative(self) -> FloatArray:
         """[runs, G] return of each run's best policy over the scripted one's; NaN where that is not above 0."""
         ours, theirs = self.by_goal(), self.heuristic_by_goal()
-        return np.divide(ours, theirs, out=np.full(ours.shape, np.nan), where=theirs > 0.0)
+        ratios: FloatArray = np.divide(ours, theirs, out=np.full(ours.shape, np.nan), where=theirs > 0.0)
+        return ratios
 
     def by_goal(self) -> FloatArray:
         """[runs, G] return of each run's best policy."""
@@ -320,8 +321,10 @@ def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = 
 def cells_table(cells: Iterable[Cell]) -> list[str]:
     """The lines of a Markdown table: returns over runs with confidence intervals over the seeds of training, and the
     comparison with the scripted policy. A single run has no intervals."""
-    names = ("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "heuristic")
-    names += ("P(better)", "best after", "minutes")
+    names = (
+        *("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "heuristic"),
+        *("P(better)", "best after", "minutes"),
+    )
     return markdown_table({name: name not in names[:2] for name in names}, map(_cell_row, cells))
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..files import replace_between
+from ..files import check_marks, replace_between
 from ..scenario import Scenario, load_scenario, scenario_names
 from .common import (
     EpisodesOption,
@@ -221,6 +221,8 @@ def compare(
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []
     with readable_errors(), Progress(console=err, transient=True) as progress:
+        if update is not None:
+            check_marks(update, "results")
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
         for name in names:

@@ -1,6 +1,6 @@
 """The paper's figures from tables alone; matplotlib comes with the extra ``plot``.
 
-Numbers are the paper's own, in the order of its figures (:data:`FIGURES`): 5 to 8, 10 and 12 need runs, the others traces.
+Numbers are the paper's own, in the order of its figures (:data:`FIGURES`). 9, 11 and 13 need traces, the others runs.
 """
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ def _share(cell: Cell) -> float | None:
 
 
 def _converged(cell: Cell, last: float | None = None) -> float | None:
-    """The step from which on the mean over runs of the evaluations stays near the last one's; ``last`` where that is the
-    last itself. Near: within a twentieth of the scripted policy's mean, for good and bad algorithms alike.
+    """The step from which on the mean over runs of the evaluations stays near the last one's; ``last`` where that is
+    the last itself. Near: within a twentieth of the scripted policy's mean, for good and bad algorithms alike.
 
     Evaluations have every goal equally often. In training, chance alone moves the mean by more than that, since
     returns differ most by goal.

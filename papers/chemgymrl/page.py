@@ -27,7 +27,8 @@ def paper_table(results: Results) -> list[str]:
     for label in labels:
         cells = [results.cell(key, label) for key in EXPERIMENTS]
         rows.append([display_name(label), *("" if c is None else str(statistics.mean([c.means()])) for c in cells)])
-    return markdown_table({"": False, **{spec.title: True for spec in EXPERIMENTS.values()}}, rows)
+    lines: list[str] = markdown_table({"": False, **{spec.title: True for spec in EXPERIMENTS.values()}}, rows)
+    return lines
 
 
 def write_page(

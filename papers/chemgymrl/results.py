@@ -50,7 +50,8 @@ class Experiment:
     @property
     def fingerprint(self) -> str:
         """Of the bench as it is now."""
-        return task_fingerprint(TrainArguments(env_id="chemlab/Bench-v0", scenario=self.scenario, bench=self.bench))
+        bench = TrainArguments(env_id="chemlab/Bench-v0", scenario=self.scenario, bench=self.bench)
+        return str(task_fingerprint(bench))
 
     @property
     def goals(self) -> tuple[str, ...]:

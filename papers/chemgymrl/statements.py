@@ -48,8 +48,9 @@ class Reference(_Data):
 
 
 class Test(_Data):
-    """See the module. ``beside``: a measure to be told with it. ``steps``: of a run, at least, to say yes: one that ends
-    earlier cannot show what would come. ``same_steps``: runs of other numbers of steps than the right ones say nothing."""
+    """See the module. ``beside``: a measure to be told with it. ``steps``: of a run, at least, to say yes: one that
+    ends earlier cannot show what would come. ``same_steps``: runs of other numbers of steps than the right ones say
+    nothing."""
 
     of: tuple[str, ...]
     left: str
