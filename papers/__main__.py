@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from chemlab.agents.evaluation.laboratory import brief_table, collect, write_laboratory
@@ -26,8 +26,10 @@ from .chemgymrl.results import TABLES, experiment_of, read_results
 from .chemgymrl.traces import collect_traces
 from .shipped import benches_table, collect_benches
 
-LABORATORY = Path("experiments/results")
-PAGES = {Path("README.md"): ("paper", "managers"), Path("docs/results.md"): ("benches", "measuring")}
+ROOT = Path(__file__).parents[1]
+LABORATORY = ROOT / "experiments" / "results"
+PAGES = {ROOT / "README.md": ("paper", "managers"), ROOT / "docs" / "results.md": ("benches", "measuring")}
+"""Files with marks, between which the tables stand."""
 
 
 def main() -> None:
@@ -36,7 +38,7 @@ def main() -> None:
     parser.add_argument(
         "--collect", type=Path, metavar="RUNS", help="make the tables anew of these training runs first"
     )
-    parser.add_argument("--out", type=Path, default=Path("docs/results"), help="where figures and pages go")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="where figures and pages go")
     arguments = parser.parse_args()
     try:
         for page, marks in PAGES.items():
@@ -44,7 +46,7 @@ def main() -> None:
                 check_marks(page, mark)
         if arguments.collect is not None:
             collect_all(arguments.collect, lambda name: print(f"played {name}", file=sys.stderr))
-        for line in make(arguments.out):
+        for line in make(arguments.out, PAGES):
             print(line)
     except (ImportError, ValueError) as error:
         raise SystemExit(f"error: {error}") from error
@@ -72,7 +74,7 @@ def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
     collect_benches(LABORATORY, watch=watch)
 
 
-def make(out: Path) -> list[str]:
+def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
     """Make everything from the tables; what was left out, and which pages were written, a line each.
 
     Raises:
@@ -88,12 +90,12 @@ def make(out: Path) -> list[str]:
         "measuring": brief_table(LABORATORY, shipped=False),
         "benches": benches_table(LABORATORY),
     }
-    for file, marks in PAGES.items():
+    for file, marks in pages.items():
         for mark in marks:
             replace_between(file, mark, tables[mark])
     missing = [f"{stem}: missing: {'; '.join(what)}" for stem, what in lacking.items() if what]
     left_out = [*results.left_out, *(laboratory.left_out if laboratory else ())]
-    written = [page, *([laboratory.page] if laboratory else []), *PAGES]
+    written = [page, *([laboratory.page] if laboratory else []), *pages]
     return [*missing, *(f"left out {line}" for line in left_out), *(f"wrote {path}" for path in written)]
 
 

@@ -10,7 +10,7 @@ Runs belong together if they have one scenario, one background (who plays the ro
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -83,11 +83,21 @@ Rows = list[dict[str, str]]
 
 @dataclass
 class _Group:
-    """Runs of one scenario with one background, by label."""
+    """Runs of one scenario with one background, by label, and the rows of ``managers.csv`` on them."""
 
     scenario: str
     background: str
-    runs: dict[str, list[TrainedRun]] = field(default_factory=dict)
+    labels: dict[str, list[TrainedRun]]
+    rows: Rows
+
+    @property
+    def runs(self) -> list[TrainedRun]:
+        """Of all labels."""
+        return [run for runs in self.labels.values() for run in runs]
+
+    def of(self, policy: str, run: str = "") -> Rows:
+        """The rows of a policy, by goal; none if it was not played."""
+        return [row for row in self.rows if (row["policy"], row["run"]) == (policy, run)]
 
 
 @dataclass(frozen=True)
@@ -114,8 +124,9 @@ def _learned(run: TrainedRun) -> list[str]:
     return sorted(name if name == MANAGER_ROLE else role_of(name) or name for name in names)
 
 
-def _groups(runs: Sequence[TrainedRun]) -> list[_Group]:
-    """The finished runs of managers, in order of scenario, background and label."""
+def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
+    """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
+    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS)
     groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
     for run in runs:
         if run.result is not None and has_manager(run):
@@ -131,20 +142,9 @@ def _groups(runs: Sequence[TrainedRun]) -> list[_Group]:
         }
         ordered = sorted(parents.items(), key=lambda item: labels[item[0]])
         by_label = {labels[parent]: sorted(some, key=lambda run: run.finished.seed) for parent, some in ordered}
-        found.append(_Group(scenario, background, by_label))
+        rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
+        found.append(_Group(scenario, background, by_label, rows))
     return found
-
-
-class _Played:
-    """The rows of ``managers.csv``."""
-
-    def __init__(self, folder: Path) -> None:
-        self.rows = read_table(folder / _TABLE, _COLUMNS)
-
-    def of(self, group: _Group, policy: str, run: str = "") -> Rows:
-        """Those of a policy, by goal; none if it was not played."""
-        key = (group.scenario, group.background, policy, run)
-        return [row for row in self.rows if (row["scenario"], row["background"], row["policy"], row["run"]) == key]
 
 
 def _means(rows: Rows) -> Means:
@@ -161,7 +161,7 @@ def collect_count(folder: Path, keep: Callable[[TrainedRun], bool] = lambda _: T
         ValueError: the folder is not there, or a file in it is not what a run writes.
     """
     groups = _groups([run for run in read_runs(folder) if keep(run)])
-    return sum(len(BASELINES) + sum(map(len, group.runs.values())) for group in groups)
+    return sum(len(BASELINES) + len(group.runs) for group in groups)
 
 
 def collect(
@@ -196,89 +196,68 @@ def collect(
     given = [run for run in read_runs(folder) if keep(run)]
     known = read_runs(tables) if tables.is_dir() else []
     runs = list({run.name: run for run in (*known, *given)}.values())
-    before, told = _Played(tables), watch or (lambda _: None)
     rows: list[Mapping[str, Any]] = []
     left_out: list[str] = []
-    for group in _groups(runs):
-        player = _Player(group, before, episodes, told)
-        rows += player.play()
-        left_out += player.left_out
+    for group in _groups(runs, tables):
+        some, lacking = _play_group(group, episodes, watch or (lambda _: None))
+        rows += some
+        left_out += lacking
     write_runs(tables, runs)
     if rows:
         write_table(tables / _TABLE, _COLUMNS, rows)
     return left_out
 
 
-class _Player:
-    """Plays what can be played of a group, and takes the rest from the table as it was."""
+def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """A group's rows, anew where it can be played and else as they were; and what was not played."""
+    reasons = {run.name: _obstacle(group, run) for run in group.runs}
+    rows: list[Mapping[str, Any]] = []
+    left_out = []
+    for name, (policy, _) in BASELINES.items():
+        stored = group.of(name)
+        try:
+            again = not stored or None in reasons.values()
+            players = f"{group.background},{MANAGER_ROLE}={policy}"
+            rows += _play(group, name, players, episodes) if again else stored
+        except ValueError as error:  # the scenario is gone, or does not have such a manager
+            left_out.append(f"{group.scenario}, {name}: {error}")
+            rows += stored
+        told(f"{group.scenario}: {name}")
+    for run in group.runs:
+        reason, stored = reasons[run.name], [*group.of(_LEARNED, run.name), *group.of(_SCRIPTED, run.name)]
+        rows += _play_run(group, run, episodes) if reason is None else stored
+        if reason is not None and (run.folder is not None or not stored):
+            left_out.append(f"{run.name}: {reason}{'; the table has what was played earlier' if stored else ''}")
+        told(f"{group.scenario}: {run.name}")
+    return rows, left_out
 
-    def __init__(self, group: _Group, before: _Played, episodes: int, told: Callable[[str], None]) -> None:
-        self.group, self.before, self.episodes, self.told = group, before, episodes, told
-        self.left_out: list[str] = []
-        self.runs = [run for runs in group.runs.values() for run in runs]
-        self.reasons = {run.name: _obstacle(group, run) for run in self.runs}
 
-    def play(self) -> list[Mapping[str, Any]]:
-        """The group's rows."""
-        rows: list[Mapping[str, Any]] = []
-        anew = any(reason is None for reason in self.reasons.values())
-        for name, (policy, _) in BASELINES.items():
-            stored = self.before.of(self.group, name)
-            try:
-                players = f"{self.group.background},{MANAGER_ROLE}={policy}"
-                rows += self._played(name, "", players) if anew or not stored else stored
-            except ValueError as error:  # the scenario is gone, or does not have such a manager
-                self.left_out.append(f"{self.group.scenario}, {name}: {error}")
-                rows += stored
-            self.told(f"{self.group.scenario}: {name}")
-        for run in self.runs:
-            reason = self.reasons[run.name]
-            if reason is None:
-                rows += self._run(run)
-            else:
-                stored = [
-                    row for policy in (_LEARNED, _SCRIPTED) for row in self.before.of(self.group, policy, run.name)
-                ]
-                rows += stored
-                if run.folder is not None or not stored:
-                    kept = "; the table has what was played earlier" if stored else ""
-                    self.left_out.append(f"{run.name}: {reason}{kept}")
-            self.told(f"{self.group.scenario}: {run.name}")
-        return rows
+def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
+    assert run.folder is not None, "it can be played"
+    path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
+    task = scenario if rewards is None else scenario.with_rewards(str(rewards))
+    same_task = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
+    rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
+    # The scripted manager over the same benches: those that have learned are other ones than the background's.
+    if _learned(run) != [MANAGER_ROLE]:
+        rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=heuristic", episodes, run=run.name)
+    return rows
 
-    def _run(self, run: TrainedRun) -> list[Mapping[str, Any]]:
-        assert run.folder is not None, "it can be played"
-        path, rewards = str(run.folder.path), run.config.get("rewards")
-        scenario = load_scenario(self.group.scenario)
-        task = scenario if rewards is None else scenario.with_rewards(str(rewards))
-        same = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
-        rows = self._played(_LEARNED, run.name, path, same)
-        # The scripted manager over the same benches: those that have learned are other ones than the background's.
-        if _learned(run) != [MANAGER_ROLE]:
-            rows += self._played(_SCRIPTED, run.name, f"{path},{MANAGER_ROLE}=heuristic")
-        return rows
 
-    def _played(self, policy: str, run: str, players: str, same_task: bool = True) -> list[Mapping[str, Any]]:
-        rows: list[Mapping[str, Any]] = []
-        target = LaboratoryTarget(load_scenario(self.group.scenario))
-        for goal in target.goals:
-            played = target.play(players, goal, self.episodes, RESULT_SEED)
-            values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
-            rows.append(
-                {
-                    "scenario": self.group.scenario,
-                    "background": self.group.background,
-                    "policy": policy,
-                    "run": run,
-                    "goal": goal,
-                    "episodes": self.episodes,
-                    "seed": RESULT_SEED,
-                    "chemlab": chemlab.__version__,
-                    "same_task": same_task,
-                    **{name: number(float(values[name].mean())) for name in MEASURES},
-                }
-            )
-        return rows
+def _play(
+    group: _Group, policy: str, players: str, episodes: int, run: str = "", same_task: bool = True
+) -> list[Mapping[str, Any]]:
+    """A row for each goal."""
+    target = LaboratoryTarget(load_scenario(group.scenario))
+    own = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
+    own |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
+    rows: list[Mapping[str, Any]] = []
+    for goal in target.goals:
+        played = target.play(players, goal, episodes, RESULT_SEED)
+        values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
+        means = {name: number(float(values[name].mean())) for name in MEASURES}
+        rows.append({**own, "goal": goal, "same_task": same_task, **means})
+    return rows
 
 
 def _obstacle(group: _Group, run: TrainedRun) -> str | None:
@@ -316,10 +295,10 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
         ValueError: the folder is not there, a file in it is not what was written, or the format is unknown.
         ImportError: matplotlib is not installed.
     """
-    groups, played = _groups(read_runs(folder)), _Played(folder)
+    groups = _groups(read_runs(folder), folder)
     tasks: Tasks = {}
     for group in groups:
-        for label, runs in group.runs.items():
+        for label, runs in group.labels.items():
             begun = [run for run in runs if len(run.curve) or run.evaluations]
             if begun:
                 tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = begun
@@ -331,22 +310,24 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     for path in pictures if tasks else ():
         with import_matplotlib().rc_context(SETTINGS):
             save_figure(draw_tasks(tasks), path)
-    names = [(group, run.name) for group in groups for runs in group.runs.values() for run in runs]
     left_out = [
-        f"{name}: not played yet (chemlab figures RUNS --collect TABLES)"
-        for group, name in names
-        if not played.of(group, _LEARNED, name)
+        f"{run.name}: not played yet (chemlab figures RUNS --collect TABLES)"
+        for group in groups
+        for run in group.runs
+        if not group.of(_LEARNED, run.name)
     ]
     picture = pictures[0].name if tasks else None
-    write_text(page, "\n".join(_markdown(groups, played, left_out, picture)) + "\n")
+    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
     return LaboratoryPage(page, left_out)
 
 
-def _markdown(groups: Sequence[_Group], played: _Played, left_out: Sequence[str], picture: str | None) -> Iterator[str]:
+def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | None) -> Iterator[str]:
     yield "# Managers of laboratories"
-    tables = [(group, list(_rows(group, played))) for group in groups]
+    tables = [(group, list(_rows(group))) for group in groups]
     if any(rows for _, rows in tables):
-        episodes, seed = (max(int(row[name]) for row in played.rows) for name in ("episodes", "seed"))
+        episodes, seed = (
+            max(int(row[name]) for group in groups for row in group.rows) for name in ("episodes", "seed")
+        )
         yield ""
         yield (
             f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
@@ -361,7 +342,7 @@ def _markdown(groups: Sequence[_Group], played: _Played, left_out: Sequence[str]
     for scenario in dict.fromkeys(group.scenario for group, rows in tables if rows):
         lines = [line for group, rows in tables if group.scenario == scenario for line in rows]
         yield from ("", f"## {scenario}", "", *_table(lines, _HEADINGS))
-    notes = [note for group in groups for note in _notes(group, played)]
+    notes = [note for group in groups for note in _notes(group)]
     if notes:
         yield from ("", "## Notes", "", *(f"- {note}" for note in notes))
     if picture is not None:
@@ -398,27 +379,26 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
     Raises:
         ValueError: there is no ``managers.csv``, or a table is not what was written.
     """
-    played = _Played(folder)
-    if not played.rows:
+    if not (folder / _TABLE).exists():
         raise ValueError(f"{folder}: has no {_TABLE}; chemlab figures RUNS --collect {folder} makes it")
-    groups = [group for group in _groups(read_runs(folder)) if (group.scenario in scenario_names()) == shipped]
+    groups = [group for group in _groups(read_runs(folder), folder) if (group.scenario in scenario_names()) == shipped]
     rows = [
         {**row, "scenario": f"`{group.scenario}`"}
         for group in groups
-        for row in _rows(group, played, baselines=("scripted", "direct"))
+        for row in _rows(group, baselines=("scripted", "direct"))
     ]
     return _table(rows, _BRIEF)
 
 
-def _rows(group: _Group, played: _Played, baselines: Sequence[str] = tuple(BASELINES)) -> Iterator[dict[str, str]]:
+def _rows(group: _Group, baselines: Sequence[str] = tuple(BASELINES)) -> Iterator[dict[str, str]]:
     """A group's lines, {heading: cell}: every label, then the managers that learned nothing."""
-    scripted = _means(played.of(group, _SCRIPTED))
-    for label, runs in group.runs.items():
-        shown = [run for run in runs if played.of(group, _LEARNED, run.name)]
+    scripted = _means(group.of(_SCRIPTED))
+    for label, runs in group.labels.items():
+        shown = [run for run in runs if group.of(_LEARNED, run.name)]
         if not shown:
             continue
-        means = [_means(played.of(group, _LEARNED, run.name)) for run in shown]
-        beside = [_means(played.of(group, _SCRIPTED, run.name)) or scripted for run in shown]
+        means = [_means(group.of(_LEARNED, run.name)) for run in shown]
+        beside = [_means(group.of(_SCRIPTED, run.name)) or scripted for run in shown]
         scores = np.array([_overall(one, "score") for one in means])
         others = [role for role in _learned(shown[0]) if role != MANAGER_ROLE]
         steps = [run.finished.steps for run in shown]
@@ -434,7 +414,7 @@ def _rows(group: _Group, played: _Played, baselines: Sequence[str] = tuple(BASEL
             "steps": f"{min(steps):,}" if min(steps) == max(steps) else f"{min(steps):,} to {max(steps):,}",
         }
     for name in baselines:
-        own = _means(played.of(group, name))
+        own = _means(group.of(name))
         if own:
             score = _overall(own, "score")
             gain = "" if name == _SCRIPTED else number_text(score - _overall(scripted, "score"), sign="+")
@@ -465,12 +445,12 @@ def _interval(values: Any, sign: str = "") -> str:
     return interval_text(statistics.mean([values]).as_dict(), sign=sign)
 
 
-def _notes(group: _Group, played: _Played) -> Iterator[str]:
+def _notes(group: _Group) -> Iterator[str]:
     """What a reader has to know of runs."""
     how = ("episodes", "seed", "chemlab")
-    scripted = played.of(group, _SCRIPTED)
-    for run in (run for runs in group.runs.values() for run in runs):
-        for row in played.of(group, _LEARNED, run.name)[:1]:
+    scripted = group.of(_SCRIPTED)
+    for run in group.runs:
+        for row in group.of(_LEARNED, run.name)[:1]:
             if scripted and any(row[name] != scripted[0][name] for name in how):
                 yield (
                     f"{run.name}: played earlier than the others, by chemlab {row['chemlab']}: "

@@ -16,7 +16,7 @@ training are rounded to 9; returns are not rounded, since intervals over a few r
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,6 +63,7 @@ _TABLES: dict[str, tuple[str, ...]] = {
     "curves.csv.gz": ("run", "step", "mean", "std"),
 }
 _CURVE_DECIMALS, _DECIMALS = 5, 9
+_Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
 _DEFAULTS = vars(TrainArguments())
 _PER_RUN = ("seed", "versions", "label")
@@ -137,93 +138,75 @@ def _from_folder(run: Run, name: str) -> TrainedRun:
     return TrainedRun(name, run.config() or {}, run.result(), curve, run.evaluations(), run)
 
 
-def _mean(by_goal: Mapping[str, float | None]) -> float | None:
-    values = [value for value in by_goal.values() if value is not None]
-    return float(np.mean(values)) if values else None
-
-
-def _cell(text: str) -> float | None:
-    return float(text) if text else None
-
-
-def _known(by_goal: dict[str, float | None]) -> dict[str, float] | None:
-    """None where a value is missing: there is no scripted policy."""
-    known = {goal: value for goal, value in by_goal.items() if value is not None}
-    return known if len(known) == len(by_goal) else None
-
-
 def _from_tables(folder: Path) -> list[TrainedRun]:
+    by_run: dict[str, dict[str, _Rows]] = {}
+    for name, columns in _TABLES.items():
+        for row in read_table(folder / name, columns):
+            by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
     try:
-        tables = {name: read_table(folder / name, columns) for name, columns in _TABLES.items()}
-        by_run: dict[str, dict[str, list[dict[str, str]]]] = {}
-        for name, rows in tables.items():
-            for row in rows:
-                by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
         return [_from_rows(name, rows) for name, rows in by_run.items()]
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{folder}: its tables are not of the same runs ({error!r})") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{folder}: not the tables of finished runs that belong together ({error!r})") from error
 
 
-def _from_rows(name: str, rows: dict[str, list[dict[str, str]]]) -> TrainedRun:
+def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
     (row,) = rows["runs.csv"]
-    returns = rows["returns.csv"]
-    scalars = {key: kind(row[key]) for key, kind in _SCALARS.items()}
-    best, last = ({one["goal"]: float(one[kind]) for one in returns} for kind in ("best", "last"))
-    scripted = {one["goal"]: _cell(one["heuristic"]) for one in returns}
-    means = {"mean": _mean(best), "last_mean": _mean(last), "heuristic_mean": _mean(scripted)}
-    result = RunResult(**scalars, **means, by_goal=best, last_by_goal=last, heuristic_by_goal=_known(scripted))  # type: ignore[arg-type]
+    best, best_mean = _by_goal(rows["returns.csv"], "best")
+    last, last_mean = _by_goal(rows["returns.csv"], "last")
+    scripted, scripted_mean = _by_goal(rows["returns.csv"], "heuristic")
+    returns: dict[str, Any] = {"by_goal": best, "mean": best_mean, "last_by_goal": last, "last_mean": last_mean}
+    returns |= {"heuristic_by_goal": scripted, "heuristic_mean": scripted_mean}
+    result = RunResult(**{key: kind(row[key]) for key, kind in _SCALARS.items()}, **returns)
     config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
-    config |= {"seed": result.seed, "goals": list(best), **json.loads(row["arguments"]), "versions": json.loads(row["versions"])}
-    steps: dict[int, list[dict[str, str]]] = {}
+    config |= {"seed": result.seed, "goals": list(result.by_goal), **json.loads(row["arguments"])}
+    config["versions"] = json.loads(row["versions"])
+    steps: dict[int, _Rows] = {}
     for one in rows.get("evaluations.csv.gz", ()):
         steps.setdefault(int(one["step"]), []).append(one)
     evaluations = []
     for step, some in steps.items():
-        means_then = {one["goal"]: float(one["mean"]) for one in some}
-        beside = {one["goal"]: _cell(one["heuristic"]) for one in some}
-        mean = _mean(means_then)
-        assert mean is not None, "a step has a row"
-        evaluations.append(Evaluation(step, mean, means_then, _mean(beside), _known(beside)))
+        (ours, mean), (theirs, beside) = _by_goal(some, "mean"), _by_goal(some, "heuristic")
+        evaluations.append(Evaluation(step, mean or 0.0, ours or {}, beside, theirs))
     points = [(int(p["step"]), float(p["mean"]), float(p["std"])) for p in rows.get("curves.csv.gz", ())]
     return TrainedRun(name, config, result, np.array(points, dtype=np.float64).reshape(-1, 3), evaluations)
+
+
+def _by_goal(rows: _Rows, column: str) -> tuple[dict[str, float] | None, float | None]:
+    """A column's numbers by goal and their mean; None where a cell is empty (there is no scripted policy)."""
+    if any(not row[column] for row in rows):
+        return None, None
+    by_goal = {row["goal"]: float(row[column]) for row in rows}
+    return by_goal, float(np.mean(list(by_goal.values())))
 
 
 def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
     """Make a folder's tables of finished runs (others are left out), in order of their names."""
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}
-    for run in sorted(runs, key=lambda run: run.name):
-        if run.result is None:
-            continue
-        own = {key: value for key, value in run.config.items() if key not in {*_NAMES, *_SCALARS, "goals", "versions"}}
-        own |= {"steps": run.config["steps"]} if "steps" in run.config else {}
-        given = {key: value for key, value in own.items() if value is not None}
+    elsewhere = {*_NAMES, *_SCALARS, "goals", "versions"} - {"steps"}
+    for run in sorted((run for run in runs if run.result is not None), key=lambda run: run.name):
+        config, result, name = run.config, run.finished, {"run": run.name}
+        given = {key: value for key, value in config.items() if value is not None and key not in elsewhere}
+        data = {"arguments": given, "versions": config.get("versions", {})}
         rows["runs.csv"].append(
-            {
-                "run": run.name,
-                **{key: run.config.get(key, "") for key in _NAMES},
-                **{key: getattr(run.result, key) for key in _SCALARS},
-                "arguments": json.dumps(given, separators=(",", ":")),
-                "versions": json.dumps(run.config.get("versions", {}), separators=(",", ":")),
-            }
+            name
+            | {key: config.get(key, "") for key in _NAMES}
+            | {key: getattr(result, key) for key in _SCALARS}
+            | {key: json.dumps(value, separators=(",", ":")) for key, value in data.items()}
         )
-        scripted = run.result.heuristic_by_goal or {}
-        for goal, best in run.result.by_goal.items():
-            values = {"best": best, "last": run.result.last_by_goal[goal], "heuristic": scripted.get(goal)}
-            rows["returns.csv"].append(_row(run, None, goal=goal, **values))
+        for goal, best in result.by_goal.items():
+            beside = {"last": result.last_by_goal[goal], "heuristic": (result.heuristic_by_goal or {}).get(goal)}
+            cells = {key: number(value) for key, value in {"best": best, **beside}.items()}
+            rows["returns.csv"].append(name | {"goal": goal} | cells)
         for e in run.evaluations:
-            beside = e.heuristic_by_goal or {}
+            scripted = e.heuristic_by_goal or {}
             for goal, mean in e.by_goal.items():
-                own_values = {"mean": mean, "heuristic": beside.get(goal)}
-                rows["evaluations.csv.gz"].append(_row(run, _DECIMALS, step=e.step, goal=goal, **own_values))
+                cells = {"mean": number(mean, _DECIMALS), "heuristic": number(scripted.get(goal), _DECIMALS)}
+                rows["evaluations.csv.gz"].append(name | {"step": e.step, "goal": goal} | cells)
         for step, mean, deviation in run.curve:
-            rows["curves.csv.gz"].append(_row(run, _CURVE_DECIMALS, step=int(step), mean=mean, std=deviation))
-    for name, columns in _TABLES.items():
-        write_table(folder / name, columns, rows[name])
-
-
-def _row(run: TrainedRun, decimals: int | None, **cells: Any) -> dict[str, Any]:
-    plain = {key: value if isinstance(value, str | int) else number(value, decimals) for key, value in cells.items()}
-    return {"run": run.name, **plain}
+            cells = {"mean": number(mean, _CURVE_DECIMALS), "std": number(deviation, _CURVE_DECIMALS)}
+            rows["curves.csv.gz"].append(name | {"step": int(step)} | cells)
+    for file, columns in _TABLES.items():
+        write_table(folder / file, columns, rows[file])
 
 
 # -- runs together ----------------------------------------------------------------------------------------------------

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from chemlab.agents.evaluation import benches
-from chemlab.agents.evaluation.benches import bench_policies, benches_table, collect_benches
 from chemlab.agents.evaluation.play import evaluate, find_target
 from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.training.runs import RESULT_SEED
+from papers import shipped
+from papers.shipped import bench_policies, benches_table, collect_benches
 
 
 @pytest.fixture
 def only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(benches, "bench_policies", lambda: [load_pretrained("wurtz_ext")])
+    monkeypatch.setattr(shipped, "bench_policies", lambda: [load_pretrained("wurtz_ext")])
 
 
 def test_bench_policies_are_no_managers() -> None:
@@ -26,38 +26,28 @@ def test_bench_policies_are_no_managers() -> None:
 
 
 @pytest.mark.usefixtures("only")
-def test_what_is_stored_is_what_evaluate_says(tmp_path: Path) -> None:
+def test_the_table_is_what_evaluate_says(tmp_path: Path) -> None:
+    """Returns on both kinds of starting states, the bench's reward in the laboratory and its score."""
     told: list[str] = []
-    content = collect_benches(tmp_path, 3, told.append)
+    collect_benches(tmp_path, 3, told.append)
     assert told == ["wurtz_ext"]
-    assert json.loads((tmp_path / "benches.json").read_text()) == content
-    (row,) = content["policies"]
+    expected = []
     for starts in ("paper", "lab"):
         target = find_target("chemlab/WurtzExtraction-v0", starts=starts)
-        trained, scripted = evaluate(target, ["wurtz_ext", "heuristic"], 3, content["seed"], baseline="wurtz_ext")[
-            "policies"
-        ]
-        assert row["trained"][starts] == pytest.approx(trained["mean"]["value"], abs=1e-12)
-        assert row["scripted"][starts] == pytest.approx(scripted["mean"]["value"], abs=1e-12)
+        found = evaluate(target, ["wurtz_ext", "heuristic"], 3, RESULT_SEED, baseline="wurtz_ext")["policies"]
+        expected.append([row["mean"]["value"] for row in found])
     laboratory = find_target("wurtz_dodecane")
-    scripted, mixed = evaluate(laboratory, ["heuristic,ext=wurtz_ext"], 3, content["seed"])["policies"]
-    for column, found in (("trained", mixed), ("scripted", scripted)):
-        assert row[column]["score"] == pytest.approx(found["mean"]["value"], abs=1e-12)
-        assert row[column]["reward"] == pytest.approx(found["measures"]["reward ext_0"], abs=1e-12)
-    assert row["trained"]["paper"] != row["scripted"]["paper"]
-
-
-@pytest.mark.usefixtures("only")
-def test_the_table_has_a_line_for_each_policy(tmp_path: Path) -> None:
-    (row,) = collect_benches(tmp_path, 1)["policies"]
-    _, _, line = benches_table(tmp_path)
-    assert line.startswith("| `wurtz_ext` | paper | ")
-    assert f"{row['trained']['lab']:.3f} ({row['scripted']['lab']:.3f})" in line
+    scripted, mixed = evaluate(laboratory, ["heuristic,ext=wurtz_ext"], 3, RESULT_SEED)["policies"]
+    expected.append([row["measures"]["reward ext_0"] for row in (mixed, scripted)])
+    expected.append([row["mean"]["value"] for row in (mixed, scripted)])
+    cells = [f"{trained:.3f} ({beside:.3f})" for trained, beside in expected]
+    assert benches_table(tmp_path)[2:] == [f"| `wurtz_ext` | paper | {' | '.join(cells)} |"]
+    assert expected[0][0] != expected[0][1]
 
 
 def test_a_table_needs_its_file(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--collect makes it"):
+    with pytest.raises(ValueError, match="--collect RUNS makes it"):
         benches_table(tmp_path)
-    (tmp_path / "benches.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"benches\.json: not what"):
+    (tmp_path / "benches.csv").write_text("name,scenario\n")
+    with pytest.raises(ValueError, match=r"benches\.csv: has the columns name, scenario; needs"):
         benches_table(tmp_path)

@@ -1,75 +1,67 @@
-"""Figures and tables from results files: what is read, what is drawn, what is said of it."""
+"""The paper's results: which runs belong to it, what is drawn, what is said of its statements."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import math
-from collections.abc import Sequence
+import re
+import shutil
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+import run_files
+from run_files import HEURISTIC
 
-from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results, trace_source
-from chemlab.agents.evaluation.statements import compare_with_paper
-from chemlab.agents.evaluation.summary import describe_cells, paper_table, write_summary
-from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
-from chemlab.agents.training.tasks import BenchTask
-from chemlab.cli import app
+from chemlab.agents.evaluation.results import Cell, read_runs, write_runs
+from chemlab.agents.evaluation.tables import write_table
+from chemlab.agents.training.sweep import plan
 from chemlab.scenario import load_scenario
 
 pytest.importorskip("matplotlib")
 
-from chemlab.agents.evaluation.figures import FIGURES, algorithm_style, learning_curve, write_figures
 from chemlab.render.figure import SETTINGS
+from papers import __main__ as published
+from papers.chemgymrl import results as module
+from papers.chemgymrl import traces
+from papers.chemgymrl.figures import FIGURES, write_figures
+from papers.chemgymrl.measures import MEASURES
+from papers.chemgymrl.page import paper_table, write_page
+from papers.chemgymrl.results import (
+    EXPERIMENTS,
+    TRACE_COLUMNS,
+    TRACE_FILE,
+    Results,
+    Trace,
+    experiment_of,
+    read_results,
+    source_of,
+)
+from papers.chemgymrl.statements import Claim, Finding, Reference, compare_with_paper, load_claims
 
-runner = CliRunner()
-HEURISTIC = 0.5
+ROOT = Path(published.__file__).parents[1]
 
 
 @cache
 def _now(experiment: str) -> str:
     """The fingerprint of the experiment's bench."""
-    spec = EXPERIMENTS[experiment]
-    return BenchTask(spec.scenario, spec.bench).fingerprint
+    return EXPERIMENTS[experiment].fingerprint
 
 
 def write_run(
-    folder: Path,
-    experiment: str,
-    label: str,
-    seed: int,
-    relative: float | dict[str, float] = 1.0,
-    curve: Sequence[tuple[int, float | None, float | None]] = ((100, 0.1, 0.2), (1000, 0.4, 0.2)),
-    finished: bool = True,
-    **settings: Any,
+    folder: Path, experiment: str, label: str, seed: int, relative: float | Mapping[str, float] = 1.0, **more: Any
 ) -> Path:
-    """A run's files, as training writes them; ``relative`` to a scripted policy that gets 0.5 for every goal."""
+    """A run of an experiment; ``relative`` to the scripted policy."""
     spec = EXPERIMENTS[experiment]
-    goals = list(load_scenario(spec.scenario).goals)
-    ratios = {goal: relative if isinstance(relative, float) else relative.get(goal, 0.0) for goal in goals}
-    by_goal = {goal: HEURISTIC * ratio for goal, ratio in ratios.items()}
-    mean = float(np.mean(list(by_goal.values())))
-    run = Run(folder / experiment / label / f"seed-{seed}")
-    run.path.mkdir(parents=True)
-    fingerprint = settings.pop("fingerprint", _now(experiment))
-    arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}
-    config = RunConfig(label, arguments, spec.scenario, spec.bench, goals, fingerprint)
-    run.config_file.write_text(json.dumps(config.as_dict()))
-    for step, value, deviation in curve:
-        run.append(CurvePoint(step, value, deviation, 5, 1.0))
-    if finished:
-        heuristic = dict.fromkeys(goals, HEURISTIC)
-        result = RunResult(
-            *("chemlab/Any-v0", label, label, seed, int(arguments["steps"])),
-            *(60.0, 1000.0, 900, 10, mean, by_goal, HEURISTIC, heuristic, mean - 0.1, by_goal),
-        )
-        run.result_file.write_text(json.dumps(vars(result)))
-    return run.path
+    ratios = relative if isinstance(relative, Mapping) else dict.fromkeys(spec.goals, relative)
+    returns = {goal: HEURISTIC * ratios.get(goal, 0.0) for goal in spec.goals}
+    path = folder / experiment / label / f"seed-{seed}"
+    more = {"fingerprint": _now(experiment), **more}
+    return run_files.write_run(path, spec.scenario, spec.bench, returns, label=label, seed=seed, **more)
 
 
 def mean_actions(label: str, goal: str) -> list[list[float]]:
@@ -81,41 +73,36 @@ def mean_actions(label: str, goal: str) -> list[list[float]]:
     return [[0.1, 0.2, 1.0, 1.0, 1.0, 1.0]] * 20 if label == "a2c" else late
 
 
-def write_traces(folder: Path) -> None:
-    """Traces of every algorithm's best run: made up, in the shape that collecting gives them."""
-    experiments: dict[str, Any] = {}
+SEQUENCES = {
+    "wurtz_ext": ["add diethyl_ether to EV, 0.05 L"] * 7 + ["settle, 2 clock", "drain EV -> B1, 16 % of the height"],
+    "wurtz_dit": ["heat DV, 50 kJ"] * 7 + ["pour DV -> B1, 0.2 fraction"],
+}
+
+
+def sequence(experiment: str, label: str) -> list[int]:
+    """Few actions, of which the last ends the experiment; DQN's are many and do not."""
+    names = EXPERIMENTS[experiment].action_names
+    return (
+        [0, 1, 2, 3, 4] * 10 if label == "dqn" else [names.index(n) for n in SEQUENCES[experiment]] + [len(names) - 1]
+    )
+
+
+def write_traces(folder: Path, **changed: Any) -> None:
+    """Traces of every algorithm's best run: made up, in the shape that collecting gives them; ``changed`` cells."""
+    rows = []
     results = read_results(folder)
     for key, spec in EXPERIMENTS.items():
-        scenario = load_scenario(spec.scenario)
-        policies: dict[str, Any] = {}
-        names = ["temperature", "volume", "add A", "add B", "add C", "add D"]
-        if spec.bench != "rxn":
-            names = [
-                "heat DV, 50 kJ",
-                "pour B1 -> B2, 0.2 fraction",
-                "add diethyl_ether to EV, 0.05 L",
-                "settle, 2 clock",
-            ]
-            names += ["drain EV -> B1, 16 % of the height", "end the experiment"]
         for label in ("heuristic", "random", *spec.algorithms):
-            by_goal: dict[str, Any] = {}
-            for goal in scenario.goals:
-                cases = ["with NaCl", "without NaCl"] if spec.bench == "dit" else [""]
-                actions = [0, 1, 2, 3, 4] * 10 if label == "dqn" else [0] * 7 + [1, 5]
-                entry = {"episodes": 2, "mean_return": 0.5, "best": {"return": 0.5, "actions": actions}}
-                by_goal[goal] = {"mean_return": 0.5, "by_case": dict.fromkeys(cases, entry)}
-                if spec.bench == "rxn":
-                    by_goal[goal]["mean_actions"] = mean_actions(label, goal)
             cell = results.cell(key, label)
-            source = None if cell is None else trace_source(folder, cell)
-            policies[label] = {"source": source, "mean_return": 0.5, "by_goal": by_goal}
-        experiments[key] = {
-            "fingerprint": _now(key),
-            "action_names": names,
-            "goals": list(scenario.goals),
-            "policies": policies,
-        }
-    (folder / "traces.json").write_text(json.dumps({"kind": "traces", "format": 2, "experiments": experiments}))
+            run, step = ("", "") if cell is None else source_of(cell)
+            for goal, case in itertools.product(
+                spec.goals, ("with NaCl", "without NaCl") if spec.bench == "dit" else ("",)
+            ):
+                actions: Any = mean_actions(label, goal) if spec.bench == "rxn" else sequence(key, label)
+                best = "" if spec.bench == "rxn" else 0.5
+                cells = (key, label, _now(key), run, step, goal, case, 2, 0.5, best, json.dumps(actions))
+                rows.append({**dict(zip(TRACE_COLUMNS, cells, strict=True)), **changed})
+    write_table(folder / TRACE_FILE, TRACE_COLUMNS, rows)
 
 
 @pytest.fixture(scope="module")
@@ -161,38 +148,11 @@ def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:
     assert cell.steps == 9000
 
 
-def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no such folder"):
-        read_results(tmp_path / "nothing")
-    done = runner.invoke(app, ["figures", str(tmp_path / "nothing")])
-    assert done.exit_code == 2
-    assert "no such folder" in done.output
-
-
 def cell_of(folder: Path, experiment: str, label: str) -> Cell:
     """A cell that is there."""
     cell = read_results(folder).cell(experiment, label)
     assert cell is not None
     return cell
-
-
-def test_learning_curves_against_closed_forms(tmp_path: Path) -> None:
-    """Two straight curves of other lengths: the mean on what they share; deviations of runs and of single returns."""
-    write_run(tmp_path, "wurtz_rxn", "ppo", 0, curve=[(0, 0.0, 0.5), (50, None, None), (1000, 1.0, 0.5)])
-    write_run(tmp_path, "wurtz_rxn", "ppo", 1, curve=[(100, 2.1, 0.5), (800, 2.8, 0.5)])
-    found = learning_curve(cell_of(tmp_path, "wurtz_rxn", "ppo"))
-    assert found is not None
-    steps, mean, between, single = found
-    assert (steps[0], steps[-1]) == (100.0, 800.0)
-    np.testing.assert_allclose(mean, steps / 1000.0 + 1.0)
-    np.testing.assert_allclose(between, math.sqrt(2.0))  # of the two values x and x + 2
-    np.testing.assert_allclose(single, math.sqrt(0.5**2 + 1.0**2))
-    write_run(tmp_path, "wurtz_rxn", "sac", 0)
-    alone = learning_curve(cell_of(tmp_path, "wurtz_rxn", "sac"))
-    assert alone is not None
-    assert np.isnan(alone[2]).all()
-    write_run(tmp_path, "wurtz_rxn", "td3", 0, curve=[])
-    assert learning_curve(cell_of(tmp_path, "wurtz_rxn", "td3")) is None
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
@@ -210,13 +170,6 @@ def drawn(folder: Path, stem: str) -> Any:
 def lines_of(axes: Any) -> dict[str, Any]:
     """{label: y of the line}."""
     return {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
-
-
-def test_variants_have_looks_of_their_own() -> None:
-    labels = ["ppo", "a2c", "sac", "td3", "ppo-entropy", "ppo-xl", "sac-cool", "td3-wide"]
-    looks = [algorithm_style(label, labels) for label in labels]
-    assert len({look["color"] for look in looks}) == len(labels)
-    assert len({str(look["linestyle"]) for look in looks[4:] if look is not looks[5]}) == 3
 
 
 def test_radar_shows_relative_returns(tmp_path: Path) -> None:
@@ -275,7 +228,7 @@ def test_sequences_fold_repeated_actions(full: Path) -> None:
         "PPO\nreturn 0.500",
         "heat DV\n50 kJ",
         "x 7",
-        "pour B1→B2\n20 %",
+        "pour DV→B1\n20 %",
         "x 1",
         "end",
         "x 1",
@@ -331,6 +284,32 @@ def _is_drawn(text: Any, figure: Any) -> bool:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
+def findings(results: Results) -> dict[tuple[int, str], Finding]:
+    """What is found of every statement, by figure and words."""
+    return {(claim.figure, claim.says): finding for claim, finding in compare_with_paper(results)}
+
+
+def test_statements_are_whole() -> None:
+    """Every figure has some, and every test names measures, algorithms, goals, reagents or cases that there are."""
+    claims = load_claims()
+    assert [claim.figure for claim in claims] == sorted(claim.figure for claim in claims)
+    assert {claim.figure for claim in claims} == {spec.number for spec in FIGURES}
+    assert len({(claim.figure, claim.says) for claim in claims}) == len(claims) == 43
+    for claim in claims:
+        spec = EXPERIMENTS[claim.experiment]
+        policies = {*spec.algorithms, "heuristic", "random"}
+        values = {*spec.goals, *"ABCD", "with NaCl", "without NaCl"}
+        for test in claim.tests:
+            right = test.right if isinstance(test.right, Reference) else Reference()
+            assert {test.left, right.measure or test.left, test.beside or test.left} <= MEASURES.keys()
+            assert {*test.of, *right.of} <= policies
+            assert {*test.only, *test.without, *(test.which if isinstance(test.which, tuple) else ())} <= values
+    with pytest.raises(ValueError, match="operator"):
+        Claim.model_validate(
+            {**claims[0].model_dump(), "tests": [{"of": ["ppo"], "left": "best run", "operator": "="}]}
+        )
+
+
 def test_statements_follow_the_results(tmp_path: Path) -> None:
     """Results like the paper's agree with it, others do not, and what is missing is neither."""
     high, low = dict.fromkeys(load_scenario("wurtz_dodecane").goals, 1.0), {"NaCl": 1.0}
@@ -339,21 +318,21 @@ def test_statements_follow_the_results(tmp_path: Path) -> None:
         write_run(tmp_path, "wurtz_rxn", "a2c", seed, low)
         write_run(tmp_path, "wurtz_ext", "ppo-xl", seed, 1.1 + 0.1 * seed)  # 0.05 and 0.1 above 0.5
         write_run(tmp_path, "wurtz_ext", "dqn", seed, -0.1, curve=[(0, 0.0, 0.1), (1000, -0.2, 0.1)])
-    found = {(s.figure, s.says): s for s in compare_with_paper(read_results(tmp_path))}
+    found = findings(read_results(tmp_path))
     best = found[5, "PPO matches the heuristic for all targets (best run)"]
-    assert (best.holds, best.ours) == (True, "PPO: 7 of 7 goals at 0.97 or more, least 0.980 (dodecane)")
+    assert (best.holds, best.ours) == (True, "PPO: 7 of 7 goals, least 0.980 (dodecane)")
     mean = found[5, "PPO matches the heuristic for all targets (mean of runs)"]
-    assert (mean.holds, mean.ours) == (True, "PPO: 7 of 7 goals at 0.97 or more, least 0.970 (dodecane)")
+    assert (mean.holds, mean.ours) == (True, "PPO: 7 of 7 goals, least 0.970 (dodecane)")
     assert found[5, "A2C comes close to the heuristic only for NaCl"].holds is True
     assert found[5, "heuristic, mean return"].holds is False  # 0.5 is not 0.62
     gain = found[10, "the best PPO-XL policies exceed the heuristic, on average"]
-    assert (gain.holds, gain.ours) == (True, "PPO-XL: +0.075 (best run +0.100)")
+    assert (gain.holds, gain.ours) == (True, "PPO-XL: 0.575, heuristic 0.500, best run 0.600")
     assert found[10, "DQN ends with a negative return"].holds is True
     assert found[10, "PPO outperforms the heuristic"].holds is None
     # PPO has been trained, the others not: one that does not agree is enough.
     assert found[6, "agents of each algorithm achieve a return of at least 0.4"].holds is None
     write_run(tmp_path, "wurtz_rxn", "sac", 0, curve=[(0, 0.0, 0.1), (1000, 0.3, 0.1)])
-    again = {(s.figure, s.says): s for s in compare_with_paper(read_results(tmp_path))}
+    again = findings(read_results(tmp_path))
     assert again[6, "agents of each algorithm achieve a return of at least 0.4"].holds is False
     assert found[13, "without salt, all but DQN end the experiment themselves"].holds is None
 
@@ -372,12 +351,12 @@ def test_convergence_is_that_of_evaluations(
     tmp_path: Path, means: tuple[float, ...], steps: int, step: int, holds: bool | None
 ) -> None:
     for seed, label in itertools.product((0, 1), EXPERIMENTS["wurtz_rxn"].algorithms):
-        path = write_run(tmp_path, "wurtz_rxn", label, seed, steps=steps)
-        for i, mean in enumerate(means):
-            # Two runs that differ, by less than what counts.
-            Run(path).append(Evaluation(100_000 * (i + 1), mean + 0.001 * seed, {}, None, None))
-    (found,) = (s for s in compare_with_paper(read_results(tmp_path)) if "converges before" in s.says)
-    assert found.ours.startswith(f"PPO: by {step}k of {steps // 1000}k steps; A2C: by {step}k")
+        # Two runs that differ, by less than what counts.
+        evaluations = {100_000 * (i + 1): mean + 0.001 * seed for i, mean in enumerate(means)}
+        write_run(tmp_path, "wurtz_rxn", label, seed, steps=steps, evaluations=evaluations)
+    (found,) = (f for (_, says), f in findings(read_results(tmp_path)).items() if "converges before" in says)
+    words = "at the end" if step == 400 else f"{step}k steps"
+    assert found.ours.startswith(f"PPO: {words}; A2C: {words}")
     assert found.holds is holds
 
 
@@ -386,13 +365,13 @@ def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
     write_run(tmp_path, "wurtz_ext", "ppo", 0, 0.9)
     write_run(tmp_path, "wurtz_ext", "ppo-entropy", 0, 1.2)
     results = read_results(tmp_path)
-    found = {s.says: s for s in compare_with_paper(results)}["PPO outperforms the heuristic"]
+    found = findings(results)[10, "PPO outperforms the heuristic"]
     assert (found.holds, found.variants, found.ours) == (
         False,
         ("PPO-entropy",),
-        "PPO: -0.050 (best run -0.050); PPO-entropy: +0.100 (best run +0.100)",
+        "PPO: 0.450, heuristic 0.500, best run 0.450; PPO-entropy: 0.600, heuristic 0.500, best run 0.600",
     )
-    page, _ = write_summary(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
+    page = write_page(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
     assert "| **no** (PPO-entropy: yes) |" in page.read_text()
     assert list(results.cells["wurtz_ext"]) == ["ppo", "ppo-entropy"]
     lines = drawn(tmp_path, "figure_10_wurtz_ext_curves").figure.axes[0].get_lines()
@@ -401,7 +380,7 @@ def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
 
 
 def test_statements_about_actions_come_from_traces(full: Path) -> None:
-    found = {(s.figure, s.says): s for s in compare_with_paper(read_results(full))}
+    found = findings(read_results(full))
     ends = found[11, "PPO and PPO-XL end the experiment themselves, A2C and DQN do not"]
     assert ends.holds is False
     assert ends.ours == "PPO-XL: ends it; PPO: ends it; A2C: ends it; DQN: runs to the limit"
@@ -409,36 +388,33 @@ def test_statements_about_actions_come_from_traces(full: Path) -> None:
     salt = found[13, "PPO and PPO-XL achieve the optimal return with and without salt, by one agent"]
     assert (salt.holds, salt.ours) == (
         True,
-        "PPO-XL: 1.000 without, 1.000 with salt; PPO: 1.000 without, 1.000 with salt",
+        "PPO-XL: without NaCl 1.000, with NaCl 1.000; PPO: without NaCl 1.000, with NaCl 1.000",
     )
     same = found[13, "with salt A2C only slightly modifies its actions, and DQN not at all"]
-    assert (same.holds, same.ours) == (True, "A2C: 1.00 in common; DQN: 1.00 in common")
+    assert (same.holds, same.ours) == (True, "A2C: 1.00; DQN: 1.00")
     e = found[9, "for E the best A2C, PPO and SAC add A, B and C, and not D"]
-    assert (e.holds, e.ours.partition(";")[0]) == (True, "A2C: A 1.00, B 1.00, C 1.00, D 0.00")
+    assert (e.holds, e.ours.partition(";")[0]) == (True, "A2C: A 1.00, B 1.00, C 1.00")
     assert found[9, "for E the best TD3 adds D as well"].holds is True
     staggered = found[9, "for I the best of each add D and two of A, B, C, and the third several steps later"]
     assert staggered.ours.split("; ")[:2] == [
-        "PPO: A step 1, B step 1, C step 5, D step 1",
-        "A2C: A step 1, B step 1, C step 1, D step 1",
+        "PPO: 4 steps",
+        "A2C: 0 steps",
     ]
     assert staggered.holds is False
 
 
 def test_one_sequence_that_differs_with_salt(full: Path, tmp_path: Path) -> None:
     """DQN's have to be equal; of equal returns alone nothing follows."""
-    content = json.loads((full / "traces.json").read_text())
-    entry = content["experiments"]["wurtz_dit"]["policies"]["dqn"]["by_goal"]["dodecane"]["by_case"]
-    entry["with NaCl"] = {**entry["with NaCl"], "best": {"return": 0.5, "actions": [0, 1, 2, 3, 4] * 9}}
     results = read_results(full)
-    results.traces = content
-    (same,) = (s for s in compare_with_paper(results) if "only slightly modifies" in s.says)
-    assert (same.holds, same.ours) == (False, "A2C: 1.00 in common; DQN: 0.95 in common")
+    results.traces["wurtz_dit"]["dqn"]["dodecane"]["with NaCl"] = Trace(2, 0.5, 0.5, [0, 1, 2, 3, 4] * 9)
+    (same,) = (f for (_, says), f in findings(results).items() if "only slightly modifies" in says)
+    assert (same.holds, same.ours) == (False, "A2C: 1.00; DQN: 0.95")
 
 
 def verdict(folder: Path, key: str, says: str) -> bool | None:
     """Whether the statement on an experiment that has these words holds."""
-    statements = compare_with_paper(read_results(folder))
-    (found,) = (s for s in statements if says in s.says and s.experiment == EXPERIMENTS[key].title)
+    compared = compare_with_paper(read_results(folder))
+    (found,) = (finding for claim, finding in compared if says in claim.says and claim.experiment == key)
     return found.holds
 
 
@@ -541,30 +517,27 @@ def test_statements_about_where_training_ends(
 
 def test_statements_about_pace_and_distance(tmp_path: Path) -> None:
     """Figure 8: steps are compared with PPO's, distances to the optimum at equal numbers of steps."""
-    paces = {"ppo": (0.4, 0.5, 0.5, 0.5), "a2c": (0.1, 0.1, 0.1, 0.2), "sac": (0.1, 0.1, 0.1, 0.2)}
-    for label, means in {**paces, "td3": (0.1, 0.1, 0.1, 0.2)}.items():
-        path = write_run(tmp_path, "fictitious_rxn", label, 0, 0.8)
+
+    def at(*means: float) -> dict[int, float]:
+        return {100 * (i + 1): mean for i, mean in enumerate(means)}
+
+    quick, slow = at(0.4, 0.5, 0.5, 0.5), at(0.1, 0.1, 0.1, 0.2)
+    for label, evaluations in {"ppo": quick, "a2c": slow, "sac": slow, "td3": slow}.items():
+        write_run(tmp_path, "fictitious_rxn", label, 0, 0.8, evaluations=evaluations)
         write_run(tmp_path, "wurtz_rxn", label, 0, 0.7)
-        for i, mean in enumerate(means):
-            Run(path).append(Evaluation(100 * (i + 1), mean, {}, None, None))
     assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is True
     assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is True
-    slow = write_run(tmp_path, "fictitious_rxn", "td3", 1, 0.6)
-    for i in range(4):
-        Run(slow).append(Evaluation(100 * (i + 1), 0.3 - 0.1 * (i < 1), {}, None, None))
+    write_run(tmp_path, "fictitious_rxn", "td3", 1, 0.6, evaluations=at(0.2, 0.3, 0.3, 0.3))
     assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3: 0.7 and 0.7
-    (tmp_path / "fictitious_rxn" / "td3" / "seed-0" / "evaluations.jsonl").unlink()
-    for i in range(4):
-        Run(tmp_path / "fictitious_rxn" / "td3" / "seed-0").append(Evaluation(100 * (i + 1), 0.3, {}, None, None))
+    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3" / "seed-0")
+    write_run(tmp_path, "fictitious_rxn", "td3", 0, 0.8, evaluations=at(0.3, 0.3, 0.3, 0.3))
     assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is False  # TD3 is as quick
     for seed in (2, 3, 4):
         write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.7, steps=300)
     assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3's still
-    for run in (tmp_path / "fictitious_rxn" / "td3").iterdir():
-        (run / "result.json").unlink()
-    assert (
-        verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is None
-    )  # A2C's steps differ, TD3 is missing
+    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3")
+    # A2C's steps differ, TD3 is missing.
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is None
 
 
 def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
@@ -580,67 +553,45 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
     results = read_results(tmp_path)
     assert results.trace("wurtz_dit", "ppo") is None
     assert results.trace("wurtz_dit", "heuristic") is not None
-    assert any(line.startswith("traces.json: Wurtz DiT, ppo: not of the best policy") for line in results.left_out)
-    file = tmp_path / "traces.json"
-    content = json.loads(file.read_text())
-    content["experiments"]["wurtz_dit"]["fingerprint"] = "another"
-    file.write_text(json.dumps(content))
+    assert f"{TRACE_FILE}: Wurtz DiT, PPO: not of the best policy" in results.left_out[1]
+    write_traces(tmp_path, fingerprint="another")
     results = read_results(tmp_path)
-    assert results.trace("wurtz_dit", "heuristic") is None
-    assert results.trace("wurtz_ext", "heuristic") is not None
-    assert "traces.json: Wurtz DiT: the bench has changed since" in results.left_out[1]
-    file.write_text(json.dumps({**content, "format": 1}))
-    assert read_results(tmp_path).traces is None
-    file.write_text("{}")
-    with pytest.raises(ValueError, match="not what chemlab figures --collect writes"):
+    assert results.traces == {}
+    assert f"{TRACE_FILE}: Wurtz DiT: the bench has changed since" in results.left_out[2]
+    (tmp_path / TRACE_FILE).write_text("experiment,policy\n")
+    with pytest.raises(ValueError, match=r"traces\.csv: has the columns"):
         read_results(tmp_path)
 
 
-def test_a_single_run_has_no_interval(tmp_path: Path) -> None:
+def test_the_brief_table_has_every_algorithm(tmp_path: Path) -> None:
+    """Means over runs; a single run has no interval, and what was not trained no number."""
     write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
-    (row,) = (row for row in describe_cells(read_results(tmp_path)) if row["runs"])
-    assert row["mean"] == {"value": 0.5, "low": None, "high": None}
-    assert "| PPO |  |  |  | 0.500 |" in paper_table(read_results(tmp_path))
+    for seed in (0, 1, 2):
+        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.8 + 0.1 * seed)
+    lines = paper_table(read_results(tmp_path))
+    assert "| PPO |  |  |  | 0.500 |" in lines
+    (a2c,) = (line for line in lines if line.startswith("| A2C |"))
+    assert a2c.startswith("| A2C | 0.450 [0.4")
 
 
-def test_cells_have_intervals_over_runs(tmp_path: Path) -> None:
-    for seed, relative in enumerate((0.8, 1.0, 1.2, 1.4)):
-        write_run(tmp_path, "wurtz_dit", "ppo", seed, relative)
-    rows = {(row["experiment"], row["label"]): row for row in describe_cells(read_results(tmp_path))}
-    row = rows["wurtz_dit", "ppo"]
-    assert row["mean"]["value"] == pytest.approx(0.55)  # of 0.4, 0.5, 0.6, 0.7
-    assert row["interquartile_mean"]["value"] == pytest.approx(0.55)
-    assert row["mean"]["low"] < 0.55 < row["mean"]["high"]
-    assert row["best"] == pytest.approx(0.7)
-    assert row["improvement"]["value"] == pytest.approx((0 + 0.5 + 1 + 1) / 4)
-    assert rows["wurtz_dit", "dqn"]["runs"] == 0
-    assert len(rows) == 16
+# -- all of it --------------------------------------------------------------------------------------------------------
 
 
-# -- the command ------------------------------------------------------------------------------------------------------
-
-
-def test_everything_comes_from_files(full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All figures, both tables; nothing is played, and the results are left as they were."""
-    import chemlab.agents.evaluation.traces as traces
-
-    monkeypatch.setattr(traces, "play_bench", None)
-    before = sorted(full.rglob("*"))
-    done = runner.invoke(app, ["figures", str(full), "-o", str(tmp_path), "--format", "png", "--format", "svg"])
-    assert done.exit_code == 0, done.output
-    stems = [spec.stem for spec in FIGURES]
-    files = {*(f"{stem}.{ending}" for stem in stems for ending in ("png", "svg")), "summary.md", "summary.json"}
-    assert {path.name for path in tmp_path.iterdir()} == files
-    assert sorted(full.rglob("*")) == before
-    page = (tmp_path / "summary.md").read_text()
-    assert all(f"![{stem}]({stem}.png)" in page for stem in stems)
-    data = json.loads((tmp_path / "summary.json").read_text())
-    assert data["cells"][0]["mean"]["value"] == pytest.approx(HEURISTIC * 1.05)
-    assert [len(lacks["lacks"]) for lacks in data["figures"].values()] == [0] * 9
-    only = tmp_path / "svg"
-    done = runner.invoke(app, ["figures", str(full), "-o", str(only), "--format", "svg"])
-    assert done.exit_code == 0, done.output
-    assert all(f"![{stem}]({stem}.svg)" in (only / "summary.md").read_text() for stem in stems)
+def test_everything_comes_from_files(full: Path, tmp_path: Path) -> None:
+    """All figures and the page; from the runs' folders and from the tables of them alike."""
+    tables, stems = tmp_path / "tables", [spec.stem for spec in FIGURES]
+    write_runs(tables, read_runs(full))
+    shutil.copyfile(full / TRACE_FILE, tables / TRACE_FILE)
+    pages = []
+    for source, ending in ((full, "png"), (tables, "svg")):
+        results, out = read_results(source), tmp_path / ending
+        lacking = write_figures(results, out, [ending])
+        assert lacking == {stem: [] for stem in stems}
+        pages.append(write_page(results, out, lacking, [ending]).read_text())
+        assert {path.name for path in out.iterdir()} == {*(f"{stem}.{ending}" for stem in stems), "summary.md"}
+        assert all(f"![{stem}]({stem}.{ending})" in pages[-1] for stem in stems)
+    assert pages[0] == pages[1].replace(".svg", ".png")
+    assert "| Wurtz RxN | PPO | 2 | 1,000 | 0.525 " in pages[0]
 
 
 def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
@@ -649,10 +600,10 @@ def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
     source.mkdir()
     target.mkdir()
     (target / "figure_12_wurtz_dit_curves.png").write_text("old")
-    done = runner.invoke(app, ["figures", str(source), "-o", str(target)])
-    assert done.exit_code == 0, done.output
-    assert {path.name for path in target.iterdir()} == {"summary.md", "summary.json"}
-    assert "traces.json" in done.output
+    lacking = write_figures(read_results(source), target)
+    assert "traces (python -m papers --collect" in lacking["figure_09_fictitious_rxn_actions"][0]
+    assert "Wurtz RxN: no runs of PPO, A2C, SAC, TD3." in write_page(read_results(source), target, lacking).read_text()
+    assert {path.name for path in target.iterdir()} == {"summary.md"}
     write_run(source, "wurtz_rxn", "sac", 0)
     lacking = write_figures(read_results(source), target)
     assert lacking["figure_05_wurtz_rxn_goals"] == ["finished runs of PPO, A2C, TD3"]
@@ -668,30 +619,114 @@ def test_an_unknown_format_leaves_no_litter(full: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_traces_are_collected_beside_the_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Scripted policy and random actions are played on every bench; figures of actions then need the file alone."""
-    import chemlab.agents.evaluation.traces as traces
-
     only = {key: EXPERIMENTS[key] for key in ("fictitious_rxn", "wurtz_dit")}
-    results = Results(tmp_path, {key: {} for key in only})
-    collected = traces.collect_traces(results, episodes=8)
-    assert json.loads((tmp_path / "traces.json").read_text()) == json.loads(json.dumps(collected))
-    rxn = collected["experiments"]["fictitious_rxn"]
-    assert rxn["action_names"] == ["temperature", "volume", "add A", "add B", "add C", "add D"]
-    assert np.shape(rxn["policies"]["heuristic"]["by_goal"]["E"]["mean_actions"]) == (20, 6)
-    random = np.array([goal["mean_actions"] for goal in rxn["policies"]["random"]["by_goal"].values()])
+    told: list[str] = []
+    traces.collect_traces(Results({key: {} for key in only}), tmp_path, episodes=8, watch=told.append)
+    assert len(told) == 4
+    found = read_results(tmp_path).traces
+    rxn, dit = found["fictitious_rxn"], found["wurtz_dit"]
+    assert np.shape(rxn["heuristic"]["E"][""].actions) == (20, 6)
+    random = np.array([goal[""].actions for goal in rxn["random"].values()])
     assert abs(random.mean() - 0.5) < 0.03  # uniform in [0, 1]
-    dit = collected["experiments"]["wurtz_dit"]
-    cases = dit["policies"]["heuristic"]["by_goal"]["dodecane"]["by_case"]
+    cases = dit["heuristic"]["dodecane"]
     assert set(cases) == {"with NaCl", "without NaCl"}
-    for entry in cases.values():
-        assert dit["action_names"][entry["best"]["actions"][-1]] == "end the experiment"
-        assert entry["best"]["return"] >= entry["mean_return"] - 1e-12
+    for trace in cases.values():
+        assert EXPERIMENTS["wurtz_dit"].action_names[trace.actions[-1]] == "end the experiment"
+        assert trace.best_return is not None
+        assert trace.best_return >= trace.mean_return - 1e-9
+    write_run(tmp_path / "runs", "wurtz_dit", "ppo", 0)
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
+    with pytest.raises(ValueError, match="which has no checkpoints; give the runs' folder"):
+        traces.collect_traces(read_results(tmp_path / "tables"), tmp_path)
 
 
-def test_a_page_that_is_not_there_is_refused_before_anything_is_made(full: Path, tmp_path: Path) -> None:
-    arguments = ["figures", str(full), "--out", str(tmp_path / "out"), "--update", str(tmp_path / "missing.md")]
-    said = runner.invoke(app, arguments)
-    assert said.exit_code == 2
-    assert "no such file" in said.output.replace("\n", " ")
+def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its best checkpoint is played; what the tables have of other runs stays. Runs of laboratories go elsewhere."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.training.learn import train
+
+    monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
+    monkeypatch.setattr(published, "LABORATORY", tmp_path / "laboratory")
+    monkeypatch.setattr(published, "collect_benches", lambda *_, **__: None)
+    write_run(tmp_path / "earlier", "wurtz_dit", "dqn", 0)
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "earlier"))
+    small = {"steps": 64, "envs": 2, "rollout": 16, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
+    runs, name = tmp_path / "runs", "WurtzDistillation/ppo/seed-0"
+    train(arguments_of({"env_id": "chemlab/WurtzDistillation-v0", "checkpoints": 1, **small}), runs / name)
+    run_files.write_run(runs / "lab" / "seed-0", "wurtz_dodecane", "rxn_0", {"dodecane": 0.5})
+    told: list[str] = []
+    published.collect_all(runs, told.append)
+    assert told == [f"{spec.title}: {p}" for spec in EXPERIMENTS.values() for p in ("heuristic", "random")] + [
+        "Wurtz DiT: ppo"
+    ]
+    results = read_results(tmp_path / "tables")
+    assert results.left_out == []
+    assert list(results.cells["wurtz_dit"]) == ["ppo", "dqn"]
+    assert results.traces["wurtz_dit"].keys() == {"heuristic", "random", "ppo"}
+    assert results.heuristic_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
+    assert [run.name for run in read_runs(tmp_path / "laboratory")] == ["lab/seed-0"]
+
+
+# -- what is published ------------------------------------------------------------------------------------------------
+
+
+def without_intervals(text: str) -> str:
+    """A page's text; ends of intervals over a few runs hang on how the machine rounds."""
+    return re.sub(r"\[[-+]?\d+\.\d+, [-+]?\d+\.\d+\]", "[]", text)
+
+
+def test_every_published_page_is_made_from_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the repository shows is what the command makes, with the same numbers."""
+    monkeypatch.setattr(published, "write_figures", lambda results, out: {spec.stem: [] for spec in FIGURES})
+    pages = {}
+    for page, marks in published.PAGES.items():
+        pages[tmp_path / page.name] = marks
+        text = page.read_text()
+        for mark in marks:
+            begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
+            text = text.partition(begin)[0] + begin + end + text.partition(end)[2]
+        (tmp_path / page.name).write_text(text)
+    out = tmp_path / "results"
+    shutil.copytree(ROOT / "docs" / "results", out, ignore=shutil.ignore_patterns("*.md"))
+    said = published.make(out, pages)
+    assert not [line for line in said if not line.startswith("wrote ")]
+    for made, stands in ((tmp_path, ROOT), (tmp_path, ROOT / "docs"), (out, ROOT / "docs" / "results")):
+        for page in made.glob("*.md"):
+            if (stands / page.name).exists():
+                assert without_intervals(page.read_text()) == without_intervals((stands / page.name).read_text())
+
+
+def test_the_published_tables_are_small_and_of_finished_runs() -> None:
+    runs = {folder: read_runs(folder) for folder in (module.TABLES, published.LABORATORY)}
+    assert sum(path.stat().st_size for folder in runs for path in folder.iterdir()) < 1_000_000
+    paper, others = runs.values()
+    assert {experiment_of(run) for run in paper} == set(EXPERIMENTS)
+    assert {experiment_of(run) for run in others} == {None}
+    assert all(run.finished.steps > 0 and len(run.curve) > 1 and run.evaluations for run in (*paper, *others))
+    assert len({run.name for run in (*paper, *others)}) == len(paper) + len(others)
+
+
+def test_pages_are_looked_for_before_anything_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(published, "PAGES", {tmp_path / "missing.md": ("paper",)})
+    monkeypatch.setattr("sys.argv", ["papers", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="no such file"):
+        published.main()
     assert not (tmp_path / "out").exists()
+
+
+def test_the_papers_sweep_is_complete() -> None:
+    cells: dict[str, int] = {}
+    runs = plan(module.TABLES.with_name("experiments.toml"), Path("results"))
+    for one in runs:
+        cell = one.name.rpartition("/")[0]
+        cells[cell] = cells.get(cell, 0) + 1
+    reactions = [f"{b}Reaction/{a}" for b in ("Wurtz", "Fictitious") for a in ("ppo", "a2c", "sac", "td3")]
+    others = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "ppo-xl", "a2c", "dqn")]
+    assert {cell: cells[cell] for cell in [*reactions, *others]} == dict.fromkeys([*reactions, *others], 5)
+    wide = [one.arguments for one in runs if one.arguments.preset == "ppo-xl"]
+    # The paper has it for ExT and DiT alone.
+    assert {one.steps for one in wide if "Reaction" not in one.env_id} == {2_000_000}
+    assert {one.name for one in runs} == {run.name for run in read_runs(module.TABLES)}
