@@ -17,12 +17,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from chemlab.agents.evaluation.laboratory import brief_table, collect, write_laboratory
-from chemlab.agents.evaluation.results import TrainedRun, read_runs, write_runs
+from chemlab.agents.evaluation.results import read_runs, write_runs
 from chemlab.files import check_marks, replace_between
 
 from .chemgymrl.figures import write_figures
 from .chemgymrl.page import paper_table, write_page
-from .chemgymrl.results import TABLES, experiment_of, read_results
+from .chemgymrl.results import TABLES, experiment_of, read_results, results_of
 from .chemgymrl.traces import collect_traces
 from .shipped import benches_table, collect_benches
 
@@ -59,17 +59,13 @@ def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
         ValueError: the folder is not there, or a run in it cannot be played.
         ImportError: Stable-Baselines3 is not installed.
     """
-    found = read_results(runs)
-    known = {run.name: run for run in (read_runs(TABLES) if TABLES.is_dir() else [])}
-    ours = {run.name: run for cells in found.cells.values() for cell in cells.values() for run in cell.runs}
+    ours = [run for run in read_runs(runs) if run.result is not None and experiment_of(run) is not None]
     if ours:
-        collect_traces(found, TABLES, watch=watch)
-        write_runs(TABLES, {**known, **ours}.values())
-
-    def others(run: TrainedRun) -> bool:
-        return experiment_of(run) is None
-
-    for line in collect(runs, LABORATORY, watch=watch, keep=others):
+        known = read_runs(TABLES) if TABLES.is_dir() else []
+        merged = {run.name: run for run in (*known, *ours)}
+        collect_traces(results_of(merged.values()), TABLES, watch=watch)
+        write_runs(TABLES, merged.values())
+    for line in collect(runs, LABORATORY, watch=watch, keep=lambda run: experiment_of(run) is None):
         print(f"not played: {line}", file=sys.stderr)
     collect_benches(LABORATORY, watch=watch)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -25,6 +26,8 @@ __all__ = [
     "Trace",
     "experiment_of",
     "read_results",
+    "results_of",
+    "source_of",
 ]
 
 TABLES = Path(__file__).parent / "results"
@@ -161,15 +164,20 @@ class Results:
 
 
 def read_results(folder: Path = TABLES) -> Results:
-    """Read a folder of tables, or of runs.
-
-    Runs of a bench that has changed since are left out.
+    """Read a folder of tables, or of runs (with a table of traces, perhaps), see :func:`results_of`.
 
     Raises:
         ValueError: the folder is not there, or a file in it is not what was written.
     """
+    results = results_of(read_runs(folder))
+    _read_traces(results, folder)
+    return results
+
+
+def results_of(given: Iterable[TrainedRun]) -> Results:
+    """Runs by experiment and label, without traces; runs of a bench that has changed since are left out."""
     results, runs = Results(), []
-    for run in read_runs(folder):
+    for run in given:
         key = experiment_of(run)
         if key is None:
             results.left_out.append(f"{run.name}: not one of the paper's experiments")
@@ -183,7 +191,6 @@ def read_results(folder: Path = TABLES) -> Results:
         own, order = cells.get(experiment.title, {}), experiment.algorithms
         ranks = {label: order.index(label) if label in order else len(order) for label in own}
         results.cells[key] = {label: own[label] for label in sorted(own, key=lambda label: (ranks[label], label))}
-    _read_traces(results, folder)
     return results
 
 

@@ -10,23 +10,18 @@ from typing import Any
 import numpy as np
 
 from chemlab.agents.evaluation.play import BenchTarget, bench_policy, play_bench
-from chemlab.agents.evaluation.tables import number, write_table
+from chemlab.agents.evaluation.tables import number, read_table, write_table
 from chemlab.bench.base import Bench
 from chemlab.scenario import load_scenario
 
 from .results import EXPERIMENTS, TRACE_COLUMNS, TRACE_FILE, Experiment, Results, source_of
 
-__all__ = ["collect_traces", "trace_count"]
+__all__ = ["collect_traces"]
 
 EPISODES = 40
 """For each goal: enough to meet every starting state, and for the means of a random policy."""
 SEED = 10_000
 """Of the first episode; training's own evaluations have other seeds."""
-
-
-def trace_count(results: Results) -> int:
-    """Number of policies that :func:`collect_traces` will play."""
-    return sum(2 + len(cells) for cells in results.cells.values())
 
 
 def collect_traces(
@@ -39,8 +34,8 @@ def collect_traces(
     """Play the scripted policy, random actions and the best run of every algorithm; write ``traces.csv``.
 
     Args:
-        results: whose runs to play, read from the folders that training left.
-        folder: where the table goes.
+        results: whose best runs to play; of one that comes from a table what the table of traces has stays.
+        folder: where the table of traces goes.
         episodes: for each goal; every policy plays the same seeds.
         seed: of the first episode.
         watch: called with each policy's name when it has been played.
@@ -48,16 +43,16 @@ def collect_traces(
     Raises:
         ValueError: a run's checkpoint is missing or was made for another environment.
     """
+    before = read_table(folder / TRACE_FILE, TRACE_COLUMNS)
     rows: list[dict[str, Any]] = []
     for key, cells in results.cells.items():
         experiment = EXPERIMENTS[key]
         sources = {"heuristic": ("heuristic", "", ""), "random": ("random", "", "")}
         for label, cell in cells.items():
             if cell.best.folder is None:
-                raise ValueError(
-                    f"{cell.best.name}: comes from a table, which has no checkpoints; give the runs' folder"
-                )
-            sources[label] = (str(cell.best.folder.path), *source_of(cell))
+                rows += [row for row in before if (row["experiment"], row["policy"]) == (key, label)]
+            else:
+                sources[label] = (str(cell.best.folder.path), *source_of(cell))
         for label, (name, run, step) in sources.items():
             own = {"experiment": key, "policy": label, "fingerprint": experiment.fingerprint, "run": run, "step": step}
             rows += [{**own, **row} for row in _played(experiment, name, episodes, seed)]

@@ -636,10 +636,6 @@ def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         assert EXPERIMENTS["wurtz_dit"].action_names[trace.actions[-1]] == "end the experiment"
         assert trace.best_return is not None
         assert trace.best_return >= trace.mean_return - 1e-9
-    write_run(tmp_path / "runs", "wurtz_dit", "ppo", 0)
-    write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
-    with pytest.raises(ValueError, match="which has no checkpoints; give the runs' folder"):
-        traces.collect_traces(read_results(tmp_path / "tables"), tmp_path)
 
 
 def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -653,6 +649,8 @@ def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(published, "collect_benches", lambda *_, **__: None)
     write_run(tmp_path / "earlier", "wurtz_dit", "dqn", 0)
     write_runs(tmp_path / "tables", read_runs(tmp_path / "earlier"))
+    write_traces(tmp_path / "tables")
+    before = read_results(tmp_path / "tables").traces["wurtz_dit"]["dqn"]
     small = {"steps": 64, "envs": 2, "rollout": 16, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
     runs, name = tmp_path / "runs", "WurtzDistillation/ppo/seed-0"
     train(arguments_of({"env_id": "chemlab/WurtzDistillation-v0", "checkpoints": 1, **small}), runs / name)
@@ -665,7 +663,8 @@ def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pyt
     results = read_results(tmp_path / "tables")
     assert results.left_out == []
     assert list(results.cells["wurtz_dit"]) == ["ppo", "dqn"]
-    assert results.traces["wurtz_dit"].keys() == {"heuristic", "random", "ppo"}
+    assert results.traces["wurtz_dit"].keys() == {"heuristic", "random", "ppo", "dqn"}
+    assert results.traces["wurtz_dit"]["dqn"] == before
     assert results.heuristic_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
     assert [run.name for run in read_runs(tmp_path / "laboratory")] == ["lab/seed-0"]
 
