@@ -42,6 +42,7 @@ __all__ = [
     "brief_table",
     "collect",
     "collect_count",
+    "has_manager",
     "write_laboratory",
 ]
 
@@ -119,9 +120,9 @@ def has_manager(run: TrainedRun) -> bool:
 
 
 def _learned(run: TrainedRun) -> list[str]:
-    """The roles that learned."""
+    """The roles that learned: a run of several names roles, a run of one an agent (or a bench on its own)."""
     names = str(run.config.get("bench")).split(",")
-    return sorted(name if name == MANAGER_ROLE else role_of(name) or name for name in names)
+    return sorted(names) if len(names) > 1 or names == [MANAGER_ROLE] else [role_of(names[0])]
 
 
 def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:

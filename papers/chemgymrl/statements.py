@@ -99,26 +99,28 @@ def load_claims() -> list[Claim]:
 
 def compare_with_paper(results: Results) -> list[tuple[Claim, Finding]]:
     """The paper's statements about its results, each with what these results say."""
-    return [
-        (
-            claim,
-            _all_of([_algorithm(results, claim.experiment, test, label) for test in claim.tests for label in test.of]),
-        )
-        for claim in load_claims()
-    ]
+    compared = []
+    for claim in load_claims():
+        labels = dict.fromkeys(label for test in claim.tests for label in test.of)
+        compared.append((claim, _all_of([_algorithm(results, claim, label) for label in labels], "; ")))
+    return compared
 
 
-def _all_of(findings: Sequence[Finding]) -> Finding:
+def _all_of(findings: Sequence[Finding], between: str) -> Finding:
     """Several findings as one, which holds if all of them do; one that does not is enough to say no."""
     verdicts = [finding.holds for finding in findings]
     holds = False if False in verdicts else None if None in verdicts else True
-    texts = dict.fromkeys(finding.ours for finding in findings)
-    return Finding("; ".join(texts), holds, tuple(v for finding in findings for v in finding.variants))
+    text = between.join(finding.ours for finding in findings)
+    return Finding(text, holds, tuple(v for finding in findings for v in finding.variants))
 
 
-def _algorithm(results: Results, key: str, test: Test, label: str) -> Finding:
+def _algorithm(results: Results, claim: Claim, label: str) -> Finding:
     """What is found of an algorithm of the paper, which decides, and beside it what is found of its variants."""
-    found = {name: _find(results, key, test, name) for name in results.variants(key, label)}
+    tests, key = [test for test in claim.tests if label in test.of], claim.experiment
+    found = {
+        name: _all_of([_find(results, key, test, name) for test in tests], ", ")
+        for name in results.variants(key, label)
+    }
     own = found.pop(label)
     others = {name: finding for name, finding in found.items() if finding.holds is not None}
     texts = [f"{display_name(name)}: {finding.ours}" for name, finding in {label: own, **others}.items()]
