@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.arrays import FloatArray
 from chemlab.render.figure import new_figure
-from chemlab.shelf import FloatArray
 
 from ..training.runs import Evaluation
 from .results import TrainedRun, display_name, read_runs, task_title

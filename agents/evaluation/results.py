@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.shelf import FloatArray
+from chemlab.arrays import FloatArray
 
 from ..training.arguments import TrainArguments
 from ..training.runs import Evaluation, Run, RunResult, find_runs

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chemlab.agents.evaluation.results import Cell
-from chemlab.shelf import FloatArray
+from chemlab.arrays import FloatArray
 
 from .results import EXPERIMENTS, Results
 
