@@ -71,13 +71,20 @@ def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
 
 
 def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
-    """Make everything from the tables; what was left out, and which pages were written, a line each.
+    """Make everything from the tables; what is missing, and which pages were written, a line each.
 
     Raises:
-        ValueError: a table is missing or not what was written, or a page lacks its marks.
+        ValueError: a table is missing or not what was written, has runs of a bench that has changed since, or a page
+            lacks its marks.
         ImportError: matplotlib is not installed.
     """
     results = read_results(TABLES)
+    if results.left_out:
+        count, first = len(results.left_out), results.left_out[0]
+        raise ValueError(
+            f"{TABLES}: {count} runs and traces cannot be published, the first: {first}. Nothing was made: train them "
+            "again (chemlab sweep) and --collect them, or take their rows from the tables"
+        )
     lacking = write_figures(results, out)
     page, laboratory = write_page(results, out, lacking), write_laboratory(LABORATORY, out)
     tables = {
@@ -90,7 +97,7 @@ def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
         for mark in marks:
             replace_between(file, mark, tables[mark])
     missing = [f"{stem}: missing: {'; '.join(what)}" for stem, what in lacking.items() if what]
-    left_out = [*results.left_out, *(laboratory.left_out if laboratory else ())]
+    left_out = laboratory.left_out if laboratory else []
     written = [page, *([laboratory.page] if laboratory else []), *pages]
     return [*missing, *(f"left out {line}" for line in left_out), *(f"wrote {path}" for path in written)]
 

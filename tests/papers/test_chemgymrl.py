@@ -698,6 +698,15 @@ def test_every_published_page_is_made_from_the_tables(tmp_path: Path, monkeypatc
                 assert without_intervals(page.read_text()) == without_intervals((stands / page.name).read_text())
 
 
+def test_what_cannot_be_published_leaves_everything_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "runs", "wurtz_dit", "ppo", 0, fingerprint="another")
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
+    monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
+    with pytest.raises(ValueError, match=r"1 runs and traces .*seed-0: the bench has changed since it was trained"):
+        published.make(tmp_path / "out", {tmp_path / "page.md": ("paper",)})
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_published_tables_are_small_and_of_finished_runs() -> None:
     runs = {folder: read_runs(folder) for folder in (module.TABLES, published.LABORATORY)}
     assert sum(path.stat().st_size for folder in runs for path in folder.iterdir()) < 1_000_000
