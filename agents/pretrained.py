@@ -73,7 +73,20 @@ def fingerprint(bench: Role) -> str:
     else:
         # What a scenario is called changes nothing.
         task["laboratory"] = scenario.model_dump(mode="json", exclude={"name", "title", "summary"})
-    return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(_as_it_was(task), sort_keys=True).encode()).hexdigest()[:16]
+
+
+_SINCE: dict[str, Any] = {"observe": [], "reward": [], "events": {}, "manager": {}}
+"""Fields that scenarios have got since policies were trained, as they are where nothing is said of them: a task that
+does not use them keeps its number."""
+
+
+def _as_it_was(value: Any) -> Any:
+    """A task's data without the fields it does not use and older versions did not have."""
+    if isinstance(value, dict):
+        own = {key: _as_it_was(item) for key, item in value.items()}
+        return {key: item for key, item in own.items() if key not in _SINCE or item != _SINCE[key]}
+    return [_as_it_was(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)

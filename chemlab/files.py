@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["draft_of", "replace_between", "sync_file", "sync_folder", "write_bytes", "write_text"]
+__all__ = [
+    "check_folder",
+    "check_marks",
+    "draft_of",
+    "replace_between",
+    "sync_file",
+    "sync_folder",
+    "write_bytes",
+    "write_text",
+]
 
 _DRAFT = ".draft-"
 """What names of drafts begin with, so that those left by a killed process can be told from anything of the user's."""
@@ -30,6 +41,8 @@ def draft_of(path: Path) -> Iterator[Path]:
     """
     draft = path.with_name(f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}")
     try:
+        if path.exists() and not path.is_file():  # a device is not to be replaced by a file
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent)
         yield draft
@@ -85,15 +98,38 @@ def _sweep(folder: Path) -> None:
                         os.unlink(entry.path)
 
 
-def replace_between(path: Path, mark: str, lines: list[str]) -> None:
-    """Replace what stands between ``<!-- mark: begin -->`` and ``<!-- mark: end -->`` in a Markdown file.
+def check_folder(path: Path) -> None:
+    """Make a folder if it is not there, and see that files can be written to it: before there is anything to lose.
 
     Raises:
-        ValueError: the file does not have both marks in this order.
+        ValueError: they cannot.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
+
+
+def check_marks(path: Path, mark: str) -> tuple[str, int, int]:
+    """A Markdown file's text, and where what stands between ``<!-- mark: begin -->`` and ``<!-- mark: end -->`` begins
+    and ends in it.
+
+    Raises:
+        ValueError: the file is not there, or does not have both marks in this order.
     """
     begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; it needs the lines {begin} and {end} around what is to be replaced")
     text = path.read_text(encoding="utf-8")
     start, stop = text.find(begin), text.find(end)
     if start < 0 or stop < start:
         raise ValueError(f"{path}: needs the lines {begin} and {end} around what is to be replaced")
-    write_text(path, text[: start + len(begin)] + "\n" + "\n".join(lines) + "\n" + text[stop:])
+    return text, start + len(begin), stop
+
+
+def replace_between(path: Path, mark: str, lines: list[str]) -> None:
+    """Replace what stands between a file's marks, see :func:`check_marks`."""
+    text, start, stop = check_marks(path, mark)
+    write_text(path, text[:start] + "\n" + "\n".join(lines) + "\n" + text[stop:])

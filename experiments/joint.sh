@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # All that learns goes on together where the single runs ended: managers of wurtz_scarce with the reaction and the
-# distillation bench (experiments/paper.toml, lab.toml and manager.toml come first). From the repository's root:
+# distillation bench (papers/chemgymrl/experiments.toml, lab.toml and manager.toml come first). From the repository's root:
 # bash experiments/joint.sh [RESULTS]
 set -euo pipefail
 results=${1:-results}

@@ -3,52 +3,76 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from chemlab.arrays import FloatArray
 from chemlab.render.figure import new_figure
 
-from ..training.runs import Evaluation, Run, find_runs
-from .figures import algorithm_style, average_curves
-from .results import curve_of, display_name
+from ..training.runs import Evaluation
+from .results import TrainedRun, display_name, read_runs, task_title
 
-__all__ = ["Tasks", "draw_curves", "draw_tasks", "group_runs"]
+__all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_tasks"]
 
-Tasks = dict[str, dict[str, list[Run]]]
+Tasks = dict[str, dict[str, list[TrainedRun]]]
 """Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
 
-
+# Okabe and Ito's palette, which the colour-blind can tell apart; line styles tell the same in grey.
+_STYLES: dict[str, tuple[str, Any]] = {
+    "ppo-xl": ("#56B4E9", "-"),
+    "ppo": ("#0072B2", "-"),
+    "a2c": ("#E69F00", "--"),
+    "dqn": ("#009E73", "-."),
+    "sac": ("#D55E00", "-."),
+    "td3": ("#CC79A7", (0, (3, 1, 1, 1, 1, 1))),
+}
+_MORE = ("#882255", "#999933", "#332288")
+"""Of Paul Tol's muted palette, for variants where those of the algorithms are all taken."""
+_GRID = 200
+"""Points of a learning curve."""
 _LEGEND_COLUMNS = 3
 
 
-def group_runs(folders: Sequence[Path]) -> Tasks:
-    """The runs in and below some folders that have begun to learn, by task (bench, goals, starting states) and label.
+def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
+    """Colour and line of an algorithm, the same in every figure; other labels take free colours."""
+    if label in _STYLES:
+        colour, line = _STYLES[label]
+        return {"color": colour, "linestyle": line}
+    taken = {_STYLES[name][0] for name in labels if name in _STYLES}
+    free = [colour for colour, _ in reversed(list(_STYLES.values())) if colour not in taken] + list(_MORE)
+    number = [name for name in labels if name not in _STYLES].index(label)
+    return {"color": free[number % len(free)], "linestyle": (0, (8, 1.5) + (1, 1.5) * (number % 3))}
 
-    Raises:
-        ValueError: a folder is not there, or has no such run.
+
+def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """Learning curves [P, 3] of step, mean and standard deviation on a common grid.
+
+    Returns:
+        Steps [P]; mean return over runs [P]; standard deviation of the runs' means [P] (of a sample; NaN for one run);
+        standard deviation of single returns [P], within runs and between them. None where no run has a curve.
     """
+    curves = [curve for curve in curves if len(curve)]
+    if not curves:
+        return None
+    first, last = max(curve[0, 0] for curve in curves), min(curve[-1, 0] for curve in curves)
+    steps = np.linspace(first, max(first, last), _GRID)
+    means = np.array([np.interp(steps, curve[:, 0], curve[:, 1]) for curve in curves])
+    deviations = np.array([np.interp(steps, curve[:, 0], curve[:, 2]) for curve in curves])
+    between = means.std(axis=0, ddof=1) if len(curves) > 1 else np.full(_GRID, np.nan)
+    single = np.sqrt((deviations**2).mean(axis=0) + means.var(axis=0))
+    return steps, means.mean(axis=0), between, single
+
+
+def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
+    """Those runs that have begun to learn, by task (bench, goals, starting states) and label."""
     tasks: Tasks = {}
-    seen = set()
-    for folder in folders:
-        if not folder.is_dir():
-            raise ValueError(f"{folder}: no such folder of runs")
-        runs = [run for run in find_runs(folder) if run.curve() or run.evaluations()]
-        if not runs:
-            raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
-        for run in runs:
-            if run.path.resolve() in seen:
-                continue
-            seen.add(run.path.resolve())
-            config = run.config() or {}
-            goals = config.get("goals") or []
-            parts = [f"{config.get('scenario')}, {config.get('bench')}"]
-            parts += [f"goal {goals[0]}"] if len(goals) == 1 else [f"{len(goals)} goals"] if goals else []
-            parts += [f"starts {config['starts']}"] if config.get("starts", "paper") != "paper" else []
-            label = str(config.get("label", run.path.name))
-            tasks.setdefault(", ".join(parts), {}).setdefault(label, []).append(run)
+    for run in runs:
+        if len(run.curve) or run.evaluations:
+            label = str(run.config.get("label", run.name))
+            tasks.setdefault(task_title(run), {}).setdefault(label, []).append(run)
     return tasks
 
 
@@ -59,7 +83,13 @@ def draw_curves(folders: Sequence[Path]) -> Any:
         ValueError: a folder is not there, or has no run.
         ImportError: matplotlib is not installed.
     """
-    return draw_tasks(group_runs(folders))
+    runs: dict[Path, TrainedRun] = {}
+    for folder in folders:
+        own = {(folder / run.name).resolve(): run for run in read_runs(folder)}
+        if not group_tasks(own.values()):
+            raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
+        runs |= own
+    return draw_tasks(group_tasks(runs.values()))
 
 
 def draw_tasks(tasks: Tasks) -> Any:
@@ -88,12 +118,12 @@ def draw_tasks(tasks: Tasks) -> Any:
     return figure
 
 
-def _panel(axes: Any, task: str, labels: dict[str, list[Run]]) -> None:
+def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
     scripted = []
     for label, runs in labels.items():
         style = algorithm_style(label, list(labels))
         count = f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
-        curves = [curve_of(run) for run in runs]
+        curves = [run.curve for run in runs]
         curve = average_curves(curves)
         if curve is not None:
             steps, mean, between, _ = curve
@@ -106,7 +136,7 @@ def _panel(axes: Any, task: str, labels: dict[str, list[Run]]) -> None:
                 later = own[own[:, 0] > steps[-1]]
                 if len(later):
                     axes.plot(later[:, 0] / 1000.0, later[:, 1], lw=0.7, color=style["color"], alpha=0.5)
-        evaluations = [evaluation for run in runs for evaluation in run.evaluations()]
+        evaluations = [evaluation for run in runs for evaluation in run.evaluations]
         _points(axes, evaluations, style["color"], None if curve is not None else f"{display_name(label)} ({count})")
         scripted += [e.heuristic_mean for e in evaluations if e.heuristic_mean is not None]
     if scripted:

@@ -1,7 +1,7 @@
-"""What managers have learned: their runs' best checkpoints beside scripted ones, as a table and as learning curves.
+"""What managers have learned: their runs' checkpoints beside managers that learned nothing, as tables and curves.
 
-:func:`collect_laboratories` plays, and stores means of episodes in ``laboratory.json`` beside the runs;
-:func:`write_laboratory` makes the page from that file and from the runs' own files alone.
+:func:`collect` plays, and makes tables (:mod:`chemlab.agents.evaluation.results`, and ``managers.csv``);
+:func:`write_laboratory` makes the page from tables alone.
 
 Runs belong together if they have one scenario, one background (who plays the roles that did not learn) and one folder
 (a table of a sweep, say, with a folder for each seed), whose name is their label.
@@ -9,14 +9,14 @@ Runs belong together if they have one scenario, one background (who plays the ro
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
+import chemlab
 from chemlab.files import write_text
 from chemlab.laboratory.core import Laboratories
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
@@ -24,14 +24,15 @@ from chemlab.scenario import load_scenario, scenario_names
 
 from ..policy import make_policies
 from ..pretrained import fingerprint
-from ..roles import MANAGER_ROLE
+from ..roles import MANAGER_ROLE, role_of
 from ..saved import find_saved
-from ..training.runs import RESULT_SEED, to_text
+from ..training.runs import RESULT_SEED
 from . import statistics
 from .curves import Tasks, draw_tasks
-from .play import LaboratoryTarget, Played, versions
-from .results import FinishedRun, display_name, read_results
+from .play import LaboratoryTarget
+from .results import TrainedRun, display_name, read_runs, write_runs
 from .statistics import interval_text, number_text
+from .tables import markdown_table, number, read_table, write_table
 
 __all__ = [
     "BASELINES",
@@ -39,8 +40,9 @@ __all__ = [
     "MEASURES",
     "LaboratoryPage",
     "brief_table",
-    "collect_laboratories",
-    "laboratory_count",
+    "collect",
+    "collect_count",
+    "has_manager",
     "write_laboratory",
 ]
 
@@ -65,21 +67,38 @@ BASELINES: dict[str, tuple[str, str]] = {
     "hasty": ("hasty", "fixed plan, nothing measured"),
     "random": ("random", "random legal actions"),
 }
-"""Managers that learned nothing: their policy's name (the benches are the background's) and what the table says."""
+"""Managers that learned nothing: their policy's name (the benches are the background's) and what the table says.
 
-_FILE, _PAGE, _CURVES = "laboratory.json", "laboratory.md", "laboratory_curves"
+This is the one place where a baseline enters the tables: ``chemlab figures TABLES --collect TABLES`` plays those that a
+table does not have yet, and drops from it those that are not here any more.
+"""
+
+_PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
+_COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
+_LEARNED, _SCRIPTED = "learned", "scripted"
 
 Means = dict[str, dict[str, float]]
 """By goal and measure."""
+Rows = list[dict[str, str]]
 
 
 @dataclass
 class _Group:
-    """Runs of one scenario with one background, by label."""
+    """Runs of one scenario with one background, by label, and the rows of ``managers.csv`` on them."""
 
     scenario: str
     background: str
-    runs: dict[str, list[FinishedRun]] = field(default_factory=dict)
+    labels: dict[str, list[TrainedRun]]
+    rows: Rows
+
+    @property
+    def runs(self) -> list[TrainedRun]:
+        """Of all labels."""
+        return [run for runs in self.labels.values() for run in runs]
+
+    def of(self, policy: str, run: str = "") -> Rows:
+        """The rows of a policy, by goal; none if it was not played."""
+        return [row for row in self.rows if (row["policy"], row["run"]) == (policy, run)]
 
 
 @dataclass(frozen=True)
@@ -88,183 +107,174 @@ class LaboratoryPage:
 
     Attributes:
         page: the table's file.
-        left_out: runs whose checkpoints were not played, and why.
+        left_out: runs that the table does not have, and why.
     """
 
     page: Path
     left_out: list[str]
 
 
-def _groups(folder: Path) -> list[_Group]:
-    """The finished runs of managers below a folder, in order of scenario, background and label."""
-    groups: dict[tuple[str, str], dict[Path, list[FinishedRun]]] = {}
-    for one in read_results(folder).laboratories:
-        key = str(one.config["scenario"]), str(one.config.get("background") or "heuristic")
-        groups.setdefault(key, {}).setdefault(one.run.path.parent, []).append(one)
+def has_manager(run: TrainedRun) -> bool:
+    """Whether a run's learners are a laboratory's agent or roles (``manager_0``; ``manager,rxn``) with its manager."""
+    return MANAGER_ROLE in _learned(run)
+
+
+def _learned(run: TrainedRun) -> list[str]:
+    """The roles that learned: a run of several names roles, a run of one an agent (or a bench on its own)."""
+    names = str(run.config.get("bench")).split(",")
+    return sorted(names) if len(names) > 1 or names == [MANAGER_ROLE] else [role_of(names[0])]
+
+
+def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
+    """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
+    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS)
+    groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
+    for run in runs:
+        if run.result is not None and has_manager(run):
+            key = str(run.config["scenario"]), str(run.config.get("background") or "heuristic")
+            groups.setdefault(key, {}).setdefault(PurePosixPath(run.name).parent, []).append(run)
     found = []
     for (scenario, background), parents in sorted(groups.items()):
-        names = [_name(parent) for parent in parents]
+        names = [parent.name for parent in parents]
         labels = {
-            # Two trainers may have folders of one name.
-            parent: _name(parent) if names.count(_name(parent)) == 1 else parent.relative_to(folder).as_posix()
-            for parent in parents
+            # Two trainers may have folders of one name; a folder of seeds alone has none.
+            parent: (parent.name if names.count(parent.name) == 1 else str(parent)) or some[0].finished.label
+            for parent, some in parents.items()
         }
         ordered = sorted(parents.items(), key=lambda item: labels[item[0]])
-        runs = {labels[parent]: sorted(some, key=lambda one: one.result.seed) for parent, some in ordered}
-        found.append(_Group(scenario, background, runs))
+        by_label = {labels[parent]: sorted(some, key=lambda run: run.finished.seed) for parent, some in ordered}
+        rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
+        found.append(_Group(scenario, background, by_label, rows))
     return found
 
 
-def _name(parent: Path) -> str:
-    return parent.resolve().name
-
-
-def _stored(folder: Path) -> dict[str, Any] | None:
-    """The content of ``laboratory.json``, or None.
-
-    Raises:
-        ValueError: it is not JSON.
-    """
-    file = folder / _FILE
-    try:
-        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except ValueError as error:
-        raise ValueError(f"{file}: not valid JSON: {error}") from error
-    return content
+def _means(rows: Rows) -> Means:
+    return {row["goal"]: {name: float(row[name]) for name in MEASURES} for row in rows}
 
 
 # -- playing ----------------------------------------------------------------------------------------------------------
 
 
-def laboratory_count(folder: Path) -> int:
-    """Number of policies that :func:`collect_laboratories` will play, or leave out.
+def collect_count(folder: Path, keep: Callable[[TrainedRun], bool] = lambda _: True) -> int:
+    """Number of policies that :func:`collect` will play, or leave as they are, of a folder's own runs.
 
     Raises:
         ValueError: the folder is not there, or a file in it is not what a run writes.
     """
-    return sum(len(BASELINES) + sum(map(len, group.runs.values())) for group in _groups(folder))
+    groups = _groups([run for run in read_runs(folder) if keep(run)])
+    return sum(len(BASELINES) + len(group.runs) for group in groups)
 
 
-def collect_laboratories(
-    folder: Path, episodes: int = EPISODES, watch: Callable[[str], None] | None = None
-) -> dict[str, Any] | None:
-    """Play every run's best checkpoint and the managers that learned nothing; write ``laboratory.json``.
+def collect(
+    folder: Path,
+    tables: Path,
+    episodes: int = EPISODES,
+    watch: Callable[[str], None] | None = None,
+    keep: Callable[[TrainedRun], bool] = lambda _: True,
+) -> list[str]:
+    """Make tables of the finished runs below a folder, and play the best checkpoints of those that have a manager.
 
     All play the same seeds, which neither training nor the choice of the checkpoint has seen. A run is compared with
     the scripted manager over its own benches: where benches have learned with the manager, those play there as well.
 
+    What the tables have of other runs stays, and so does what was played of a run that cannot be played any more.
+    Baselines are played anew where a run of their group is, and where the tables do not have them.
+
     Args:
-        folder: the results; the file stands in it.
+        folder: runs as training leaves them, or tables (of which nothing but baselines can be played).
+        tables: the folder that gets the tables.
         episodes: for each goal.
-        watch: called with each policy's name when it has been played or left out.
+        watch: called with each policy's name when it has been played or left as it was.
+        keep: which runs of the folder are meant.
 
     Returns:
-        ``{"groups": [...], "left_out": [{"run", "reason", "kept"}], ...}``, or None (and no file) where there are no
-        such runs. A group has ``scenario``, ``background``, ``goals``, ``baselines`` {name: {goal: {measure: mean}}},
-        and ``runs`` with ``label``, ``run`` (path below the folder), ``seed``, ``steps``, ``seconds``, ``learned``
-        (roles), ``by_goal`` and ``scripted`` {goal: {measure: mean}}. A run that cannot be played any more keeps what
-        the file had of it; a group without any run that can stays as it was.
+        Runs that were not played, and baselines that a scenario does not have, with the reason.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what a run writes.
+        ValueError: the folder is not there, or a file in it is not what was written.
         ImportError: a run was trained with Stable-Baselines3, which is not installed.
     """
-    groups = _groups(folder)
-    if not groups:
-        return None
-    told = watch or (lambda _: None)
-    before = {(g["scenario"], g["background"]): g for g in (_stored(folder) or {}).get("groups", [])}
-    played, left_out = [], []
-    for group in groups:
-        found, lacking = _played(folder, group, before.get((group.scenario, group.background)), episodes, told)
-        played += [found] if found["runs"] else []
+    given = [run for run in read_runs(folder) if keep(run)]
+    known = read_runs(tables) if tables.is_dir() else []
+    runs = list({run.name: run for run in (*known, *given)}.values())
+    rows: list[Mapping[str, Any]] = []
+    left_out: list[str] = []
+    for group in _groups(runs, tables):
+        some, lacking = _play_group(group, episodes, watch or (lambda _: None))
+        rows += some
         left_out += lacking
-    content = {"kind": "laboratory", "format": 1, **_circumstances(episodes), "groups": played, "left_out": left_out}
-    write_text(folder / _FILE, to_text(content))
-    return content
+    write_runs(tables, runs)
+    if rows:
+        write_table(tables / _TABLE, _COLUMNS, rows)
+    return left_out
 
 
-def _circumstances(episodes: int) -> dict[str, Any]:
-    return {"episodes_per_goal": episodes, "seed": RESULT_SEED, "versions": versions()}
-
-
-def _played(
-    folder: Path, group: _Group, before: dict[str, Any] | None, episodes: int, told: Callable[[str], None]
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """A group's part of the file, and its runs that were left out."""
-    kept = {run["run"]: run for run in (before or {}).get("runs", [])}
-    reasons = {one.run.path: _obstacle(group, one) for runs in group.runs.values() for one in runs}
-    playable = any(reason is None for reason in reasons.values())
-    found: dict[str, Any] = {"scenario": group.scenario, "background": group.background, "goals": []}
-    found |= {name: (before or {}).get(name, {}) for name in ("baselines", *_circumstances(episodes))}
-    found["goals"] = (before or {}).get("goals", [])
-    target = None
-    if playable:
-        target = LaboratoryTarget(load_scenario(group.scenario))
-        found |= {"goals": list(target.goals), **_circumstances(episodes)}
-        found["baselines"] = {}
+def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """A group's rows, anew where it can be played and else as they were; and what was not played."""
+    reasons = {run.name: _obstacle(group, run) for run in group.runs}
+    rows: list[Mapping[str, Any]] = []
+    left_out = []
     for name, (policy, _) in BASELINES.items():
-        if target is not None:
-            found["baselines"][name] = _means(target, f"{group.background},{MANAGER_ROLE}={policy}", episodes)
+        stored = group.of(name)
+        try:
+            again = not stored or None in reasons.values()
+            players = f"{group.background},{MANAGER_ROLE}={policy}"
+            rows += _play(group, name, players, episodes) if again else stored
+        except ValueError as error:  # the scenario is gone, or does not have such a manager
+            left_out.append(f"{group.scenario}, {name}: {error}")
+            rows += stored
         told(f"{group.scenario}: {name}")
-    found["runs"], left_out = [], []
-    for label, runs in group.runs.items():
-        for one in runs:
-            name, reason = one.run.path.relative_to(folder).as_posix(), reasons[one.run.path]
-            if target is not None and reason is None:
-                found["runs"].append({"label": label, "run": name, **_run(target, one, found["baselines"], episodes)})
-            elif name in kept:
-                found["runs"].append({**kept[name], "label": label})
-            if reason is not None:
-                left_out.append({"run": name, "reason": reason, "kept": name in kept})
-            told(f"{group.scenario}: {name}")
-    return found, left_out
+    for run in group.runs:
+        reason, stored = reasons[run.name], [*group.of(_LEARNED, run.name), *group.of(_SCRIPTED, run.name)]
+        rows += _play_run(group, run, episodes) if reason is None else stored
+        if reason is not None and (run.folder is not None or not stored):
+            left_out.append(f"{run.name}: {reason}{'; the table has what was played earlier' if stored else ''}")
+        told(f"{group.scenario}: {run.name}")
+    return rows, left_out
 
 
-def _obstacle(group: _Group, one: FinishedRun) -> str | None:
+def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
+    assert run.folder is not None, "it can be played"
+    path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
+    task = scenario if rewards is None else scenario.with_rewards(str(rewards))
+    same_task = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
+    rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
+    # The scripted manager over the same benches: those that have learned are other ones than the background's.
+    if _learned(run) != [MANAGER_ROLE]:
+        rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=heuristic", episodes, run=run.name)
+    return rows
+
+
+def _play(
+    group: _Group, policy: str, players: str, episodes: int, run: str = "", same_task: bool = True
+) -> list[Mapping[str, Any]]:
+    """A row for each goal."""
+    target = LaboratoryTarget(load_scenario(group.scenario))
+    own = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
+    own |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
+    rows: list[Mapping[str, Any]] = []
+    for goal in target.goals:
+        played = target.play(players, goal, episodes, RESULT_SEED)
+        values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
+        means = {name: number(float(values[name].mean())) for name in MEASURES}
+        rows.append({**own, "goal": goal, "same_task": same_task, **means})
+    return rows
+
+
+def _obstacle(group: _Group, run: TrainedRun) -> str | None:
     """Why a run cannot be played, or None."""
-    path = one.run.path
-    if one.run.checkpoint("best") is None and one.run.checkpoint("last") is None:
-        return f"its checkpoints are missing ({one.run.checkpoints})"
+    if run.folder is None:
+        return "a table has no checkpoints"
+    path, checkpoints = run.folder.path, run.folder.checkpoints
+    if run.folder.checkpoint("best") is None and run.folder.checkpoint("last") is None:
+        return f"its checkpoints are missing ({checkpoints})"
     try:
         if MANAGER_ROLE not in find_saved(str(path)).load:
-            return f"its checkpoint has no manager ({one.run.checkpoints})"
+            return f"its checkpoint has no manager ({checkpoints})"
         make_policies(str(path), Laboratories(load_scenario(group.scenario)))
     except ValueError as error:  # the scenario or a policy of the background is gone, or does not fit any more
         return str(error)
     return None
-
-
-def _run(target: LaboratoryTarget, one: FinishedRun, baselines: dict[str, Means], episodes: int) -> dict[str, Any]:
-    """A run's part of the file."""
-    path = str(one.run.path)
-    learned = list(find_saved(path).load)
-    # The scripted manager over the same benches: those that have learned are other ones than the background's.
-    own = learned != [MANAGER_ROLE]
-    scripted = _means(target, f"{path},{MANAGER_ROLE}=heuristic", episodes) if own else baselines["scripted"]
-    rewards = one.config.get("rewards")
-    scenario = target.scenario if rewards is None else target.scenario.with_rewards(str(rewards))
-    return {
-        "seed": one.result.seed,
-        "steps": one.result.steps,
-        "seconds": one.result.seconds,
-        "learned": learned,
-        "same_task": fingerprint(Laboratories(scenario).role(0)) == one.config.get("fingerprint"),
-        **_circumstances(episodes),
-        "by_goal": _means(target, path, episodes),
-        "scripted": scripted,
-    }
-
-
-def _means(target: LaboratoryTarget, policy: str, episodes: int) -> Means:
-    return {goal: _measures(target.play(policy, goal, episodes, RESULT_SEED)) for goal in target.goals}
-
-
-def _measures(played: Played) -> dict[str, float]:
-    values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
-    return {name: float(values[name].mean()) for name in MEASURES}
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -274,80 +284,66 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     """Write ``laboratory.md`` and the pictures ``laboratory_curves``; nothing is played.
 
     Args:
-        folder: the results, with ``laboratory.json`` if :func:`collect_laboratories` has been there.
+        folder: tables that :func:`collect` has made; or runs, of which there are then learning curves only.
         out: where page and pictures go.
         formats: endings that matplotlib knows, such as ``png`` and ``svg``.
 
     Returns:
-        What was written; None, and what earlier results have left in ``out`` goes, where there are neither finished
-        runs of managers nor a ``laboratory.json``.
+        What was written; None, and what earlier results have left in ``out`` goes, where there are no finished runs of
+        managers.
 
     Raises:
         ValueError: the folder is not there, a file in it is not what was written, or the format is unknown.
         ImportError: matplotlib is not installed.
     """
-    groups, content = _groups(folder), _stored(folder)
+    groups = _groups(read_runs(folder), folder)
     tasks: Tasks = {}
     for group in groups:
-        for label, runs in group.runs.items():
-            begun = [one.run for one in runs if one.run.curve() or one.run.evaluations()]
+        for label, runs in group.labels.items():
+            begun = [run for run in runs if len(run.curve) or run.evaluations]
             if begun:
                 tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = begun
-    pictures = [out / f"{_CURVES}.{ending}" for ending in formats]
-    page = out / _PAGE
-    if not groups and content is None:
-        for path in (page, *pictures):
-            path.unlink(missing_ok=True)
+    page, pictures = out / _PAGE, [out / f"{_CURVES}.{ending}" for ending in formats]
+    for path in pictures if tasks else (*pictures, page):
+        path.unlink(missing_ok=True)
+    if not groups:
         return None
-    for path in pictures:
-        if not tasks:
-            path.unlink(missing_ok=True)
-            continue
+    for path in pictures if tasks else ():
         with import_matplotlib().rc_context(SETTINGS):
             save_figure(draw_tasks(tasks), path)
-    content = content or {"groups": [], "left_out": []}
     left_out = [
-        f"{one['run']}: {one['reason']}" + ("; the table has what was played earlier" if one["kept"] else "")
-        for one in content["left_out"]
+        f"{run.name}: not played yet (chemlab figures RUNS --collect TABLES)"
+        for group in groups
+        for run in group.runs
+        if not group.of(_LEARNED, run.name)
     ]
-    known = {one["run"] for one in (*content["left_out"], *(run for g in content["groups"] for run in g["runs"]))}
-    names = [one.run.path.relative_to(folder).as_posix() for group in groups for one in _runs(group)]
-    left_out += [f"{name}: not played yet (chemlab figures --collect)" for name in names if name not in known]
-    picture = next((path.name for path in pictures if path.exists()), None)
-    write_text(page, "\n".join(_markdown(content, left_out, picture)) + "\n")
+    picture = pictures[0].name if tasks else None
+    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
     return LaboratoryPage(page, left_out)
 
 
-def _runs(group: _Group) -> Iterator[FinishedRun]:
-    for runs in group.runs.values():
-        yield from runs
-
-
-def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | None) -> Iterator[str]:
+def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | None) -> Iterator[str]:
     yield "# Managers of laboratories"
-    groups: list[dict[str, Any]] = content["groups"]
-    if groups:
+    tables = [(group, list(_rows(group))) for group in groups]
+    if any(rows for _, rows in tables):
+        episodes, seed = (
+            max(int(row[name]) for group in groups for row in group.rows) for name in ("episodes", "seed")
+        )
         yield ""
         yield (
-            f"Best checkpoint of each run, without exploration: {content['episodes_per_goal']} episodes a goal from "
-            f"seed {content['seed']}, the same for everybody, which training has not seen. Means over episodes, goals "
+            f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
+            f"seed {seed}, the same for everybody, which training has not seen. Means over episodes, goals "
             f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % bootstrap intervals over the seeds of "
             "training, where there are several (of a few they are too narrow: of two, they are the two values). "
             "Minus scripted: the score less that of the scripted manager over the same benches. "
+            "Last: score of the last checkpoint, as the evaluation that ended training has it. "
             "Safety: weighted safety events. Instruments: what measuring has cost, in units of the score. "
             "Where nothing was submitted, purity is 0. Minutes and steps are those of training, a seed."
         )
-    for scenario in dict.fromkeys(group["scenario"] for group in groups):
-        yield from ("", f"## {scenario}", "")
-        yield (
-            "| benches | manager | score | minus scripted | safety | submitted (mol) | purity (%) | instruments "
-            "| ticks | seeds | minutes | steps |"
-        )
-        yield "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|"
-        for group in groups:
-            if group["scenario"] == scenario:
-                yield from (_line(*cells) for cells in _rows(group))
-    notes = [note for group in groups for run in group["runs"] for note in _notes(run, group)]
+    for scenario in dict.fromkeys(group.scenario for group, rows in tables if rows):
+        lines = [line for group, rows in tables if group.scenario == scenario for line in rows]
+        yield from ("", f"## {scenario}", "", *_table(lines, _HEADINGS))
+    notes = [note for group in groups for note in _notes(group)]
     if notes:
         yield from ("", "## Notes", "", *(f"- {note}" for note in notes))
     if picture is not None:
@@ -360,69 +356,84 @@ def _markdown(content: dict[str, Any], left_out: Sequence[str], picture: str | N
         yield from ("", "## Left out", "", *(f"- {line}" for line in left_out))
 
 
+_HEADINGS = (
+    *("benches", "manager", "score", "minus scripted", "last", "safety", "submitted (mol)", "purity (%)"),
+    *("instruments", "ticks", "seeds", "minutes", "steps"),
+)
+_BRIEF = ("scenario", "benches", "manager", "score", "last", "safety", "instruments", "seeds", "minutes")
+_WORDS = ("scenario", "benches", "manager")
+
+
+def _table(rows: Sequence[Mapping[str, str]], headings: Sequence[str]) -> list[str]:
+    columns = {name: name not in _WORDS for name in headings}
+    return markdown_table(columns, ([row.get(name, "") for name in headings] for row in rows))
+
+
 def brief_table(folder: Path, shipped: bool) -> list[str]:
-    """The scores of ``laboratory.json`` as the lines of one Markdown table: of what has learned, and of the scripted
-    managers.
+    """The scores of a folder of tables as the lines of one Markdown table: of what has learned (best checkpoints, and
+    last ones beside them), and of the scripted managers.
 
     Args:
-        folder: the results.
+        folder: the tables.
         shipped: whether of the scenarios that come with chemlab, or of the others.
 
     Raises:
-        ValueError: there is no ``laboratory.json``, or it is not what was written.
+        ValueError: there is no ``managers.csv``, or a table is not what was written.
     """
-    content = _stored(folder)
-    if content is None:
-        raise ValueError(f"{folder}: has no {_FILE}; chemlab figures {folder} --collect makes it")
-    lines = ["| scenario | benches | manager | score | safety | instruments | seeds | minutes |"]
-    lines.append("|---|---|---|--:|--:|--:|--:|--:|")
-    for group in content["groups"]:
-        if (group["scenario"] in scenario_names()) == shipped:
-            kept = {name: means for name, means in group["baselines"].items() if name in ("scripted", "direct")}
-            rows = _rows({**group, "baselines": kept})
-            for benches, manager, score, _, safety, _, _, instruments, _, seeds, minutes, _ in rows:
-                lines.append(
-                    _line(f"`{group['scenario']}`", benches, manager, score, safety, instruments, seeds, minutes)
-                )
-    return lines
+    if not (folder / _TABLE).exists():
+        raise ValueError(f"{folder}: has no {_TABLE}; chemlab figures RUNS --collect {folder} makes it")
+    groups = [group for group in _groups(read_runs(folder), folder) if (group.scenario in scenario_names()) == shipped]
+    rows = [
+        {**row, "scenario": f"`{group.scenario}`"}
+        for group in groups
+        for row in _rows(group, baselines=("scripted", "direct"))
+    ]
+    return _table(rows, _BRIEF)
 
 
-def _rows(group: dict[str, Any]) -> Iterator[list[str]]:
-    """A group's lines of the table: every label, then the managers that learned nothing."""
-    for label in dict.fromkeys(run["label"] for run in group["runs"]):
-        runs = [run for run in group["runs"] if run["label"] == label]
-        scores = np.array([_overall(run["by_goal"], "score") for run in runs])
-        gains = scores - [_overall(run["scripted"], "score") for run in runs]
-        others = [role for role in runs[0]["learned"] if role != MANAGER_ROLE]
-        yield _cells(
-            f"{group['background']}; learned: {', '.join(others)}" if others else group["background"],
-            display_name(label),
-            _interval(scores, ""),
-            _interval(gains, "+"),
-            [run["by_goal"] for run in runs],
-            str(len(runs)),
-            _minutes(float(np.mean([run["seconds"] for run in runs])) / 60.0),
-            _span([run["steps"] for run in runs]),
-        )
-    scripted = group["baselines"].get("scripted")
-    for name, means in group["baselines"].items():
-        score = _overall(means, "score")
-        gain = "" if name == "scripted" else number_text(score - _overall(scripted, "score"), sign="+")
-        yield _cells(group["background"], BASELINES[name][1], number_text(score), gain, [means], "", "", "")
+def _rows(group: _Group, baselines: Sequence[str] = tuple(BASELINES)) -> Iterator[dict[str, str]]:
+    """A group's lines, {heading: cell}: every label, then the managers that learned nothing."""
+    scripted = _means(group.of(_SCRIPTED))
+    for label, runs in group.labels.items():
+        shown = [run for run in runs if group.of(_LEARNED, run.name)]
+        if not shown:
+            continue
+        means = [_means(group.of(_LEARNED, run.name)) for run in shown]
+        beside = [_means(group.of(_SCRIPTED, run.name)) or scripted for run in shown]
+        scores = np.array([_overall(one, "score") for one in means])
+        others = [role for role in _learned(shown[0]) if role != MANAGER_ROLE]
+        steps = [run.finished.steps for run in shown]
+        minutes = float(np.mean([run.finished.seconds for run in shown])) / 60.0
+        yield {
+            **_cells(f"{group.background}; learned: {', '.join(others)}" if others else group.background, means),
+            "manager": display_name(label),
+            "score": _interval(scores),
+            "minus scripted": _interval(scores - [_overall(one, "score") for one in beside], "+"),
+            "last": number_text(float(np.mean([run.finished.last_mean for run in shown]))),
+            "seeds": str(len(shown)),
+            "minutes": f"{minutes:.0f}" if minutes >= 10.0 else f"{minutes:.1f}",
+            "steps": f"{min(steps):,}" if min(steps) == max(steps) else f"{min(steps):,} to {max(steps):,}",
+        }
+    for name in baselines:
+        own = _means(group.of(name))
+        if own:
+            score = _overall(own, "score")
+            gain = "" if name == _SCRIPTED else number_text(score - _overall(scripted, "score"), sign="+")
+            said = {"manager": BASELINES[name][1], "score": number_text(score), "minus scripted": gain}
+            yield {**_cells(group.background, [own]), **said}
 
 
-def _line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _cells(benches: str, manager: str, score: str, gain: str, means: Sequence[Means], *last: str) -> list[str]:
-    """``means`` are those of each seed."""
-
-    def over(measure: str) -> float:
-        return float(np.mean([_overall(one, measure) for one in means]))
-
-    cells = [benches, manager, score, gain, number_text(over("safety_cost")), number_text(over("submitted_mol"))]
-    return [*cells, f"{100.0 * over('purity'):.1f}", number_text(over("instruments")), f"{over('ticks'):.0f}", *last]
+def _cells(benches: str, means: Sequence[Means]) -> dict[str, str]:
+    """What learned and other managers have alike; ``means`` are those of each seed."""
+    over = {measure: float(np.mean([_overall(one, measure) for one in means])) for measure in MEASURES}
+    return {
+        "benches": benches,
+        "safety": number_text(over["safety_cost"]),
+        "submitted (mol)": number_text(over["submitted_mol"]),
+        "purity (%)": f"{100.0 * over['purity']:.1f}",
+        "instruments": number_text(over["instruments"]),
+        "ticks": f"{over['ticks']:.0f}",
+    }
 
 
 def _overall(means: Means, measure: str) -> float:
@@ -430,26 +441,21 @@ def _overall(means: Means, measure: str) -> float:
     return float(np.mean([by_measure[measure] for by_measure in means.values()]))
 
 
-def _interval(values: Any, sign: str) -> str:
+def _interval(values: Any, sign: str = "") -> str:
     """Mean over seeds and its interval; one seed has none."""
     return interval_text(statistics.mean([values]).as_dict(), sign=sign)
 
 
-def _minutes(value: float) -> str:
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
-
-
-def _span(steps: Sequence[int]) -> str:
-    low, high = min(steps), max(steps)
-    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
-
-
-def _notes(run: dict[str, Any], group: dict[str, Any]) -> Iterator[str]:
-    """What a reader has to know of a run."""
-    if any(run[name] != group[name] for name in ("episodes_per_goal", "seed", "versions")):
-        yield (
-            f"{run['run']}: played earlier than the others, by chemlab {run['versions']['chemlab']}: "
-            f"{run['episodes_per_goal']} episodes a goal from seed {run['seed']}"
-        )
-    if not run["same_task"]:
-        yield f"{run['run']}: the scenario has changed since it was trained"
+def _notes(group: _Group) -> Iterator[str]:
+    """What a reader has to know of runs."""
+    how = ("episodes", "seed", "chemlab")
+    scripted = group.of(_SCRIPTED)
+    for run in group.runs:
+        for row in group.of(_LEARNED, run.name)[:1]:
+            if scripted and any(row[name] != scripted[0][name] for name in how):
+                yield (
+                    f"{run.name}: played earlier than the others, by chemlab {row['chemlab']}: "
+                    f"{row['episodes']} episodes a goal from seed {row['seed']}"
+                )
+            if row["same_task"] != "True":
+                yield f"{run.name}: the scenario has changed since it was trained"

@@ -1,60 +1,100 @@
-"""The experiments of the paper, and which training runs in a folder of results belong to them."""
+"""Training runs as evaluation sees them, and what runs that differ in their seed alone come to together.
+
+Runs are read from their folders, as training leaves them, or from the tables that :func:`write_runs` makes of those:
+
+| File | A row for each | Columns |
+|---|---|---|
+| `runs.csv` | run | its path, configuration and scalars; `arguments` and `versions` are JSON |
+| `returns.csv` | run and goal | mean return of the best and of the last checkpoint, and of the scripted policy |
+| `evaluations.csv.gz` | evaluation and goal | the same during training |
+| `curves.csv.gz` | rollout | mean and standard deviation of the training episodes that ended in it |
+
+Curves have every point, rounded to 5 decimals: a thousandth of what a line of a figure is wide. Evaluations during
+training are rounded to 9; returns are not rounded, since intervals over a few runs depend on which of their means tie.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from chemlab.arrays import FloatArray
-from chemlab.scenario import load_scenario
 
-from ..roles import MANAGER_ROLE, role_of
 from ..training.arguments import TrainArguments
-from ..training.runs import Run, RunResult, find_runs
-from ..training.tasks import task_fingerprint
+from ..training.runs import Evaluation, Run, RunResult, find_runs
+from . import statistics
+from .statistics import interval_text, number_text
+from .tables import markdown_table, number, read_table, write_table
 
 __all__ = [
-    "EXPERIMENTS",
     "Cell",
-    "Experiment",
-    "FinishedRun",
-    "Results",
-    "curve_of",
+    "Cells",
+    "TrainedRun",
+    "cells_of",
+    "cells_table",
     "display_name",
-    "read_results",
-    "trace_source",
+    "read_runs",
+    "task_title",
+    "write_runs",
 ]
+
+_SCALARS: dict[str, type] = {
+    "label": str,
+    "algo": str,
+    "env_id": str,
+    "seed": int,
+    "steps": int,
+    "seconds": float,
+    "frames_per_second": float,
+    "best_step": int,
+    "episodes_per_goal": int,
+}
+"""Of :class:`~chemlab.agents.training.runs.RunResult`."""
+_NAMES = ("scenario", "bench", "fingerprint")
+_TABLES: dict[str, tuple[str, ...]] = {
+    "runs.csv": ("run", *_NAMES, *_SCALARS, "arguments", "versions"),
+    "returns.csv": ("run", "goal", "best", "last", "heuristic"),
+    "evaluations.csv.gz": ("run", "step", "goal", "mean", "heuristic"),
+    "curves.csv.gz": ("run", "step", "mean", "std"),
+}
+_CURVE_DECIMALS, _DECIMALS = 5, 9
+_Rows = list[dict[str, str]]
+_ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
+_DEFAULTS = vars(TrainArguments())
+_PER_RUN = ("seed", "versions", "label")
+"""What may differ between the runs of a cell."""
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """One of the paper's experiments: a bench, and the algorithms that were trained on it."""
+class TrainedRun:
+    """A training run, finished or not.
 
-    key: str
-    title: str
-    scenario: str
-    bench: str
-    algorithms: tuple[str, ...]
+    Attributes:
+        name: its path below the folder that was read.
+        config: its ``config.json``.
+        result: None while it is not finished.
+        curve: [P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout.
+        evaluations: those during training.
+        folder: where its checkpoints may be; None where it comes from a table.
+    """
 
+    name: str
+    config: dict[str, Any]
+    result: RunResult | None
+    curve: FloatArray
+    evaluations: list[Evaluation]
+    folder: Run | None = None
 
-_CONTINUOUS = ("ppo", "a2c", "sac", "td3")
-_ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
-_DISCRETE = ("ppo-xl", "ppo", "a2c", "dqn")
-
-EXPERIMENTS: dict[str, Experiment] = {
-    e.key: e
-    for e in (
-        Experiment("wurtz_rxn", "Wurtz RxN", "wurtz_dodecane", "rxn", _CONTINUOUS),
-        Experiment("fictitious_rxn", "Fictitious RxN", "fictitious", "rxn", _CONTINUOUS),
-        Experiment("wurtz_ext", "Wurtz ExT", "wurtz_dodecane", "ext", _DISCRETE),
-        Experiment("wurtz_dit", "Wurtz DiT", "wurtz_dodecane", "dit", _DISCRETE),
-    )
-}
-"""By key, in the paper's order."""
+    @property
+    def finished(self) -> RunResult:
+        """The result of a run that has one."""
+        assert self.result is not None, f"{self.name} is not finished"
+        return self.result
 
 
 def display_name(label: str) -> str:
@@ -62,232 +102,228 @@ def display_name(label: str) -> str:
     return "-".join(part.upper() if part in _ABBREVIATIONS else part for part in label.split("-"))
 
 
-def curve_of(run: Run) -> FloatArray:
-    """[P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout."""
+def task_title(run: TrainedRun) -> str:
+    """What a run has learned: scenario, bench or agent, goals where they are not all, starts where they are others."""
+    goals = run.config.get("goals") or []
+    parts = [f"{run.config.get('scenario')}, {run.config.get('bench')}"]
+    parts += [f"goal {goals[0]}"] if len(goals) == 1 else [f"{len(goals)} goals"] if goals else []
+    parts += [f"starts {run.config['starts']}"] if run.config.get("starts", "paper") != "paper" else []
+    parts += [f"benches {run.config['background']}"] if run.config.get("background") else []
+    return ", ".join(parts)
+
+
+# -- reading and writing ----------------------------------------------------------------------------------------------
+
+
+def read_runs(folder: Path) -> list[TrainedRun]:
+    """Every run of a folder of tables, or every run below another folder, in order of its path.
+
+    Raises:
+        ValueError: the folder is not there, or a file in it is not what was written.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: no such folder of results")
+    if (folder / "runs.csv").exists():
+        return _from_tables(folder)
+    return [_from_folder(run, run.path.relative_to(folder).as_posix()) for run in find_runs(folder)]
+
+
+def _from_folder(run: Run, name: str) -> TrainedRun:
     points = [
         (p.step, p.return_mean, p.return_std)
         for p in run.curve()
         if p.return_mean is not None and p.return_std is not None
     ]
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
+    curve = np.array(points, dtype=np.float64).reshape(-1, 3)
+    return TrainedRun(name, run.config() or {}, run.result(), curve, run.evaluations(), run)
 
 
-@dataclass(frozen=True)
-class FinishedRun:
-    """A training run with its result."""
+def _from_tables(folder: Path) -> list[TrainedRun]:
+    by_run: dict[str, dict[str, _Rows]] = {}
+    for name, columns in _TABLES.items():
+        for row in read_table(folder / name, columns):
+            by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
+    try:
+        return [_from_rows(name, rows) for name, rows in by_run.items()]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{folder}: not the tables of finished runs that belong together ({error!r})") from error
 
-    run: Run
-    config: dict[str, Any]
-    result: RunResult
 
-    def curve(self) -> FloatArray:
-        """[P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout."""
-        return curve_of(self.run)
+def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
+    (row,) = rows["runs.csv"]
+    best, best_mean = _by_goal(rows["returns.csv"], "best")
+    last, last_mean = _by_goal(rows["returns.csv"], "last")
+    scripted, scripted_mean = _by_goal(rows["returns.csv"], "heuristic")
+    returns: dict[str, Any] = {"by_goal": best, "mean": best_mean, "last_by_goal": last, "last_mean": last_mean}
+    returns |= {"heuristic_by_goal": scripted, "heuristic_mean": scripted_mean}
+    result = RunResult(**{key: kind(row[key]) for key, kind in _SCALARS.items()}, **returns)
+    config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
+    config |= {"seed": result.seed, "goals": list(result.by_goal), **json.loads(row["arguments"])}
+    config["versions"] = json.loads(row["versions"])
+    steps: dict[int, _Rows] = {}
+    for one in rows.get("evaluations.csv.gz", ()):
+        steps.setdefault(int(one["step"]), []).append(one)
+    evaluations = []
+    for step, some in steps.items():
+        (ours, mean), (theirs, beside) = _by_goal(some, "mean"), _by_goal(some, "heuristic")
+        evaluations.append(Evaluation(step, mean or 0.0, ours or {}, beside, theirs))
+    points = [(int(p["step"]), float(p["mean"]), float(p["std"])) for p in rows.get("curves.csv.gz", ())]
+    return TrainedRun(name, config, result, np.array(points, dtype=np.float64).reshape(-1, 3), evaluations)
+
+
+def _by_goal(rows: _Rows, column: str) -> tuple[dict[str, float] | None, float | None]:
+    """A column's numbers by goal and their mean; None where a cell is empty (there is no scripted policy)."""
+    if any(not row[column] for row in rows):
+        return None, None
+    by_goal = {row["goal"]: float(row[column]) for row in rows}
+    return by_goal, float(np.mean(list(by_goal.values())))
+
+
+def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
+    """Make a folder's tables of finished runs (others are left out), in order of their names."""
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}
+    elsewhere = {*_NAMES, *_SCALARS, "goals", "versions"} - {"steps"}
+    for run in sorted((run for run in runs if run.result is not None), key=lambda run: run.name):
+        config, result, name = run.config, run.finished, {"run": run.name}
+        given = {key: value for key, value in config.items() if value is not None and key not in elsewhere}
+        data = {"arguments": given, "versions": config.get("versions", {})}
+        rows["runs.csv"].append(
+            name
+            | {key: config.get(key, "") for key in _NAMES}
+            | {key: getattr(result, key) for key in _SCALARS}
+            | {key: json.dumps(value, separators=(",", ":")) for key, value in data.items()}
+        )
+        for goal, best in result.by_goal.items():
+            beside = {"last": result.last_by_goal[goal], "heuristic": (result.heuristic_by_goal or {}).get(goal)}
+            cells = {key: number(value) for key, value in {"best": best, **beside}.items()}
+            rows["returns.csv"].append(name | {"goal": goal} | cells)
+        for e in run.evaluations:
+            scripted = e.heuristic_by_goal or {}
+            for goal, mean in e.by_goal.items():
+                cells = {"mean": number(mean, _DECIMALS), "heuristic": number(scripted.get(goal), _DECIMALS)}
+                rows["evaluations.csv.gz"].append(name | {"step": e.step, "goal": goal} | cells)
+        for step, mean, deviation in run.curve:
+            cells = {"mean": number(mean, _CURVE_DECIMALS), "std": number(deviation, _CURVE_DECIMALS)}
+            rows["curves.csv.gz"].append(name | {"step": int(step)} | cells)
+    for file, columns in _TABLES.items():
+        write_table(folder / file, columns, rows[file])
+
+
+# -- runs together ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The runs of one algorithm in one experiment, which differ in their seed alone."""
+    """The finished runs of one task and label, which differ in their seed alone."""
 
-    experiment: Experiment
+    title: str
     label: str
-    runs: list[FinishedRun]
+    runs: list[TrainedRun]
 
     @property
-    def best(self) -> FinishedRun:
+    def best(self) -> TrainedRun:
         """The run whose best policy has the highest mean return."""
-        return max(self.runs, key=lambda run: run.result.mean)
+        return max(self.runs, key=lambda run: run.finished.mean)
 
     @property
     def steps(self) -> int:
         """Steps of a run."""
-        return self.runs[0].result.steps
-
-    def relative(self, goal: str) -> FloatArray:
-        """[runs] return of each run's best policy for a goal over the scripted one's; NaN where that is not above 0."""
-        ratios = []
-        for run in self.runs:
-            reference = (run.result.heuristic_by_goal or {}).get(goal, 0.0)
-            ratios.append(run.result.by_goal[goal] / reference if reference > 0.0 else np.nan)
-        return np.array(ratios)
+        return self.runs[0].finished.steps
 
     @property
     def goals(self) -> list[str]:
-        """Goals of the experiment."""
-        return list(self.best.result.by_goal)
+        """Goals of the task."""
+        return list(self.best.finished.by_goal)
+
+    def relative(self) -> FloatArray:
+        """[runs, G] return of each run's best policy over the scripted one's; NaN where that is not above 0."""
+        ours, theirs = self.by_goal(), self.heuristic_by_goal()
+        ratios: FloatArray = np.divide(ours, theirs, out=np.full(ours.shape, np.nan), where=theirs > 0.0)
+        return ratios
+
+    def by_goal(self) -> FloatArray:
+        """[runs, G] return of each run's best policy."""
+        return np.array([[run.finished.by_goal[goal] for goal in self.goals] for run in self.runs])
+
+    def heuristic_by_goal(self) -> FloatArray:
+        """[runs, G] return of the scripted policy, on each run's seeds; NaN where there is none."""
+        return np.array(
+            [[(run.finished.heuristic_by_goal or {}).get(goal, np.nan) for goal in self.goals] for run in self.runs]
+        )
 
     def best_ratios(self) -> dict[str, float]:
         """:meth:`relative` of the best run, by goal."""
-        index = self.runs.index(self.best)
-        return {goal: float(self.relative(goal)[index]) for goal in self.goals}
+        return dict(zip(self.goals, self.relative()[self.runs.index(self.best)].tolist(), strict=True))
 
     def mean_ratios(self) -> dict[str, float]:
         """Mean over runs of :meth:`relative`, by goal."""
-        return {goal: float(self.relative(goal).mean()) for goal in self.goals}
+        return dict(zip(self.goals, self.relative().mean(axis=0).tolist(), strict=True))
 
     def means(self) -> FloatArray:
         """[runs] mean return over goals of each run's best policy."""
-        return np.array([run.result.mean for run in self.runs])
+        return np.array([run.finished.mean for run in self.runs])
 
     def heuristic_mean(self) -> float | None:
         """Mean return of the scripted policy, over the runs' evaluations of it."""
-        found = [run.result.heuristic_mean for run in self.runs if run.result.heuristic_mean is not None]
-        return float(np.mean(found)) if found else None
+        known = [mean for run in self.runs if (mean := run.finished.heuristic_mean) is not None]
+        return float(np.mean(known)) if known else None
 
-    def final_training_returns(self, window: float = 0.1) -> FloatArray:
+    def training_ends(self, window: float = 0.1) -> FloatArray:
         """[runs] mean training return in the last part of each curve, where it has one."""
-        finals = []
-        for run in self.runs:
-            curve = run.curve()
-            if len(curve):
-                finals.append(curve[curve[:, 0] >= (1.0 - window) * curve[-1, 0], 1].mean())
-        return np.array(finals)
+        curves = [run.curve for run in self.runs if len(run.curve)]
+        return np.array([c[c[:, 0] >= (1.0 - window) * c[-1, 0], 1].mean() for c in curves])
 
 
-@dataclass
-class Results:
-    """What a folder of results holds.
+Cells = dict[str, dict[str, Cell]]
+"""By task and label."""
 
-    Attributes:
-        folder: the folder.
-        cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
-        laboratories: finished runs in which a laboratory's manager learned; they are in no cell, and have a page of
-            their own (:mod:`chemlab.agents.evaluation.laboratory`).
-        traces: content of ``traces.json``, or None; without what is of
-            another bench, or of another policy than the best now.
-        left_out: what is in no cell (runs, traces), and why.
+
+def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = task_title) -> tuple[Cells, list[str]]:
+    """Finished runs together, and which runs are in no cell and why.
+
+    A label may have been trained in more than one way (numbers of steps, hyperparameters); a cell takes the way that
+    has most runs, and of several the one with most steps.
     """
-
-    folder: Path
-    cells: dict[str, dict[str, Cell]] = field(default_factory=dict)
-    laboratories: list[FinishedRun] = field(default_factory=list)
-    traces: dict[str, Any] | None = None
-    left_out: list[str] = field(default_factory=list)
-
-    def cell(self, experiment: str, label: str) -> Cell | None:
-        """A cell, if there are runs for it."""
-        return self.cells[experiment].get(label)
-
-    def variants(self, experiment: str, label: str) -> list[str]:
-        """An algorithm of the paper and the variants of it that were trained (but not those that the paper has)."""
-        own = EXPERIMENTS[experiment].algorithms
-        others = [name for name in self.cells[experiment] if name not in own and label in name.split("-")]
-        return [label, *others]
-
-    def missing(self, experiment: str) -> list[str]:
-        """The paper's algorithms without runs."""
-        return [label for label in EXPERIMENTS[experiment].algorithms if label not in self.cells[experiment]]
-
-    def trace(self, experiment: str, policy: str) -> dict[str, Any] | None:
-        """What the traces have of a policy (``heuristic``, ``random`` or an algorithm's label)."""
-        found: dict[str, dict[str, Any]] = (self.traces or {}).get("experiments", {})
-        policies: dict[str, dict[str, Any]] = found.get(experiment, {}).get("policies", {})
-        return policies.get(policy)
-
-
-_DEFAULTS = vars(TrainArguments())
-_TRACES = 2
-"""Format of ``traces.json``."""
-_PER_RUN = ("seed", "versions", "label")
-"""What may differ between the runs of a cell."""
-
-
-def read_results(folder: Path) -> Results:
-    """Read every run below a folder.
-
-    An algorithm may have been trained in more than one way (numbers of steps, hyperparameters); a cell takes the way
-    that has most runs, and of several the one with most steps. Runs of a bench that has changed since are left out.
-
-    Raises:
-        ValueError: the folder is not there, or a file in it is not what a run writes.
-    """
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: no such folder of results")
-    results = Results(folder, {key: {} for key in EXPERIMENTS})
-    ways: dict[tuple[str, str], dict[str, list[FinishedRun]]] = {}
-    for run in find_runs(folder):
-        name = str(run.path.relative_to(folder))
-        config, result = run.config() or {}, run.result()
-        key = next((k for k, e in EXPERIMENTS.items() if _of(config, e)), None)
-        manager = _has_manager(config)
-        if key is None and not manager:
-            results.left_out.append(f"{name}: not one of the paper's experiments")
-        elif result is None:
-            results.left_out.append(f"{name}: not finished")
-        elif key is None:
-            results.laboratories.append(FinishedRun(run, config, result))
-        elif config.get("fingerprint") != _fingerprint(EXPERIMENTS[key]):
-            results.left_out.append(f"{name}: the bench has changed since it was trained")
-        else:
-            # What an older version did not know yet had its default.
-            own = {k: v for k, v in config.items() if k not in _PER_RUN and v != _DEFAULTS.get(k)}
+    ways: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
+    left_out = [f"{run.name}: not finished" for run in runs if run.result is None]
+    for run in runs:
+        if run.result is not None:
+            # What an older version did not know yet, or is not given, had its default.
+            own = {k: v for k, v in run.config.items() if k not in _PER_RUN and v not in (None, _DEFAULTS.get(k))}
             way = json.dumps(own, sort_keys=True)
-            ways.setdefault((key, result.label), {}).setdefault(way, []).append(FinishedRun(run, config, result))
-    for (key, label), groups in ways.items():
-        chosen = max(groups.values(), key=lambda runs: (len(runs), runs[0].result.steps))
-        results.cells[key][label] = Cell(EXPERIMENTS[key], label, sorted(chosen, key=lambda r: r.result.seed))
-        for runs in groups.values():
-            if runs is not chosen:
-                names = (str(r.run.path.relative_to(folder)) for r in runs)
-                results.left_out += [f"{name}: trained in another way than most {label} runs there" for name in names]
-    for key, cells in results.cells.items():
-        order = EXPERIMENTS[key].algorithms
-        ranks = {label: order.index(label) if label in order else len(order) for label in cells}
-        results.cells[key] = {label: cells[label] for label in sorted(cells, key=lambda label: (ranks[label], label))}
-    _read_traces(results)
-    return results
+            ways.setdefault((task_of(run), run.result.label), {}).setdefault(way, []).append(run)
+    cells: Cells = {}
+    for (task, label), groups in ways.items():
+        chosen = max(groups.values(), key=lambda some: (len(some), some[0].finished.steps))
+        cells.setdefault(task, {})[label] = Cell(task, label, sorted(chosen, key=lambda run: run.finished.seed))
+        others = (run for some in groups.values() if some is not chosen for run in some)
+        left_out += [f"{run.name}: trained in another way than most {label} runs there" for run in others]
+    return cells, left_out
 
 
-def _read_traces(results: Results) -> None:
-    """Read ``traces.json``, without what is another policy's than the one that is shown now."""
-    file = results.folder / "traces.json"
-    if not file.exists():
-        return
-    again = f"chemlab figures {results.folder} --collect makes it anew"
-    try:
-        traces = json.loads(file.read_text(encoding="utf-8"))
-        if traces["format"] != _TRACES:
-            results.left_out.append(f"traces.json: of another version; {again}")
-            return
-        for key, traced in list(traces["experiments"].items()):
-            title = EXPERIMENTS[key].title
-            if traced["fingerprint"] != _fingerprint(EXPERIMENTS[key]):
-                del traces["experiments"][key]
-                results.left_out.append(f"traces.json: {title}: the bench has changed since; {again}")
-            for label, policy in list(traced["policies"].items()):
-                cell = results.cell(key, label)
-                best = None if cell is None else trace_source(results.folder, cell)
-                if policy["source"] != best:
-                    del traced["policies"][label]
-                    results.left_out.append(f"traces.json: {title}, {label}: not of the best policy now; {again}")
-        results.traces = traces
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{file}: not what chemlab figures --collect writes ({error!r})") from error
-
-
-def trace_source(folder: Path, cell: Cell) -> dict[str, Any]:
-    """What a trace of a cell's best policy says of where it comes from: the run, and the checkpoint's step."""
-    result = cell.best.result
-    path = cell.best.run.path.relative_to(folder).as_posix()
-    return {"run": path, "seed": result.seed, "step": result.best_step, "mean": result.mean}
-
-
-def _fingerprint(experiment: Experiment) -> str:
-    """Of the experiment's bench as it is now."""
-    return task_fingerprint(
-        TrainArguments(env_id="chemlab/Bench-v0", scenario=experiment.scenario, bench=experiment.bench)
+def cells_table(cells: Iterable[Cell]) -> list[str]:
+    """The lines of a Markdown table: returns over runs with confidence intervals over the seeds of training, and the
+    comparison with the scripted policy. A single run has no intervals."""
+    names = (
+        *("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "heuristic"),
+        *("P(better)", "best after", "minutes"),
     )
+    return markdown_table({name: name not in names[:2] for name in names}, map(_cell_row, cells))
 
 
-def _has_manager(config: dict[str, Any]) -> bool:
-    """Whether a run's learners are a laboratory's agent or roles (``manager_0``; ``manager,rxn``) with its manager."""
-    return any(name == MANAGER_ROLE or role_of(name) == MANAGER_ROLE for name in str(config.get("bench")).split(","))
-
-
-def _of(config: dict[str, Any], experiment: Experiment) -> bool:
-    """Whether a run belongs to an experiment: its bench, all goals, the paper's starting states."""
-    return (
-        (config.get("scenario"), config.get("bench")) == (experiment.scenario, experiment.bench)
-        and config.get("starts", "paper") == "paper"
-        and set(config.get("goals", ())) == set(load_scenario(experiment.scenario).goals)
-    )
+def _cell_row(cell: Cell) -> list[str]:
+    results, reference = [run.finished for run in cell.runs], cell.heuristic_mean()
+    better = "-"
+    if reference is not None:
+        improvement = statistics.probability_of_improvement(list(cell.by_goal().T), list(cell.heuristic_by_goal().T))
+        better = interval_text(improvement.as_dict(), 2)
+    return [
+        *(cell.title, display_name(cell.label), str(len(results)), f"{cell.steps:,}"),
+        *(str(statistics.mean([cell.means()])), str(statistics.interquartile_mean([cell.means()]))),
+        number_text(cell.best.finished.mean),
+        number_text(float(np.mean([result.last_mean for result in results]))),
+        "-" if reference is None else number_text(reference),
+        better,
+        f"{np.median([result.best_step for result in results]) / 1000.0:.0f}k",
+        f"{np.mean([result.seconds for result in results]) / 60.0:.1f}",
+    ]

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.box import SIMPLE
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from ..files import replace_between, write_text
+from ..files import check_folder, write_text
 from .common import JsonOption, SeedOption, app, err, out, readable_errors
+from .screen import show_table
 
 __all__: list[str] = []
 
@@ -62,6 +60,10 @@ def evaluate(
         from ..agents.evaluation.play import find_target
 
         chosen = find_target(target, bench, starts)
+        if output is not None:
+            check_folder(output.parent)
+            if output.is_dir():
+                raise ValueError(f"--out: {output}: is a folder; give a file's name")
         policies = policy or ["heuristic", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
         with _progress() as progress:
@@ -73,122 +75,84 @@ def evaluate(
         brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
         typer.echo(json.dumps({**results, "policies": brief}))
         return
-    for table in _tables(results):
-        Console().print(table)
+    _show(results)
     if output is not None:
-        out.print(f"wrote {output}")
+        out.print(f"wrote {escape(str(output))}")
 
 
-def _interval(estimate: dict[str, float], digits: int = 3) -> str:
-    """A statistic and its interval for a table's cell."""
+def _show(results: dict[str, Any]) -> None:
+    """What people see of an evaluation: the whole, then goal by goal."""
     from ..agents.evaluation.statistics import interval_text
 
-    return escape(interval_text(estimate, digits))
-
-
-def _tables(results: dict[str, Any]) -> list[Table]:
-    """What people see of an evaluation: the whole, then goal by goal."""
     target, rows = results["target"], results["policies"]
+    names = [row["policy"] for row in rows]
     what = f"{target['scenario']}, bench {target['bench']}" if target["bench"] else f"{target['scenario']}, laboratory"
-    count, share = results["episodes_per_goal"], results["confidence"]
-    whole = Table(title=f"{what}: {count} episodes a goal; [{share:.0%} intervals]".replace("[", r"\["), box=SIMPLE)
-    for name in ("policy", "mean", "interquartile mean", f"minus {results['baseline']}", "P(improvement)", "steps"):
-        whole.add_column(name, justify="left" if name == "policy" else "right", overflow="fold")
+    title = f"{what}: {results['episodes_per_goal']} episodes a goal; [{results['confidence']:.0%} intervals]"
+    whole = []
     for row in rows:
-        numbers = [_interval(row[key]) for key in ("mean", "interquartile_mean", "difference")]
-        same = row["policy"] == results["baseline"]
-        cells = [*numbers[:2], "" if same else numbers[2], "" if same else _interval(row["improvement"], 2)]
-        whole.add_row(row["policy"], *cells, f"{row['mean_length']:.1f}")
-    tables = [whole]
-    for key, title in (("by_goal", "goal"), ("by_case", "starting state")):
-        keys = list(rows[0][key])
-        if len(keys) < 2:
-            continue
-        table = Table(title=f"mean return by {title}", box=SIMPLE)
-        table.add_column(title)
-        for row in rows:
-            table.add_column(row["policy"], justify="right", overflow="fold")
-        for name in keys:
-            values = [row[key][name].get("mean", row[key][name]) for row in rows]
-            table.add_row(name, *map(_interval, values))
-        tables.append(table)
+        mean, middle, gain = (interval_text(row[key]) for key in ("mean", "interquartile_mean", "difference"))
+        beside = ("", "") if row["policy"] == results["baseline"] else (gain, interval_text(row["improvement"], 2))
+        whole.append((row["policy"], mean, middle, *beside, f"{row['mean_length']:.1f}"))
+    head = ("policy", "mean", "interquartile mean", f"minus {results['baseline']}", "P(improvement)", "steps")
+    show_table(title, head, whole, right=range(1, 6))
+    for key, kind in (("by_goal", "goal"), ("by_case", "starting state")):
+        if len(rows[0][key]) > 1:
+            cells = [
+                [case, *(interval_text(row[key][case].get("mean", row[key][case])) for row in rows)]
+                for case in rows[0][key]
+            ]
+            show_table(f"mean return by {kind}", (kind, *names), cells, right=range(1, len(rows) + 1))
     if rows[0]["measures"]:
-        table = Table(title="means of episodes", box=SIMPLE)
-        table.add_column("")
-        for row in rows:
-            table.add_column(row["policy"], justify="right", overflow="fold")
-        for name in rows[0]["measures"]:
-            table.add_row(name, *(f"{row['measures'][name]:.3f}" for row in rows))
-        tables.append(table)
-    return tables
+        cells = [[name, *(f"{row['measures'][name]:.3f}" for row in rows)] for name in rows[0]["measures"]]
+        show_table("means of episodes", ("", *names), cells, right=range(1, len(rows) + 1))
 
 
 @app.command()
 def figures(
-    results: Annotated[Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it.")],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Where figures and tables go.")] = Path("figures"),
+    results: Annotated[
+        Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it, or with tables of them.")
+    ],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Where pages and figures go.")] = Path("figures"),
     collect: Annotated[
-        bool,
+        Path | None,
         typer.Option(
-            "--collect",
-            help="First play the best policies, and store what they do in traces.json, managers' in laboratory.json, "
-            "those of the shipped bench policies in benches.json.",
+            help="First make tables of the runs in this folder, and play the managers among them and what they are "
+            "compared with; pages are made from the tables. What they have of other runs stays."
         ),
-    ] = False,
+    ] = None,
     file_format: Annotated[
         list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
     ] = None,
-    update: Annotated[
-        list[Path] | None,
-        typer.Option(help="Replace the tables between their marks in this Markdown file; repeat the option."),
-    ] = None,
 ) -> None:
-    """Draw the paper's figures from training runs, and tables of its results beside ours.
+    """Make pages of training runs: what each algorithm came to, with intervals, and learning curves.
 
-    Where managers of laboratories were trained there is a table and a figure of theirs, too (laboratory.md).
-
-    Needs nothing but results files (and the extra `plot`); --collect also needs the runs' checkpoints.
+    Managers of laboratories have a page of their own (laboratory.md), beside managers that learned nothing. Needs
+    nothing but runs' small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
-        from ..agents.evaluation.benches import bench_policies, benches_table, collect_benches
-        from ..agents.evaluation.figures import FIGURES, write_figures
-        from ..agents.evaluation.laboratory import brief_table, collect_laboratories, laboratory_count, write_laboratory
-        from ..agents.evaluation.results import read_results
-        from ..agents.evaluation.summary import paper_table, write_summary
+        from ..agents.evaluation.laboratory import collect as collect_tables
+        from ..agents.evaluation.laboratory import collect_count, write_laboratory
+        from ..agents.evaluation.page import write_page
+        from ..render.figure import FORMATS
 
-        for file in update or ():
-            if not file.is_file():
-                raise ValueError(f"--update: {file}: no such file; it needs the marks between which tables stand")
-        found = read_results(results)
         formats = file_format or ["png"]
-        with _progress() as progress:
-            if collect:
-                from ..agents.evaluation.traces import collect_traces, trace_count
-
-                task = progress.add_task("policies", total=trace_count(found))
-                collect_traces(found, watch=lambda _: progress.advance(task))
-                task = progress.add_task("managers", total=laboratory_count(results))
-                collect_laboratories(results, watch=lambda _: progress.advance(task))
-                task = progress.add_task("shipped benches", total=len(bench_policies()))
-                collect_benches(results, watch=lambda _: progress.advance(task))
-                found = read_results(results)
-            task = progress.add_task("figures", total=len(FIGURES))
-            lacking = write_figures(found, output, formats, lambda _: progress.advance(task))
-        page, _ = write_summary(found, output, lacking, formats)
-        laboratory = write_laboratory(results, output, formats)
-        tables = {
-            "managers": lambda: brief_table(results, shipped=True),
-            "measuring": lambda: brief_table(results, shipped=False),
-            "benches": lambda: benches_table(results),
-            "paper": lambda: paper_table(found),
-        }
-        for file in update or ():
-            marks = [mark for mark in tables if f"<!-- {mark}: begin -->" in file.read_text(encoding="utf-8")]
-            for mark in marks or ["managers"]:
-                replace_between(file, mark, tables[mark]())
-    for stem, missing in lacking.items():
-        out.print(f"{stem}: {'missing: ' + '; '.join(missing) if missing else 'complete'}")
-    for line in (*found.left_out, *(laboratory.left_out if laboratory is not None else ())):
+        if unknown := [name for name in formats if name not in FORMATS]:
+            raise ValueError(f"--format: known: {', '.join(FORMATS)}; given {', '.join(unknown)}")
+        total = collect_count(results)
+        left_out = []
+        for folder in (output, *([collect] if collect is not None else [])):
+            check_folder(folder)
+        if collect is not None:
+            with _progress() as progress:
+                task = progress.add_task("managers", total=total)
+                left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
+        page, others = write_page(collect or results, output, formats)
+        laboratory = write_laboratory(collect or results, output, formats)
+        left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
+    for line in left_out:
         out.print(f"[yellow]left out[/yellow] {escape(line)}")
-    for written in (page, *([laboratory.page] if laboratory is not None else [])):
-        out.print(f"wrote {written}")
+    for written in (page, laboratory and laboratory.page):
+        if written is not None:
+            out.print(f"wrote {escape(str(written))}")
+    if page is None and laboratory is None:
+        out.print(f"{escape(str(results))}: has no training runs")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import replace_between
+from ..files import check_marks, replace_between
 from ..scenario import Scenario, load_scenario, scenario_names
 from .common import (
     EpisodesOption,
@@ -285,6 +285,8 @@ def compare(
 
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []
+    if update is not None:
+        check_marks(update, "results")
     with Progress(console=err, transient=True) as progress:
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)

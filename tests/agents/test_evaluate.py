@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +203,42 @@ def test_mistakes_are_explained(arguments: list[str], words: list[str]) -> None:
     result = runner.invoke(app, ["evaluate", *arguments, "--episodes", "1"])
     assert result.exit_code == 2
     assert all(word in result.output for word in words)
+
+
+def test_tables_fit_a_terminal_without_broken_words() -> None:
+    """80 columns, every word whole, and no number finer than the table's."""
+    arguments = ["evaluate", "wurtz_dodecane", "--bench", "rxn", "--policy", "wurtz_rxn", "--policy", "random"]
+    shown = runner.invoke(app, [*arguments, "--episodes", "2"], env={"COLUMNS": "80"})
+    assert shown.exit_code == 0, shown.output
+    assert max(map(len, shown.output.splitlines())) <= 80
+    words = set(shown.output.split())
+    assert {"interquartile", "heuristic", "P(improvement)", "wurtz_rxn", "4-ethyl-5-methylnonane"} <= words
+    assert not re.search(r"\de-\d|\d\.\d{4}", shown.output)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate", DIT, "--out", "file/out.json"], "file: cannot write there"),
+        (["evaluate", DIT, "--out", "."], "is a folder; give a file's name"),
+        (["compare", "fictitious", "--update", "nope.md"], "nope.md: no such file"),
+        (["compare", "fictitious", "--update", "file"], "needs the lines <!-- results: begin -->"),
+    ],
+)
+def test_what_is_in_the_way_of_results_is_found_before_anything_is_played(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("no marks")
+
+    def play(*_: Any, **__: Any) -> None:
+        raise AssertionError("nothing is to be played")
+
+    monkeypatch.setattr(module, "play_bench", play)
+    monkeypatch.setattr("chemlab.agents.run.play_episode", play)
+    result = runner.invoke(app, arguments, env={"COLUMNS": "200"})
+    assert result.exit_code == 2
+    assert words in result.output.replace("\n", " ")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

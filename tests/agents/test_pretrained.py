@@ -32,6 +32,7 @@ from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import load_scenario
 
 RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
@@ -248,6 +249,18 @@ def test_fingerprints_are_of_the_task() -> None:
     assert changed(lambda v: v["costs"].update(illegal_action=0.5)) != same
     assert changed(lambda v: v["benches"]["dit"].update(step_limit=7)) != same
     assert changed(lambda v: v.update(ambient_pressure_kpa=90.0)) != same
+
+
+def test_what_a_task_does_not_use_leaves_its_fingerprint() -> None:
+    """Shipped policies were trained before scenarios knew reward terms, channels and events of a user's own."""
+    for name in pretrained_names():
+        card = load_pretrained(name).card
+        labs = Laboratories(load_scenario(card.scenario))
+        roles = {bench.key: bench for bench in labs.benches}
+        assert fingerprint(roles.get(card.bench, labs.role(0))) == card.fingerprint, name
+    values = load_scenario("wurtz_dodecane").model_dump()
+    values["safety"]["events"] = {"hum": "a bench hums"}
+    assert fingerprint(BenchArena(load_scenario(values), "dit").bench) != fingerprint(bench_of(DIT))
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:

@@ -69,21 +69,6 @@ def test_order_and_folders(tmp_path: Path) -> None:
     assert runs[0].run.path == tmp_path / "out" / "WurtzReaction" / "ppo" / "seed-3"
 
 
-def test_the_papers_sweep_is_complete() -> None:
-    file = Path(__file__).parents[2] / "experiments" / "paper.toml"
-    runs = plan(file, Path("results"))
-    cells: dict[str, int] = {}
-    for one in runs:
-        cell = one.name.rpartition("/")[0]
-        cells[cell] = cells.get(cell, 0) + 1
-    reactions = [f"{b}Reaction/{a}" for b in ("Wurtz", "Fictitious") for a in ("ppo", "a2c", "sac", "td3")]
-    others = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "ppo-xl", "a2c", "dqn")]
-    assert {cell: cells[cell] for cell in [*reactions, *others]} == dict.fromkeys([*reactions, *others], 5)
-    wide = [one.arguments for one in runs if one.arguments.preset == "ppo-xl"]
-    # The paper has it for ExT and DiT alone.
-    assert {one.steps for one in wide if "Reaction" not in one.env_id} == {2_000_000}
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -1,0 +1,175 @@
+"""Training runs as evaluation reads them: folders and tables, runs together, curves, the page and its command."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_files import HEURISTIC, write_run
+from typer.testing import CliRunner
+
+from chemlab.agents.evaluation.curves import algorithm_style, average_curves
+from chemlab.agents.evaluation.results import cells_of, cells_table, read_runs, write_runs
+from chemlab.agents.evaluation.tables import read_table, write_table
+from chemlab.cli import app
+
+runner = CliRunner()
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Four runs of one bench that differ in their seed, one that was trained in another way, one that has not ended."""
+    folder = tmp_path / "runs"
+    for seed, value in enumerate((0.4, 0.5, 0.6, 0.7)):
+        returns = {"a": value, "b": value + 0.1 / 3.0}
+        evaluations = {500: 0.1, 1000: value}
+        write_run(folder / "x" / f"seed-{seed}", "lab", "rxn", returns, label="ppo", seed=seed, evaluations=evaluations)
+    write_run(folder / "y", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="ppo", envs=99, curriculum=["64: submit=0.5"])
+    write_run(folder / "z", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="ppo", finished=False)
+    return folder
+
+
+def test_tables_have_what_the_folders_have(runs: Path, tmp_path: Path) -> None:
+    """Every number of finished runs comes back as it was, of curves to 5 decimals; writing again changes no byte."""
+    tables = tmp_path / "tables"
+    write_runs(tables, read_runs(runs))
+    again = {run.name: run for run in read_runs(tables)}
+    for run in read_runs(runs):
+        if run.result is None:
+            assert run.name not in again
+            continue
+        found = again[run.name]
+        assert found.result == run.result
+        assert found.config == {key: value for key, value in run.config.items() if value is not None}
+        assert found.evaluations == run.evaluations
+        np.testing.assert_allclose(found.curve, run.curve, atol=5e-6)
+        assert found.folder is None
+    before = {path.name: path.read_bytes() for path in tables.iterdir()}
+    write_runs(tables, again.values())
+    assert {path.name: path.read_bytes() for path in tables.iterdir()} == before
+
+
+def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
+    write_run(
+        tmp_path / "runs" / "x", "lab", "rxn", {"a": 1.0 / 3.0}, curve=[(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)]
+    )
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
+    (run,) = read_runs(tmp_path / "tables")
+    assert run.finished.by_goal == {"a": 1.0 / 3.0}
+    assert run.curve.tolist() == [[20.0, 0.66667, 0.0]]  # a rollout in which no episode ended is no point
+
+
+def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no such folder of results"):
+        read_runs(tmp_path / "nothing")
+    tables = tmp_path / "tables"
+    write_runs(tables, read_runs(runs))
+    (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
+    with pytest.raises(ValueError, match=r"curves\.csv\.gz: not a table"):
+        read_runs(tables)
+    path = tmp_path / "any.csv"
+    write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
+    assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
+    with pytest.raises(ValueError, match=r"has the columns a, b; needs a, c"):
+        read_table(path, ("a", "c"))
+    path.write_text("a,b\n1,2\n3\n")
+    with pytest.raises(ValueError, match=r"any\.csv:3: has not 2 cells"):
+        read_table(path, ("a", "b"))
+    assert read_table(tmp_path / "none.csv", ("a",)) == []
+
+
+def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
+    """The way that most were trained in counts; the table has their mean, interval, best, last and scripted."""
+    cells, left_out = cells_of(read_runs(runs))
+    assert left_out == ["z: not finished", "y: trained in another way than most ppo runs there"]
+    ((title, labels),) = cells.items()
+    cell = labels["ppo"]
+    assert title == "lab, rxn, 2 goals"
+    assert [run.finished.seed for run in cell.runs] == [0, 1, 2, 3]
+    means = np.array([0.4, 0.5, 0.6, 0.7]) + 0.05 / 3.0
+    np.testing.assert_allclose(cell.means(), means)
+    np.testing.assert_allclose(cell.relative(), cell.by_goal() / HEURISTIC)
+    np.testing.assert_allclose(cell.training_ends(), 0.4)
+    _, _, line = cells_table([cell])
+    row = [text.strip() for text in line.strip("|").split("|")]
+    assert row[:4] == ["lab, rxn, 2 goals", "PPO", "4", "1,000"]
+    assert row[4].startswith("0.567 [0.4")
+    assert row[6:9] == ["0.717", "0.467", "0.500"]
+    # Of 8 pairs with the scripted policy: goal a 0 + 1/2 + 1 + 1, goal b 0 + 3 x 1.
+    assert row[9].startswith(f"{(2.5 + 3.0) / 8.0:.2f} [")
+    (alone,) = cells_of([run for run in read_runs(runs) if run.name == "y"])[0]["lab, rxn, 2 goals"].values()
+    assert "[" not in cells_table([alone])[2]
+
+
+def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        write_run(tmp_path / "short" / f"seed-{seed}", "lab", "rxn", {"a": 0.5}, seed=seed)
+        write_run(tmp_path / "long" / f"seed-{seed}", "lab", "rxn", {"a": 0.5}, seed=seed, steps=9000)
+    ((cell,),) = (labels.values() for labels in cells_of(read_runs(tmp_path))[0].values())
+    assert cell.steps == 9000
+
+
+def test_learning_curves_against_closed_forms() -> None:
+    """Two straight curves of other lengths: the mean on what they share; deviations of runs and of single returns."""
+    first, second = np.array([[0, 0.0, 0.5], [1000, 1.0, 0.5]]), np.array([[100, 2.1, 0.5], [800, 2.8, 0.5]])
+    found = average_curves([first, second])
+    assert found is not None
+    steps, mean, between, single = found
+    assert (steps[0], steps[-1]) == (100.0, 800.0)
+    np.testing.assert_allclose(mean, steps / 1000.0 + 1.0)
+    np.testing.assert_allclose(between, math.sqrt(2.0))  # of the two values x and x + 2
+    np.testing.assert_allclose(single, math.sqrt(0.5**2 + 1.0**2))
+    alone = average_curves([first])
+    assert alone is not None
+    assert np.isnan(alone[2]).all()
+    assert average_curves([np.zeros((0, 3))]) is None
+
+
+def test_variants_have_looks_of_their_own() -> None:
+    labels = ["ppo", "a2c", "sac", "td3", "ppo-entropy", "ppo-xl", "sac-cool", "td3-wide"]
+    looks = [algorithm_style(label, labels) for label in labels]
+    assert len({look["color"] for look in looks}) == len(labels)
+    assert len({str(look["linestyle"]) for look in looks[4:] if look is not looks[5]}) == 3
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    tables = tmp_path / "tables"
+    done = runner.invoke(app, ["figures", str(runs), "--out", str(tmp_path / "a"), "--collect", str(tables)])
+    assert done.exit_code == 0, done.output
+    before = sorted(runs.rglob("*"))
+    done = runner.invoke(app, ["figures", str(runs), "-o", str(tmp_path / "b"), "--format", "svg", "--format", "png"])
+    assert done.exit_code == 0, done.output
+    assert "left out z: not finished" in done.output
+    assert sorted(runs.rglob("*")) == before
+    assert {path.name for path in (tmp_path / "b").iterdir()} == {"runs.md", "runs_curves.svg", "runs_curves.png"}
+    ours, theirs = ((tmp_path / name / "runs.md").read_text() for name in "ab")
+    assert "- z: not finished" in theirs
+    assert ours == theirs.replace(".svg", ".png").replace("- z: not finished\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nothing"], "no such folder of results"),
+        (["runs", "--format", "bmp2"], "--format: known: png, svg, pdf; given bmp2"),
+        (["runs", "--out", "file"], "file: cannot write there"),
+        (["runs", "--collect", "file/tables"], "tables: cannot write there"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_made(
+    runs: Path, tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("in the way")
+    before = sorted(runs.rglob("*"))
+    done = runner.invoke(app, ["figures", *arguments], env={"COLUMNS": "200"})
+    assert done.exit_code == 2
+    assert words in done.output
+    assert sorted(runs.rglob("*")) == before
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".md", ".csv", ".png")]

@@ -1,0 +1,740 @@
+"""The paper's results: which runs belong to it, what is drawn, what is said of its statements."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+import shutil
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import run_files
+from run_files import HEURISTIC
+
+from chemlab.agents.evaluation.results import Cell, read_runs, write_runs
+from chemlab.agents.evaluation.tables import write_table
+from chemlab.agents.training.sweep import plan
+from chemlab.scenario import load_scenario
+
+pytest.importorskip("matplotlib")
+
+from chemlab.render.figure import SETTINGS
+from papers import __main__ as published
+from papers.chemgymrl import results as module
+from papers.chemgymrl import traces
+from papers.chemgymrl.figures import FIGURES, write_figures
+from papers.chemgymrl.measures import MEASURES
+from papers.chemgymrl.page import paper_table, write_page
+from papers.chemgymrl.results import (
+    EXPERIMENTS,
+    TRACE_COLUMNS,
+    TRACE_FILE,
+    Results,
+    Trace,
+    experiment_of,
+    read_results,
+    source_of,
+)
+from papers.chemgymrl.statements import Claim, Finding, Reference, compare_with_paper, load_claims
+
+ROOT = Path(published.__file__).parents[1]
+
+
+@cache
+def _now(experiment: str) -> str:
+    """The fingerprint of the experiment's bench."""
+    return EXPERIMENTS[experiment].fingerprint
+
+
+def write_run(
+    folder: Path, experiment: str, label: str, seed: int, relative: float | Mapping[str, float] = 1.0, **more: Any
+) -> Path:
+    """A run of an experiment; ``relative`` to the scripted policy."""
+    spec = EXPERIMENTS[experiment]
+    ratios = relative if isinstance(relative, Mapping) else dict.fromkeys(spec.goals, relative)
+    returns = {goal: HEURISTIC * ratios.get(goal, 0.0) for goal in spec.goals}
+    path = folder / experiment / label / f"seed-{seed}"
+    more = {"fingerprint": _now(experiment), **more}
+    return run_files.write_run(path, spec.scenario, spec.bench, returns, label=label, seed=seed, **more)
+
+
+def mean_actions(label: str, goal: str) -> list[list[float]]:
+    """For E all of A, B and C, and TD3 D as well; for I C comes in the fifth step, but A2C's with the others."""
+    first = [0.1, 0.2, 1.0, 1.0, 1.0, float(label == "td3")]
+    if goal != "I":
+        return [first] * 20
+    late = [[0.1, 0.2, 1.0, 1.0, 0.0, 1.0]] * 4 + [[0.1, 0.2, 0.0, 0.0, 1.0, 0.0]] * 16
+    return [[0.1, 0.2, 1.0, 1.0, 1.0, 1.0]] * 20 if label == "a2c" else late
+
+
+SEQUENCES = {
+    "wurtz_ext": ["add diethyl_ether to EV, 0.05 L"] * 7 + ["settle, 2 clock", "drain EV -> B1, 16 % of the height"],
+    "wurtz_dit": ["heat DV, 50 kJ"] * 7 + ["pour DV -> B1, 0.2 fraction"],
+}
+
+
+def sequence(experiment: str, label: str) -> list[int]:
+    """Few actions, of which the last ends the experiment; DQN's are many and do not."""
+    names = EXPERIMENTS[experiment].action_names
+    return (
+        [0, 1, 2, 3, 4] * 10 if label == "dqn" else [names.index(n) for n in SEQUENCES[experiment]] + [len(names) - 1]
+    )
+
+
+def write_traces(folder: Path, **changed: Any) -> None:
+    """Traces of every algorithm's best run: made up, in the shape that collecting gives them; ``changed`` cells."""
+    rows = []
+    results = read_results(folder)
+    for key, spec in EXPERIMENTS.items():
+        for label in ("heuristic", "random", *spec.algorithms):
+            cell = results.cell(key, label)
+            run, step = ("", "") if cell is None else source_of(cell)
+            for goal, case in itertools.product(
+                spec.goals, ("with NaCl", "without NaCl") if spec.bench == "dit" else ("",)
+            ):
+                actions: Any = mean_actions(label, goal) if spec.bench == "rxn" else sequence(key, label)
+                best = "" if spec.bench == "rxn" else 0.5
+                cells = (key, label, _now(key), run, step, goal, case, 2, 0.5, best, json.dumps(actions))
+                rows.append({**dict(zip(TRACE_COLUMNS, cells, strict=True)), **changed})
+    write_table(folder / TRACE_FILE, TRACE_COLUMNS, rows)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two runs of everything, and traces."""
+    folder = tmp_path_factory.mktemp("results")
+    for key, spec in EXPERIMENTS.items():
+        for label, seed in itertools.product(spec.algorithms, (0, 1)):
+            write_run(folder, key, label, seed, 1.0 + 0.1 * seed)
+    write_traces(folder)
+    return folder
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+def test_runs_find_their_cells(tmp_path: Path) -> None:
+    """Runs that differ in more than the seed are not mixed; the paper's cells have its starting states."""
+    for seed in (0, 1, 2):
+        write_run(tmp_path / "a", "wurtz_rxn", "ppo", seed)
+    write_run(tmp_path / "b", "wurtz_rxn", "ppo", 0, steps=5000)
+    write_run(tmp_path / "b", "wurtz_rxn", "a2c", 0, starts="lab")
+    write_run(tmp_path / "b", "wurtz_dit", "ppo", 0, finished=False)
+    results = read_results(tmp_path)
+    cell = results.cell("wurtz_rxn", "ppo")
+    assert cell is not None
+    assert [run.result.seed for run in cell.runs] == [0, 1, 2]
+    assert cell.steps == 1000
+    assert results.missing("wurtz_rxn") == ["a2c", "sac", "td3"]
+    assert [(line.partition(":")[0], line.partition(": ")[2]) for line in sorted(results.left_out)] == [
+        ("b/wurtz_dit/ppo/seed-0", "not finished"),
+        ("b/wurtz_rxn/a2c/seed-0", "not one of the paper's experiments"),
+        ("b/wurtz_rxn/ppo/seed-0", "trained in another way than most ppo runs there"),
+    ]
+
+
+def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        write_run(tmp_path / "short", "wurtz_ext", "ppo", seed)
+        write_run(tmp_path / "long", "wurtz_ext", "ppo", seed, steps=9000)
+    cell = read_results(tmp_path).cell("wurtz_ext", "ppo")
+    assert cell is not None
+    assert cell.steps == 9000
+
+
+def cell_of(folder: Path, experiment: str, label: str) -> Cell:
+    """A cell that is there."""
+    cell = read_results(folder).cell(experiment, label)
+    assert cell is not None
+    return cell
+
+
+# -- drawing ----------------------------------------------------------------------------------------------------------
+
+
+def drawn(folder: Path, stem: str) -> Any:
+    """A figure of a folder's results."""
+    import matplotlib
+
+    spec = next(spec for spec in FIGURES if spec.stem == stem)
+    with matplotlib.rc_context(SETTINGS):
+        return spec.draw(read_results(folder))
+
+
+def lines_of(axes: Any) -> dict[str, Any]:
+    """{label: y of the line}."""
+    return {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+
+
+def test_radar_shows_relative_returns(tmp_path: Path) -> None:
+    """(a) is the best run, (b) the mean over runs; below 0 is drawn as 0; the ring of the heuristic is 1."""
+    goals = load_scenario("fictitious").goals
+    write_run(tmp_path, "fictitious_rxn", "ppo", 0, dict(zip(goals, (1.0, 0.8, 0.6, 0.4, -0.5), strict=True)))
+    write_run(tmp_path, "fictitious_rxn", "ppo", 1, dict(zip(goals, (1.2, 1.0, 0.8, 0.6, 0.1), strict=True)))
+    figure = drawn(tmp_path, "figure_07_fictitious_rxn_goals").figure
+    best, mean = (lines_of(axes) for axes in figure.axes)
+    np.testing.assert_allclose(best["PPO (2 runs)"], [1.2, 1.0, 0.8, 0.6, 0.1, 1.2])
+    np.testing.assert_allclose(mean["PPO (2 runs)"], [1.1, 0.9, 0.7, 0.5, 0.0, 1.1], atol=1e-12)
+    assert (best["heuristic"] == 1.0).all()
+
+
+def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
+    """A fifth of the deviation of returns for RxN, the deviation between runs elsewhere; none for a single run."""
+    for key in ("wurtz_rxn", "wurtz_ext"):
+        for seed in (0, 1):
+            write_run(tmp_path, key, "ppo", seed, curve=[(0, 1.0 + 2.0 * seed, 0.5), (10, 1.0 + 2.0 * seed, 0.5)])
+    write_run(tmp_path, "wurtz_ext", "a2c", 0)
+    for stem, half in (
+        ("figure_06_wurtz_rxn_curves", math.sqrt(0.5**2 + 1.0) / 5.0),
+        ("figure_10_wurtz_ext_curves", math.sqrt(2.0)),
+    ):
+        found = drawn(tmp_path, stem)
+        axes = found.figure.axes[0]
+        assert (lines_of(axes)["heuristic"] == HEURISTIC).all()
+        np.testing.assert_allclose(lines_of(axes)["PPO (2 runs)"], 2.0)
+        assert len(axes.collections) == 1  # the band of PPO; one run of A2C has none
+        extent = axes.collections[0].get_paths()[0].get_extents()
+        assert (extent.y0, extent.y1) == pytest.approx((2.0 - half, 2.0 + half))
+    words = " ".join(text.get_text() for text in found.figure.texts)
+    assert "One run has no spread: A2C" in words
+    assert "DQN" in found.missing[0]
+
+
+def test_actions_by_goal(full: Path) -> None:
+    """A row for each policy, a column for each action, a curve for each goal."""
+    figure = drawn(full, "figure_09_fictitious_rxn_actions").figure
+    assert len(figure.axes) == 5 * 6
+    assert [axes.get_ylabel() for axes in figure.axes[::6]] == ["PPO", "A2C", "SAC", "TD3", "heuristic"]
+    titles = ["temperature", "volume", "add A", "add B", "add C", "add D"]
+    assert [axes.get_title() for axes in figure.axes[:6]] == titles
+    for column, axes in enumerate(figure.axes[:6]):
+        assert list(lines_of(axes)) == ["E", "F", "G", "H", "I"]
+        for goal, values in lines_of(axes).items():
+            np.testing.assert_allclose(values, np.array(mean_actions("ppo", goal))[:, column])
+
+
+def test_sequences_fold_repeated_actions(full: Path) -> None:
+    """Equal actions are one box with their number; a long sequence says how much is left out; salt has its part."""
+    figure = drawn(full, "figure_13_wurtz_dit_sequences").figure
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    start = texts.index("PPO\nreturn 0.500")
+    assert texts[start : start + 7] == [
+        "PPO\nreturn 0.500",
+        "heat DV\n50 kJ",
+        "x 7",
+        "pour DV→B1\n20 %",
+        "x 1",
+        "end",
+        "x 1",
+    ]
+    assert texts.count("and 24\nmore steps") == 2  # 50 steps, of which 26 boxes are shown, in two cases
+    assert [text for text in texts if "at the start" in text] == ["without NaCl at the start", "with NaCl at the start"]
+    ext = {text.get_text() for text in drawn(full, "figure_11_wurtz_ext_sequences").figure.axes[0].texts}
+    assert {"add diethyl\nether\n0.05 L", "settle\ntime 2", "drain EV→B1\n16 %"} <= ext
+
+
+@pytest.mark.parametrize("stem", [spec.stem for spec in FIGURES])
+def test_no_text_overlaps_or_is_cut(full: Path, stem: str) -> None:
+    """Every text stands within the picture and on no other text."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    figure = drawn(full, stem).figure
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    boxes = []
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip():
+            box = text.get_window_extent(renderer)
+            if box.width > 0 and _is_drawn(text, figure):
+                boxes.append((text.get_text(), box))
+    for text, box in boxes:
+        assert min(box.x0, box.y0) >= 0.0, text
+        assert box.x1 <= figure.bbox.x1, text
+        assert box.y1 <= figure.bbox.y1, text
+    for (a, first), (b, second) in itertools.combinations(boxes, 2):
+        width = min(first.x1, second.x1) - max(first.x0, second.x0)
+        height = min(first.y1, second.y1) - max(first.y0, second.y0)
+        assert width <= 1.0 or height <= 1.0, (a, b)
+
+
+def _is_drawn(text: Any, figure: Any) -> bool:
+    """Tick labels of hidden ticks and axes have text, too."""
+    for axes in figure.axes:
+        if not axes.axison and text.axes is axes:
+            return text in axes.texts
+        for axis in (axes.xaxis, axes.yaxis):
+            ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+            shown = {id(tick) for tick in axis._update_ticks()}
+            for tick in ticks:
+                if text in (tick.label1, tick.label2):
+                    return id(tick) in shown
+            if text is axis.get_offset_text():
+                return bool(text.get_text())
+    return True
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def findings(results: Results) -> dict[tuple[int, str], Finding]:
+    """What is found of every statement, by figure and words."""
+    return {(claim.figure, claim.says): finding for claim, finding in compare_with_paper(results)}
+
+
+def test_statements_are_whole() -> None:
+    """Every figure has some, and every test names measures, algorithms, goals, reagents or cases that there are."""
+    claims = load_claims()
+    assert [claim.figure for claim in claims] == sorted(claim.figure for claim in claims)
+    assert {claim.figure for claim in claims} == {spec.number for spec in FIGURES}
+    assert len({(claim.figure, claim.says) for claim in claims}) == len(claims) == 43
+    for claim in claims:
+        spec = EXPERIMENTS[claim.experiment]
+        policies = {*spec.algorithms, "heuristic", "random"}
+        values = {*spec.goals, *"ABCD", "with NaCl", "without NaCl"}
+        for test in claim.tests:
+            right = test.right if isinstance(test.right, Reference) else Reference()
+            assert {test.left, right.measure or test.left, test.beside or test.left} <= MEASURES.keys()
+            assert {*test.of, *right.of} <= policies
+            assert {*test.only, *test.without, *(test.which if isinstance(test.which, tuple) else ())} <= values
+    with pytest.raises(ValueError, match="operator"):
+        Claim.model_validate(
+            {**claims[0].model_dump(), "tests": [{"of": ["ppo"], "left": "best run", "operator": "="}]}
+        )
+
+
+def test_statements_follow_the_results(tmp_path: Path) -> None:
+    """Results like the paper's agree with it, others do not, and what is missing is neither."""
+    high, low = dict.fromkeys(load_scenario("wurtz_dodecane").goals, 1.0), {"NaCl": 1.0}
+    for seed in (0, 1):
+        write_run(tmp_path, "wurtz_rxn", "ppo", seed, {**high, "dodecane": 0.96 + 0.02 * seed})
+        write_run(tmp_path, "wurtz_rxn", "a2c", seed, low)
+        write_run(tmp_path, "wurtz_ext", "ppo-xl", seed, 1.1 + 0.1 * seed)  # 0.05 and 0.1 above 0.5
+        write_run(tmp_path, "wurtz_ext", "dqn", seed, -0.1, curve=[(0, 0.0, 0.1), (1000, -0.2, 0.1)])
+    found = findings(read_results(tmp_path))
+    best = found[5, "PPO matches the heuristic for all targets (best run)"]
+    assert (best.holds, best.ours) == (True, "PPO: 7 of 7 goals, least 0.980 (dodecane)")
+    mean = found[5, "PPO matches the heuristic for all targets (mean of runs)"]
+    assert (mean.holds, mean.ours) == (True, "PPO: 7 of 7 goals, least 0.970 (dodecane)")
+    assert found[5, "A2C comes close to the heuristic only for NaCl"].holds is True
+    assert found[5, "heuristic, mean return"].holds is False  # 0.5 is not 0.62
+    gain = found[10, "the best PPO-XL policies exceed the heuristic, on average"]
+    assert (gain.holds, gain.ours) == (True, "PPO-XL: 0.575, heuristic 0.500, best run 0.600")
+    assert found[10, "DQN ends with a negative return"].holds is True
+    assert found[10, "PPO outperforms the heuristic"].holds is None
+    # PPO has been trained, the others not: one that does not agree is enough.
+    assert found[6, "agents of each algorithm achieve a return of at least 0.4"].holds is None
+    write_run(tmp_path, "wurtz_rxn", "sac", 0, curve=[(0, 0.0, 0.1), (1000, 0.3, 0.1)])
+    again = findings(read_results(tmp_path))
+    assert again[6, "agents of each algorithm achieve a return of at least 0.4"].holds is False
+    assert found[13, "without salt, all but DQN end the experiment themselves"].holds is None
+
+
+@pytest.mark.parametrize(
+    ("means", "steps", "step", "holds"),
+    [
+        ((0.1, 0.61, 0.63, 0.62), 1_000_000, 200, True),
+        ((0.1, 0.2, 0.63, 0.62), 1_000_000, 300, False),  # "before" 300k
+        ((0.62, 0.63, 0.3, 0.62), 1_000_000, 400, False),  # left again; where it ends it is by definition
+        ((0.1, 0.61, 0.63, 0.62), 310_000, 200, None),  # what comes after its end is not known
+        ((0.1, 0.2, 0.3, 0.62), 410_000, 400, False),  # but that it comes this late is
+    ],
+)
+def test_convergence_is_that_of_evaluations(
+    tmp_path: Path, means: tuple[float, ...], steps: int, step: int, holds: bool | None
+) -> None:
+    for seed, label in itertools.product((0, 1), EXPERIMENTS["wurtz_rxn"].algorithms):
+        # Two runs that differ, by less than what counts.
+        evaluations = {100_000 * (i + 1): mean + 0.001 * seed for i, mean in enumerate(means)}
+        write_run(tmp_path, "wurtz_rxn", label, seed, steps=steps, evaluations=evaluations)
+    (found,) = (f for (_, says), f in findings(read_results(tmp_path)).items() if "converges before" in says)
+    words = "at the end" if step == 400 else f"{step}k steps"
+    assert found.ours.startswith(f"PPO: {words}; A2C: {words}")
+    assert found.holds is holds
+
+
+def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
+    """The paper's algorithm decides; variants that agree where it does not are named. They are drawn beside it."""
+    write_run(tmp_path, "wurtz_ext", "ppo", 0, 0.9)
+    write_run(tmp_path, "wurtz_ext", "ppo-entropy", 0, 1.2)
+    results = read_results(tmp_path)
+    found = findings(results)[10, "PPO outperforms the heuristic"]
+    assert (found.holds, found.variants, found.ours) == (
+        False,
+        ("PPO-entropy",),
+        "PPO: 0.450, heuristic 0.500, best run 0.450; PPO-entropy: 0.600, heuristic 0.500, best run 0.600",
+    )
+    page = write_page(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
+    assert "| **no** (PPO-entropy: yes) |" in page.read_text()
+    assert list(results.cells["wurtz_ext"]) == ["ppo", "ppo-entropy"]
+    lines = drawn(tmp_path, "figure_10_wurtz_ext_curves").figure.axes[0].get_lines()
+    assert [line.get_label() for line in lines] == ["PPO (1 run)", "PPO-entropy (1 run)", "heuristic"]
+    assert len({line.get_color() for line in lines}) == 3
+
+
+def test_statements_about_actions_come_from_traces(full: Path) -> None:
+    found = findings(read_results(full))
+    ends = found[11, "PPO and PPO-XL end the experiment themselves, A2C and DQN do not"]
+    assert ends.holds is False
+    assert ends.ours == "PPO-XL: ends it; PPO: ends it; A2C: ends it; DQN: runs to the limit"
+    assert found[13, "without salt, all but DQN end the experiment themselves"].holds is True
+    salt = found[13, "PPO and PPO-XL achieve the optimal return with and without salt, by one agent"]
+    assert (salt.holds, salt.ours) == (
+        True,
+        "PPO-XL: without NaCl 1.000, with NaCl 1.000; PPO: without NaCl 1.000, with NaCl 1.000",
+    )
+    same = found[13, "with salt A2C only slightly modifies its actions, and DQN not at all"]
+    assert (same.holds, same.ours) == (True, "A2C: 1.00; DQN: 1.00")
+    e = found[9, "for E the best A2C, PPO and SAC add A, B and C, and not D"]
+    assert (e.holds, e.ours.partition(";")[0]) == (True, "A2C: A 1.00, B 1.00, C 1.00, D 0.00")
+    assert found[9, "for E the best TD3 adds D as well"].holds is True
+    staggered = found[9, "for I the best of each add D and two of A, B, C, and the third several steps later"]
+    assert staggered.ours.split("; ")[:2] == [
+        "PPO: 4 steps",
+        "A2C: 0 steps",
+    ]
+    assert staggered.holds is False
+
+
+def test_one_sequence_that_differs_with_salt(full: Path, tmp_path: Path) -> None:
+    """DQN's have to be equal; of equal returns alone nothing follows."""
+    results = read_results(full)
+    results.traces["wurtz_dit"]["dqn"]["dodecane"]["with NaCl"] = Trace(2, 0.5, 0.5, [0, 1, 2, 3, 4] * 9)
+    (same,) = (f for (_, says), f in findings(results).items() if "only slightly modifies" in says)
+    assert (same.holds, same.ours) == (False, "A2C: 1.00; DQN: 0.95")
+
+
+def verdict(folder: Path, key: str, says: str) -> bool | None:
+    """Whether the statement on an experiment that has these words holds."""
+    compared = compare_with_paper(read_results(folder))
+    (found,) = (finding for claim, finding in compared if says in claim.says and claim.experiment == key)
+    return found.holds
+
+
+WURTZ, FICTITIOUS = load_scenario("wurtz_dodecane").goals, load_scenario("fictitious").goals
+ENDS = [(0, 0.0, 0.1)]  # of a curve: its last point is where training ends
+LOW = dict.fromkeys(WURTZ, 0.5) | {"NaCl": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("says", "key", "agreeing", "other"),
+    [
+        # By algorithm: relative returns of two runs (or of each goal), and where training ends.
+        ("come close on a few", "wurtz_rxn", {"sac": {**LOW, "dodecane": 0.95}, "td3": 0.9}, {"sac": LOW, "td3": 0.9}),
+        ("consistently produces NaCl", "wurtz_rxn", dict.fromkeys(("ppo", "a2c", "sac", "td3"), LOW), {"td3": 0.8}),
+        (
+            "for all 7 targets",
+            "wurtz_rxn",
+            {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": LOW | {"NaCl": 0.9}},
+            {"a2c": LOW},
+        ),
+        ("SAC and TD3 agents outperform", "wurtz_rxn", {"sac": 0.8, "td3": 0.8, "a2c": 0.7}, {"a2c": 0.8}),
+        (
+            "consistently matches",
+            "fictitious_rxn",
+            {"ppo": 0.98},
+            {"ppo": {**dict.fromkeys(FICTITIOUS, 1.0), "F": 0.9}},
+        ),
+        (
+            "all products but I",
+            "fictitious_rxn",
+            {n: dict.fromkeys("EFGH", 0.95) for n in ("a2c", "sac")},
+            {"sac": 0.95},
+        ),
+        ("all products but E", "fictitious_rxn", {"td3": dict.fromkeys("FGHI", 0.95)}, {"td3": 0.95}),
+        ("for all 5 targets", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": 0.9}, {"td3": 1.0}),
+        ("alone succeeds with both", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.5, "sac": 0.5, "td3": 0.5}, {"td3": 0.9}),
+        (
+            "consistently outperform the other",
+            "wurtz_ext",
+            {"ppo-xl": 0.6, "ppo": 0.6, "a2c": 0.5, "dqn": 0.5},
+            {"dqn": 0.6},
+        ),
+        ("as much as ending", "wurtz_ext", {"a2c": 0.02}, {"a2c": 0.1}),
+        ("best PPO policy outperforms the best DQN", "wurtz_dit", {"ppo": 0.9, "dqn": 0.8}, {"dqn": 0.9}),
+        ("others on average", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"ppo": 1.0}),
+        ("others in the best case", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"dqn": 1.0}),
+    ],
+)
+def test_statements_about_returns(
+    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
+) -> None:
+    """Each holds for results like the paper's, and not once one algorithm's are others."""
+    for folder, relatives in (("yes", agreeing), ("no", {**agreeing, **other})):
+        for label, relative in relatives.items():
+            for seed in (0, 1):
+                write_run(tmp_path / folder, key, label, seed, relative)
+        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
+
+
+@pytest.mark.parametrize(
+    ("says", "key", "agreeing", "other"),
+    [
+        (
+            "a return of at least 0.4",
+            "wurtz_rxn",
+            dict.fromkeys(("ppo", "a2c", "sac", "td3"), (0.4, 0.5)),
+            {"sac": (0.3, 0.4)},
+        ),
+        (
+            "not much better than random",
+            "wurtz_rxn",
+            dict.fromkeys(("a2c", "sac", "td3"), (0.55, 0.6)),
+            {"td3": (0.6, 0.7)},
+        ),
+        ("PPO is significantly better", "wurtz_rxn", {"ppo": (0.65, 0.7)}, {"ppo": (0.5, 0.55)}),
+        ("not achieve a return above zero", "wurtz_ext", {"a2c": (0.0, 0.02)}, {"a2c": (0.0, 0.1)}),
+        ("consistently acquire positive", "wurtz_ext", {"ppo-xl": (0.1, 0.2), "ppo": (0.1, 0.2)}, {"ppo": (0.0, 0.9)}),
+        (
+            "DQN, PPO and PPO-XL consistently",
+            "wurtz_dit",
+            dict.fromkeys(("dqn", "ppo", "ppo-xl"), (0.1, 0.2)),
+            {"dqn": (0.0, 0.9)},
+        ),
+        ("positive returns on average", "wurtz_dit", {"a2c": (-0.1, 0.2)}, {"a2c": (-0.2, 0.1)}),
+        ("acquire similar returns", "wurtz_dit", {"ppo": (0.7, 0.7), "dqn": (0.65, 0.65)}, {"dqn": (0.5, 0.5)}),
+        ("vary more than", "wurtz_dit", {"ppo": (0.5, 0.7), "dqn": (0.6, 0.61)}, {"dqn": (0.4, 0.7)}),
+    ],
+)
+def test_statements_about_where_training_ends(
+    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
+) -> None:
+    """The same of the ends of two learning curves; random actions come to 0.5 in the made-up traces."""
+    for folder, ends in (("yes", agreeing), ("no", {**agreeing, **other})):
+        for label, values in ends.items():
+            for seed, end in enumerate(values):
+                write_run(tmp_path / folder, key, label, seed, curve=[*ENDS, (1000, end, 0.1)])
+        write_traces(tmp_path / folder)
+        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
+
+
+def test_statements_about_pace_and_distance(tmp_path: Path) -> None:
+    """Figure 8: steps are compared with PPO's, distances to the optimum at equal numbers of steps."""
+
+    def at(*means: float) -> dict[int, float]:
+        return {100 * (i + 1): mean for i, mean in enumerate(means)}
+
+    quick, slow = at(0.4, 0.5, 0.5, 0.5), at(0.1, 0.1, 0.1, 0.2)
+    for label, evaluations in {"ppo": quick, "a2c": slow, "sac": slow, "td3": slow}.items():
+        write_run(tmp_path, "fictitious_rxn", label, 0, 0.8, evaluations=evaluations)
+        write_run(tmp_path, "wurtz_rxn", label, 0, 0.7)
+    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is True
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is True
+    write_run(tmp_path, "fictitious_rxn", "td3", 1, 0.6, evaluations=at(0.2, 0.3, 0.3, 0.3))
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3: 0.7 and 0.7
+    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3" / "seed-0")
+    write_run(tmp_path, "fictitious_rxn", "td3", 0, 0.8, evaluations=at(0.3, 0.3, 0.3, 0.3))
+    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is False  # TD3 is as quick
+    for seed in (2, 3, 4):
+        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.7, steps=300)
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3's still
+    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3")
+    # A2C's steps differ, TD3 is missing.
+    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is None
+
+
+def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
+    """Runs of another bench, and traces of another policy than the one that is best now."""
+    write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
+    write_run(tmp_path, "wurtz_dit", "ppo", 1, 1.5, fingerprint="another")
+    write_traces(tmp_path)
+    results = read_results(tmp_path)
+    assert [run.result.seed for run in results.cells["wurtz_dit"]["ppo"].runs] == [0]
+    assert results.left_out[0] == "wurtz_dit/ppo/seed-1: the bench has changed since it was trained"
+    assert results.trace("wurtz_dit", "ppo") is not None
+    write_run(tmp_path, "wurtz_dit", "ppo", 2, 1.5)
+    results = read_results(tmp_path)
+    assert results.trace("wurtz_dit", "ppo") is None
+    assert results.trace("wurtz_dit", "heuristic") is not None
+    assert f"{TRACE_FILE}: Wurtz DiT, PPO: not of the best policy" in results.left_out[1]
+    write_traces(tmp_path, fingerprint="another")
+    results = read_results(tmp_path)
+    assert results.traces == {}
+    assert f"{TRACE_FILE}: Wurtz DiT: the bench has changed since" in results.left_out[2]
+    (tmp_path / TRACE_FILE).write_text("experiment,policy\n")
+    with pytest.raises(ValueError, match=r"traces\.csv: has the columns"):
+        read_results(tmp_path)
+
+
+def test_the_brief_table_has_every_algorithm(tmp_path: Path) -> None:
+    """Means over runs; a single run has no interval, and what was not trained no number."""
+    write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
+    for seed in (0, 1, 2):
+        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.8 + 0.1 * seed)
+    lines = paper_table(read_results(tmp_path))
+    assert "| PPO |  |  |  | 0.500 |" in lines
+    (a2c,) = (line for line in lines if line.startswith("| A2C |"))
+    assert a2c.startswith("| A2C | 0.450 [0.4")
+
+
+# -- all of it --------------------------------------------------------------------------------------------------------
+
+
+def test_everything_comes_from_files(full: Path, tmp_path: Path) -> None:
+    """All figures and the page; from the runs' folders and from the tables of them alike."""
+    tables, stems = tmp_path / "tables", [spec.stem for spec in FIGURES]
+    write_runs(tables, read_runs(full))
+    shutil.copyfile(full / TRACE_FILE, tables / TRACE_FILE)
+    pages = []
+    for source, ending in ((full, "png"), (tables, "svg")):
+        results, out = read_results(source), tmp_path / ending
+        lacking = write_figures(results, out, [ending])
+        assert lacking == {stem: [] for stem in stems}
+        pages.append(write_page(results, out, lacking, [ending]).read_text())
+        assert {path.name for path in out.iterdir()} == {*(f"{stem}.{ending}" for stem in stems), "summary.md"}
+        assert all(f"![{stem}]({stem}.{ending})" in pages[-1] for stem in stems)
+    assert pages[0] == pages[1].replace(".svg", ".png")
+    assert "| Wurtz RxN | PPO | 2 | 1,000 | 0.525 " in pages[0]
+
+
+def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
+    """An empty folder, and one with a single run; pictures of earlier results go."""
+    source, target = tmp_path / "results", tmp_path / "figures"
+    source.mkdir()
+    target.mkdir()
+    (target / "figure_12_wurtz_dit_curves.png").write_text("old")
+    lacking = write_figures(read_results(source), target)
+    assert "traces (python -m papers --collect" in lacking["figure_09_fictitious_rxn_actions"][0]
+    assert "Wurtz RxN: no runs of PPO, A2C, SAC, TD3." in write_page(read_results(source), target, lacking).read_text()
+    assert {path.name for path in target.iterdir()} == {"summary.md"}
+    write_run(source, "wurtz_rxn", "sac", 0)
+    lacking = write_figures(read_results(source), target)
+    assert lacking["figure_05_wurtz_rxn_goals"] == ["finished runs of PPO, A2C, TD3"]
+    assert {path.name for path in target.glob("*.png")} == {
+        "figure_05_wurtz_rxn_goals.png",
+        "figure_06_wurtz_rxn_curves.png",
+    }
+
+
+def test_an_unknown_format_leaves_no_litter(full: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="supported"):
+        write_figures(read_results(full), tmp_path, ["bmp2"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scripted policy and random actions are played on every bench; figures of actions then need the file alone."""
+    only = {key: EXPERIMENTS[key] for key in ("fictitious_rxn", "wurtz_dit")}
+    told: list[str] = []
+    traces.collect_traces(Results({key: {} for key in only}), tmp_path, episodes=8, watch=told.append)
+    assert len(told) == 4
+    found = read_results(tmp_path).traces
+    rxn, dit = found["fictitious_rxn"], found["wurtz_dit"]
+    assert np.shape(rxn["heuristic"]["E"][""].actions) == (20, 6)
+    random = np.array([goal[""].actions for goal in rxn["random"].values()])
+    assert abs(random.mean() - 0.5) < 0.03  # uniform in [0, 1]
+    cases = dit["heuristic"]["dodecane"]
+    assert set(cases) == {"with NaCl", "without NaCl"}
+    for trace in cases.values():
+        assert EXPERIMENTS["wurtz_dit"].action_names[trace.actions[-1]] == "end the experiment"
+        assert trace.best_return is not None
+        assert trace.best_return >= trace.mean_return - 1e-9
+
+
+def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its best checkpoint is played; what the tables have of other runs stays. Runs of laboratories go elsewhere."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.training.learn import train
+
+    monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
+    monkeypatch.setattr(published, "LABORATORY", tmp_path / "laboratory")
+    monkeypatch.setattr(published, "collect_benches", lambda *_, **__: None)
+    write_run(tmp_path / "earlier", "wurtz_dit", "dqn", 0)
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "earlier"))
+    write_traces(tmp_path / "tables")
+    before = read_results(tmp_path / "tables").traces["wurtz_dit"]["dqn"]
+    small = {"steps": 64, "envs": 2, "rollout": 16, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
+    runs, name = tmp_path / "runs", "WurtzDistillation/ppo/seed-0"
+    train(arguments_of({"env_id": "chemlab/WurtzDistillation-v0", "checkpoints": 1, **small}), runs / name)
+    run_files.write_run(runs / "lab" / "seed-0", "wurtz_dodecane", "rxn_0", {"dodecane": 0.5})
+    told: list[str] = []
+    published.collect_all(runs, told.append)
+    assert told == [f"{spec.title}: {p}" for spec in EXPERIMENTS.values() for p in ("heuristic", "random")] + [
+        "Wurtz DiT: ppo"
+    ]
+    results = read_results(tmp_path / "tables")
+    assert results.left_out == []
+    assert list(results.cells["wurtz_dit"]) == ["ppo", "dqn"]
+    assert results.traces["wurtz_dit"].keys() == {"heuristic", "random", "ppo", "dqn"}
+    assert results.traces["wurtz_dit"]["dqn"] == before
+    assert results.heuristic_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
+    assert [run.name for run in read_runs(tmp_path / "laboratory")] == ["lab/seed-0"]
+
+
+# -- what is published ------------------------------------------------------------------------------------------------
+
+
+def without_intervals(text: str) -> str:
+    """A page's text; ends of intervals over a few runs hang on how the machine rounds."""
+    return re.sub(r"\[[-+]?\d+\.\d+, [-+]?\d+\.\d+\]", "[]", text)
+
+
+def test_every_published_page_is_made_from_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the repository shows is what the command makes, with the same numbers."""
+    monkeypatch.setattr(published, "write_figures", lambda results, out: {spec.stem: [] for spec in FIGURES})
+    pages = {}
+    for page, marks in published.PAGES.items():
+        pages[tmp_path / page.name] = marks
+        text = page.read_text()
+        for mark in marks:
+            begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
+            text = text.partition(begin)[0] + begin + end + text.partition(end)[2]
+        (tmp_path / page.name).write_text(text)
+    out = tmp_path / "results"
+    shutil.copytree(ROOT / "docs" / "results", out, ignore=shutil.ignore_patterns("*.md"))
+    said = published.make(out, pages)
+    assert not [line for line in said if not line.startswith("wrote ")]
+    for made, stands in ((tmp_path, ROOT), (tmp_path, ROOT / "docs"), (out, ROOT / "docs" / "results")):
+        for page in made.glob("*.md"):
+            if (stands / page.name).exists():
+                assert without_intervals(page.read_text()) == without_intervals((stands / page.name).read_text())
+
+
+def test_what_cannot_be_published_leaves_everything_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_run(tmp_path / "runs", "wurtz_dit", "ppo", 0, fingerprint="another")
+    write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
+    monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
+    with pytest.raises(ValueError, match=r"1 runs and traces .*seed-0: the bench has changed since it was trained"):
+        published.make(tmp_path / "out", {tmp_path / "page.md": ("paper",)})
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_published_tables_are_small_and_of_finished_runs() -> None:
+    runs = {folder: read_runs(folder) for folder in (module.TABLES, published.LABORATORY)}
+    assert sum(path.stat().st_size for folder in runs for path in folder.iterdir()) < 1_000_000
+    paper, others = runs.values()
+    assert {experiment_of(run) for run in paper} == set(EXPERIMENTS)
+    assert {experiment_of(run) for run in others} == {None}
+    assert all(run.finished.steps > 0 and len(run.curve) > 1 and run.evaluations for run in (*paper, *others))
+    assert len({run.name for run in (*paper, *others)}) == len(paper) + len(others)
+
+
+def test_pages_are_looked_for_before_anything_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(published, "PAGES", {tmp_path / "missing.md": ("paper",)})
+    monkeypatch.setattr("sys.argv", ["papers", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit, match="no such file"):
+        published.main()
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_papers_sweep_is_complete() -> None:
+    cells: dict[str, int] = {}
+    runs = plan(module.TABLES.with_name("experiments.toml"), Path("results"))
+    for one in runs:
+        cell = one.name.rpartition("/")[0]
+        cells[cell] = cells.get(cell, 0) + 1
+    reactions = [f"{b}Reaction/{a}" for b in ("Wurtz", "Fictitious") for a in ("ppo", "a2c", "sac", "td3")]
+    others = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "ppo-xl", "a2c", "dqn")]
+    assert {cell: cells[cell] for cell in [*reactions, *others]} == dict.fromkeys([*reactions, *others], 5)
+    wide = [one.arguments for one in runs if one.arguments.preset == "ppo-xl"]
+    # The paper has it for ExT and DiT alone.
+    assert {one.steps for one in wide if "Reaction" not in one.env_id} == {2_000_000}
+    assert {one.name for one in runs} == {run.name for run in read_runs(module.TABLES)}

@@ -1,0 +1,53 @@
+"""A training run's files, as training writes them, for tests of what is made from them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
+
+HEURISTIC = 0.5
+"""What the scripted policy gets for every goal."""
+
+
+def write_run(
+    path: Path,
+    scenario: str,
+    bench: str,
+    returns: Mapping[str, float],
+    *,
+    label: str = "any",
+    seed: int = 0,
+    curve: Sequence[tuple[int, float | None, float | None]] = ((100, 0.1, 0.2), (1000, 0.4, 0.2)),
+    evaluations: Mapping[int, float] | None = None,
+    finished: bool = True,
+    fingerprint: str = "0",
+    seconds: float = 60.0,
+    **settings: Any,
+) -> Path:
+    """A run without checkpoints: ``returns`` by goal are its best policy's, the last one's are 0.1 less; evaluations by
+    step are the same for every goal; ``settings`` are arguments."""
+    run = Run(path)
+    path.mkdir(parents=True)
+    arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}
+    config = RunConfig(label, arguments, scenario, bench, list(returns), fingerprint)
+    run.config_file.write_text(json.dumps(config.as_dict()))
+    heuristic = dict.fromkeys(returns, HEURISTIC)
+    for step, value, deviation in curve:
+        run.append(CurvePoint(step, value, deviation, 5, 1.0))
+    for step, value in (evaluations or {}).items():
+        run.append(Evaluation(step, value, dict.fromkeys(returns, value), HEURISTIC, heuristic))
+    if finished:
+        last = {goal: value - 0.1 for goal, value in returns.items()}
+        result = RunResult(
+            *("chemlab/Any-v0", label, label, seed, int(arguments["steps"]), seconds, 1000.0, 900, 10),
+            *(float(np.mean(list(returns.values()))), dict(returns), HEURISTIC, heuristic),
+            *(float(np.mean(list(last.values()))), last),
+        )
+        run.result_file.write_text(json.dumps(vars(result)))
+    return path
