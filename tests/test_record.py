@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import chemlab.record as module
 import chemlab.scenarios
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories

@@ -16,9 +16,9 @@ from chemlab.scenario import load_scenario
 
 from ..pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from ..roles import MANAGER_ROLE, role_of
-from ..training.runs import RESULT_SEED, to_text
+from ..runs import RESULT_SEED, to_text, versions
 from .laboratory import EPISODES
-from .play import BenchTarget, LaboratoryTarget, versions
+from .play import BenchTarget, LaboratoryTarget
 from .statistics import number_text
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]

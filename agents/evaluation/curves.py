@@ -11,7 +11,7 @@ import numpy as np
 
 from chemlab.render.figure import new_figure
 
-from ..training.runs import Evaluation, Run, find_runs
+from ..runs import Evaluation, Run, find_runs
 from .figures import algorithm_style, average_curves
 from .results import curve_of, display_name
 

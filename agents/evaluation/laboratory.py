@@ -22,14 +22,15 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 from chemlab.scenario import load_scenario, scenario_names
 
-from ..policy import make_policies
+from ..player import Played
+from ..policies import make_policies
 from ..pretrained import fingerprint
 from ..roles import MANAGER_ROLE
+from ..runs import RESULT_SEED, to_text, versions
 from ..saved import find_saved
-from ..training.runs import RESULT_SEED, to_text
 from . import statistics
 from .curves import Tasks, draw_tasks
-from .play import LaboratoryTarget, Played, versions
+from .play import LaboratoryTarget
 from .results import FinishedRun, display_name, read_results
 from .statistics import interval_text, number_text
 

@@ -13,8 +13,8 @@ from chemlab.arrays import FloatArray
 from chemlab.scenario import load_scenario
 
 from ..roles import MANAGER_ROLE, role_of
+from ..runs import Run, RunResult, find_runs
 from ..training.arguments import TrainArguments
-from ..training.runs import Run, RunResult, find_runs
 from ..training.tasks import task_fingerprint
 
 __all__ = [

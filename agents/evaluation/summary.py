@@ -11,9 +11,9 @@ import numpy as np
 
 from chemlab.files import write_text
 
+from ..runs import versions
 from . import statistics
 from .figures import FIGURES
-from .play import versions
 from .results import EXPERIMENTS, Results, display_name
 from .statements import Statement, compare_with_paper
 from .statistics import interval_text, number_text

@@ -11,8 +11,11 @@ import numpy as np
 from chemlab.files import write_text
 from chemlab.scenario import load_scenario
 
+from ..player import Played, play_bench
+from ..policies import bench_policy
 from ..pretrained import fingerprint
-from .play import BenchTarget, Played, bench_policy, play_bench, versions
+from ..runs import versions
+from .play import BenchTarget
 from .results import EXPERIMENTS, Experiment, Results, trace_source
 
 __all__ = ["collect_traces", "trace_count"]

@@ -19,10 +19,10 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 
-from ..evaluation.play import bench_policy, play_bench, play_laboratory
-from ..policy import Policy, agent_policy
-from ..pretrained import Role, fingerprint
-from ..views import background_policies, focal_vector_env
+from ..background import background_policies, focal_vector_env
+from ..player import play_bench, play_laboratory
+from ..policies import Policy, agent_policy, bench_policy, is_scripted
+from ..pretrained import Workplace, fingerprint
 from .arguments import TrainArguments
 
 __all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint"]
@@ -35,12 +35,12 @@ class Task(ABC):
     bench: str
     """The bench's key, or the agent's id in a laboratory."""
     goals: tuple[str, ...]
-    role: Role
+    workplace: Workplace
 
     @property
     def fingerprint(self) -> str:
         """Equal fingerprints are equal tasks."""
-        return fingerprint(self.role)
+        return fingerprint(self.workplace)
 
     @abstractmethod
     def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
@@ -69,12 +69,11 @@ class Task(ABC):
             ValueError: unknown name, or nothing that fits.
         """
 
-    def scripted(self) -> Policy | None:
-        """The scripted policy, or None where there is none."""
-        try:
-            return self.policy("heuristic")
-        except ValueError:
+    def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
+        """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
+        if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
             return None
+        return self.by_goal(self.policy("heuristic"), episodes, seed)
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
         """A policy's mean for each goal."""
@@ -103,8 +102,8 @@ class BenchTask(Task):
     def __init__(self, scenario: Any, bench: str, goals: tuple[str, ...] | None = None, starts: str = "paper") -> None:
         self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
         self._batches: dict[int, BenchVectorEnv] = {}
-        self.role: Bench = self.batch(1).bench
-        self.scenario, self.bench = self.role.scenario, bench
+        self.workplace: Bench = self.batch(1).bench
+        self.scenario, self.bench = self.workplace.scenario, bench
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
     def batch(self, members: int) -> BenchVectorEnv:
@@ -124,7 +123,7 @@ class BenchTask(Task):
 
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
-        return bench_policy(name, self.role)
+        return bench_policy(name, self.workplace)
 
 
 class LaboratoryTask(Task):
@@ -155,7 +154,7 @@ class LaboratoryTask(Task):
             raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
         env = self.batch(1)
         self._number = env.focal
-        self.role = env.laboratories.role(env.focal)
+        self.workplace = env.laboratories.role(env.focal)
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> FocalVectorEnv:
@@ -209,7 +208,7 @@ def find_task(arguments: TrainArguments) -> Task:
     if env_id not in known:
         raise ValueError(f"env_id: known: {', '.join(known)}; given {env_id!r}")
     own = known[env_id]
-    laboratory = ".views:" in str(gymnasium.spec(env_id).entry_point)
+    laboratory = ".background:" in str(gymnasium.spec(env_id).entry_point)
     asked = {"scenario": arguments.scenario, ("agent" if laboratory else "bench"): arguments.bench}
     for name, value in asked.items():
         if value is not None and own.get(name, value) != value:

@@ -30,7 +30,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..agents.run import EpisodeResult, Turn
+    from ..agents.episodes import EpisodeResult, Turn
     from ..laboratory.aec import raw_env
     from ..record import Recorder
 
@@ -72,8 +72,8 @@ def _play(
     watch: Any = None,
     recorders: Mapping[int, Recorder] | None = None,
 ) -> Iterator[EpisodeResult]:
-    from ..agents.policy import make_policies
-    from ..agents.run import play_episode
+    from ..agents.episodes import play_episode
+    from ..agents.policies import make_policies
 
     for seed in seeds:
         policies = make_policies(policy, env.laboratories, seed)
@@ -279,7 +279,7 @@ def starts(
 
     with readable_errors(), Progress(console=err, transient=True) as progress:
         spec, _ = prepare(scenario, quiet=True)
-        from ..agents.starts import record_starts
+        from ..agents.start_recorder import record_starts
         from ..laboratory.starts import starts_file, write_starts
 
         task = progress.add_task("episodes", total=episodes * len(spec.goals))

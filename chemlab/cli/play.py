@@ -12,12 +12,13 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from ..agents.roles import role_of
 from .common import JsonOption, ScenarioArgument, SeedOption, app, err, out, prepare, readable_errors
 from .records import TrustOption
 
 if TYPE_CHECKING:
-    from ..agents.policy import Policy
-    from ..agents.run import Turn
+    from ..agents.episodes import Turn
+    from ..agents.policies import Policy
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
 
@@ -28,17 +29,16 @@ __all__: list[str] = []
 
 
 def _people(labs: Laboratories, roles: Sequence[str]) -> list[str]:
-    """The agents a person plays: by id (``rxn_0``), by kind (``rxn``) or ``all``."""
-    kinds = {agent: agent.rpartition("_")[0] for agent in labs.agents}
-    unknown = set(roles) - set(kinds) - set(kinds.values()) - {"all"}
+    """The agents a person plays: by id (``rxn_0``), by role (``rxn``) or ``all``."""
+    unknown = set(roles) - set(labs.agents) - set(map(role_of, labs.agents)) - {"all"}
     if unknown:
-        raise ValueError(f"role: nobody is called {', '.join(sorted(unknown))}; roles: {', '.join(kinds)}, all")
-    return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(roles)]
+        raise ValueError(f"role: nobody is called {', '.join(sorted(unknown))}; roles: {', '.join(labs.agents)}, all")
+    return [agent for agent in labs.agents if {agent, role_of(agent), "all"} & set(roles)]
 
 
 def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
     """(name, policy) of who plays the other roles."""
-    from ..agents.policy import make_policies
+    from ..agents.policies import make_policies
 
     pretrained = name == "pretrained"
     made = make_policies("heuristic" if pretrained else name, labs, seed)
@@ -122,8 +122,8 @@ def play(
     At each of your turns you see what that role's agent sees, no more. Type ? for help and q to leave.
     """
     with readable_errors():
+        from ..agents.episodes import play_episode
         from ..agents.human import HumanPolicy, Left
-        from ..agents.run import play_episode
         from ..record import Recorder
 
         _, env = prepare(scenario, quiet=False)

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from chemlab.agents.evaluation.results import EXPERIMENTS, Cell, Results, read_results, trace_source
 from chemlab.agents.evaluation.statements import compare_with_paper
 from chemlab.agents.evaluation.summary import describe_cells, paper_table, write_summary
-from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
+from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
 from chemlab.agents.training.tasks import BenchTask
 from chemlab.cli import app
 from chemlab.scenario import load_scenario

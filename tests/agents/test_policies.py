@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chemlab.agents.policy import RandomPolicy, bench_heuristic, make_policies, policy_names
+from chemlab.agents.policies import RandomPolicy, bench_heuristic, make_policies, policy_names
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.scenario import load_scenario, scenario_names

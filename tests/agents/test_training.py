@@ -19,22 +19,19 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
-from chemlab.agents.policy import bench_heuristic, make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.learners import load_learner
+from chemlab.agents.policies import bench_heuristic, make_policies
+from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
     TrainArguments,
-    arguments_of,
-    flags_of,
-    folder_of,
     label_of,
-    load_arguments,
     resolved,
 )
-from chemlab.agents.training.learn import load_learner, train
-from chemlab.agents.training.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
@@ -58,7 +55,7 @@ def small(algo: str, **more: Any) -> TrainArguments:
     if algo in ("dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
-    return arguments_of(values)
+    return TrainArguments.of(values)
 
 
 def weights(run: Run, algo: str, kind: str = "last") -> Any:
@@ -160,7 +157,7 @@ COMMAND = [sys.executable, "-m", "chemlab", "train"]
 
 
 def start(arguments: TrainArguments, out: Path) -> subprocess.Popen[str]:
-    command = [*COMMAND, arguments.env_id, *flags_of(arguments), "--out", str(out), "--quiet"]
+    command = [*COMMAND, arguments.env_id, *arguments.flags(), "--out", str(out), "--quiet"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
@@ -250,13 +247,13 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = CliRunner()
-    flags = ["train", RXN, *flags_of(small("ppo")), "--out", str(tmp_path / "run")]
+    flags = ["train", RXN, *small("ppo").flags(), "--out", str(tmp_path / "run")]
     first = runner.invoke(app, [*flags, "--json"])
     assert first.exit_code == 0, first.output
     result = Run(tmp_path / "run").result()
     assert result is not None
     assert json.loads(first.stdout)["mean"] == result.mean
-    monkeypatch.setattr(training, "_train", None)
+    monkeypatch.setattr(training, "_Agent", None)
     again = runner.invoke(app, flags)
     assert again.exit_code == 0, again.output
     assert "is finished" in again.output
@@ -324,7 +321,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
 
 def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
     task = BenchTask("wurtz_dodecane", "dit", ("NaCl", "dodecane"))
-    policy = bench_heuristic(task.role)
+    policy = bench_heuristic(task.workplace)
     returns = task.returns(policy, 2, 50)
     np.testing.assert_array_equal(returns, task.returns(policy, 2, 50))
     env = BenchEnv("wurtz_dodecane", "dit")
@@ -344,14 +341,14 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
         venv = ChemlabVecEnv(2, scenario="fictitious", bench="rxn")
         model: Any = training._learner(resolved(arguments), venv, 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
-    assert arguments_of({"preset": "sac-cool"}).algo == "sac"
+    assert TrainArguments.of({"preset": "sac-cool"}).algo == "sac"
     for values, message in (
         ({"algo": "ppo", "ent_coef_start": 0.1}, "is for sac"),
         ({"algo": "sac", "ent_coef_start": 0.0}, "must be above 0"),
         ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
     ):
         with pytest.raises(ValueError, match=message):
-            arguments_of(values)
+            TrainArguments.of(values)
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
@@ -360,16 +357,16 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text('preset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')
-    arguments = load_arguments(file, {"seed": 7, "gamma": None})
+    arguments = TrainArguments.load(file, {"seed": 7, "gamma": None})
     assert (arguments.steps, arguments.seed, arguments.envs, arguments.net_arch) == (100_000, 7, 32, (32, 32))
     assert label_of(arguments) == "ppo-xl"
     assert label_of(replace(arguments, algo="a2c")) == "ppo-xl-a2c"
-    assert folder_of(arguments) == Path("WurtzReaction", "ppo-xl", "seed-7")
-    assert arguments_of({}) == TrainArguments()
+    assert arguments.folder() == Path("WurtzReaction", "ppo-xl", "seed-7")
+    assert TrainArguments.of({}) == TrainArguments()
 
 
 def test_the_papers_protocol_is_the_default() -> None:
-    ppo, dqn = resolved(arguments_of({})), resolved(arguments_of({"algo": "dqn"}))
+    ppo, dqn = resolved(TrainArguments.of({})), resolved(TrainArguments.of({"algo": "dqn"}))
     assert (ppo.envs, ppo.rollout, ppo.steps) == (10, 256, 1_000_000)
     assert (dqn.buffer_size, dqn.exploration_steps, dqn.exploration_final) == (1_000_000, 30_000, 0.01)
     assert ppo.buffer_size is None
@@ -386,7 +383,7 @@ def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
 
 def test_flags_say_the_same_as_arguments() -> None:
     arguments = small("sac", goals=["E", "F"], learning_rate=1e-3)
-    flags = flags_of(arguments)
+    flags = arguments.flags()
     assert flags.count("--goals") == 2
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))
     assert (pairs["--rollout"], pairs["--learning-rate"]) == ("32", "0.001")
@@ -409,7 +406,7 @@ def test_flags_say_the_same_as_arguments() -> None:
 )
 def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        arguments_of(values)
+        TrainArguments.of(values)
 
 
 @pytest.mark.parametrize(
@@ -425,7 +422,7 @@ def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
 )
 def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
-        train(arguments_of(values), tmp_path / "run")
+        train(TrainArguments.of(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -455,9 +452,9 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     env = raw_env("wurtz_dodecane")
     results = [play_episode(env, make_policies("heuristic", env.laboratories), seed) for seed in (4, 5)]
     manager = LaboratoryTask("wurtz_dodecane")
-    assert manager.returns(manager.scripted(), 2, 4).tolist() == [[result.score for result in results]]
+    assert manager.returns(manager.policy("heuristic"), 2, 4).tolist() == [[result.score for result in results]]
     bench = LaboratoryTask("wurtz_dodecane", "ext_0")
     expected = [result.rewards["ext_0"] for result in results]
-    assert bench.returns(bench.scripted(), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    assert bench.returns(bench.policy("heuristic"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
     with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
         LaboratoryTask("wurtz_dodecane", goals=("gold",))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.policy import make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import scenario_names
