@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import json
+import shlex
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -26,12 +27,14 @@ from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
 from chemlab.files import write_text
 from chemlab.laboratory.core import ManagerRole
+from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 __all__ = [
     "Card",
     "PretrainedPolicy",
     "Workplace",
     "fingerprint",
+    "given_as",
     "interface",
     "load_pretrained",
     "pretrained_for",
@@ -211,7 +214,13 @@ class PretrainedPolicy:
 
 def _advice(workplace: Workplace) -> str:
     what = f"chemlab/Bench-v0 --bench {workplace.key}" if isinstance(workplace, Bench) else "manager"
-    return f"chemlab train {what} --scenario {workplace.scenario.name}, then chemlab export"
+    return f"chemlab train {what} --scenario {given_as(workplace.scenario)}, then chemlab export"
+
+
+def given_as(scenario: Scenario) -> str:
+    """What a command is given for a scenario: a shipped one's name, else the path of its file."""
+    shipped = scenario.name in scenario_names() and load_scenario(scenario.name).origin == scenario.origin
+    return shlex.quote(scenario.origin if Path(scenario.origin).is_file() and not shipped else scenario.name)
 
 
 def _difference(card: Card, workplace: Workplace) -> str:

@@ -166,6 +166,12 @@ class Arguments:
         return cls.of({**values, **flags}, f"{cls.command} --config {path}")
 
     @classmethod
+    def ordered(cls) -> list[Field[Any]]:
+        """The fields as people read them: what is this kind of run's own, then what every run is told."""
+        common = Arguments.__dataclass_fields__
+        return sorted(fields(cls), key=lambda f: f.name in common)
+
+    @classmethod
     def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:
         """What is given, with what it implies."""
         return given
@@ -188,7 +194,7 @@ class Arguments:
         """
         implied = type(self)() if implied is None else implied
         words = []
-        for f in fields(self):
+        for f in self.ordered():
             name, value = f.name, getattr(self, f.name)
             if not f.kw_only or f.metadata.get("place") or (value == getattr(implied, name) and name not in always):
                 continue
@@ -278,6 +284,12 @@ class TrainArguments(Arguments):
                 "last minibatch, where advantages are normalized; give another, or another rollout"
             )
         curriculum_of(self, ())
+
+    @classmethod
+    def ordered(cls) -> list[Field[Any]]:
+        """The fields as people read them: what is this kind of run's own, then what every run is told."""
+        common = Arguments.__dataclass_fields__
+        return sorted(fields(cls), key=lambda f: f.name in common)
 
     @classmethod
     def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:

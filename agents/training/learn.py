@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,9 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
     run, arguments = Run(out), resolved(arguments)
     task = find_task(arguments)
     _check_algorithm(arguments.algo, discrete=bool(task.workplace.action_count))
+    warning = task.warning()
+    if warning is not None:
+        warnings.warn(warning, stacklevel=2)
     described = RunConfig(
         label_of(arguments),
         arguments.recorded(),

@@ -22,7 +22,7 @@ from chemlab.scenario import Scenario, load_scenario
 from ..background import background_policies, focal_vector_env
 from ..player import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
-from ..pretrained import Workplace, fingerprint
+from ..pretrained import Workplace, fingerprint, given_as
 from .arguments import TrainArguments
 
 __all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint"]
@@ -68,6 +68,10 @@ class Task(ABC):
         Raises:
             ValueError: unknown name, or nothing that fits.
         """
+
+    def warning(self) -> str | None:
+        """What whoever trains for this should know before, if anything."""
+        return None
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
         """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
@@ -124,6 +128,18 @@ class BenchTask(Task):
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
         return bench_policy(name, self.workplace)
+
+    def warning(self) -> str | None:
+        """See :class:`Task`: the scenario may say nothing of what a single bench begins with."""
+        start, given = self.workplace.spec.start, given_as(self.scenario)
+        if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
+            return None
+        recorded = f"; or record vessels with chemlab starts {given}, and train with --starts lab"
+        return (
+            f"bench {self.bench!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
+            f"scenario has no [benches.{self.bench}.start]; give it contents (moles by material)"
+            f"{recorded if is_scripted(self.workplace) else ''}"
+        )
 
 
 class LaboratoryTask(Task):

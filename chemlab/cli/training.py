@@ -7,7 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin, get_type_hints
 
@@ -137,7 +137,7 @@ def _command(kind: type[Arguments], trainer: Callable[[], Any], about: str, fold
     """
     hints = get_type_hints(kind)
     parameters: list[tuple[str, Any, Any]] = []
-    for f in fields(kind):
+    for f in kind.ordered():
         kinds = [k for k in (get_args(hints[f.name]) or (hints[f.name],)) if k is not type(None)]
         taken: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
         if not f.kw_only:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -19,6 +20,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
+import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import bench_heuristic, make_policies
@@ -27,6 +29,9 @@ from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
+    Arguments,
+    JointArguments,
+    RllibArguments,
     TrainArguments,
     label_of,
     resolved,
@@ -36,6 +41,7 @@ from chemlab.agents.training.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.scenario import load_scenario
 
 SMALL: dict[str, Any] = {
     "envs": 2,
@@ -409,6 +415,121 @@ def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
         TrainArguments.of(values)
 
 
+KINDS: tuple[type[Arguments], ...] = (TrainArguments, JointArguments, RllibArguments)
+NAN, INFINITY = float("nan"), float("inf")
+NONSENSE: dict[str, tuple[Any, ...]] = {
+    "steps": (0, -1),
+    "seed": (-1, 2**32),
+    "envs": (0,),
+    "learning_rate": (0.0, -1e-3, NAN, INFINITY),
+    "gamma": (-0.1, 1.5, NAN),
+    "manager_gamma": (-0.1, 1.5, NAN),
+    "gae_lambda": (-1.0, 1.01, NAN),
+    "ent_coef": (-0.01, NAN, INFINITY),
+    "ent_coef_start": (0.0, -1.0, NAN, INFINITY),
+    "clip_range": (0.0, -0.2, NAN, INFINITY),
+    "batch_size": (1, 0, -5),
+    "epochs": (0,),
+    "evaluations": (0,),
+    "eval_episodes": (0,),
+    "final_episodes": (0,),
+    "checkpoints": (0,),
+    "imitate_steps": (0,),
+    "rollout": (0,),
+    "gradient_steps": (0, -1),
+    "buffer_size": (0,),
+    "learning_starts": (-1,),
+    "exploration_steps": (0,),
+    "exploration_final": (-0.1, 1.1, NAN),
+    "action_noise": (-0.1, NAN, INFINITY),
+    "net_arch": ((64, 0), (-1,)),
+    "period": (0,),
+    "runners": (0,),
+    "batch": (0,),
+}
+EDGES: dict[str, tuple[Any, ...]] = {
+    "seed": (0, 2**32 - 1),
+    "gamma": (0.0, 1.0),
+    "manager_gamma": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "ent_coef": (0.0,),
+    "exploration_final": (0.0, 1.0),
+    "action_noise": (0.0,),
+    "learning_starts": (0,),
+    "batch_size": (2,),
+}
+
+
+def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
+    """Arguments among which a field may be given at all."""
+    if kind is not TrainArguments:
+        return {}
+    others = {"exploration_steps": "dqn", "exploration_final": "dqn", "action_noise": "td3", "ent_coef_start": "sac"}
+    replay = ("gradient_steps", "buffer_size", "learning_starts")
+    return {"algo": others.get(name, "sac" if name in replay else "ppo")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
+    """Every number of every kind of run, however it is given, and nothing that is no number."""
+    numbers = {f.name for f in fields(kind) if {"int", "float"} & set(re.findall(r"\w+", str(f.type)))}
+    assert numbers <= set(NONSENSE)
+    for name in numbers:
+        for value in NONSENSE[name]:
+            with pytest.raises(ValueError, match=f"{name}: must be "):
+                kind(**fitting(kind, name), **{name: value})
+            with pytest.raises(ValueError, match=f"{kind.command}: {name}: must be "):
+                kind.load(None, {**fitting(kind, name), name: value})
+        for value in EDGES.get(name, ()):
+            kind(**fitting(kind, name), **{name: value})
+
+
+def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
+    file = tmp_path / "train.toml"
+    file.write_text("clip_range = nan\n")
+    with pytest.raises(
+        ValueError, match=r"train --config .*train.toml: clip_range: must be a finite number, given nan"
+    ):
+        TrainArguments.load(file, {})
+    for command in (["train", RXN], ["train-together", "wurtz_dodecane"], ["train-rllib", "wurtz_dodecane"]):
+        result = CliRunner().invoke(app, [*command, "--gae-lambda", "nan", "--out", str(tmp_path / "run")])
+        assert result.exit_code == 2
+        assert f"{command[0]}: gae_lambda: must be a finite number, given nan" in result.output.replace("\n", " ")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
+    with pytest.raises(ValueError, match="batch_size: of the 65 steps of a rollout a single one would be left"):
+        TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13)
+    TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13, batch_size=33)
+    with pytest.raises(ValueError, match="rollout: PPO needs at least 2 steps"):
+        TrainArguments(RXN, envs=1, rollout=1)
+
+
+def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bench of somebody's own, which has no scripted policy to be evaluated beside either."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "bench"))
+    file = tmp_path / "with_filter.toml"
+    entry = '\n[benches.fil]\nkind = "filtration_bench:FiltrationBench"\nstep_limit = 5\n'
+    file.write_text((Path(chemlab.scenarios.__path__[0]) / "wurtz_dodecane.toml").read_text() + entry)
+    short = {**SMALL, "env_id": "chemlab/Bench-v0", "scenario": str(file), "bench": "fil", "steps": 64}
+    said = r"'fil' of wurtz_dodecane: .* empty vessel, .* no \[benches.fil.start\]; give it contents .moles by mat"
+    with pytest.warns(UserWarning, match=said):
+        result = train(TrainArguments.of(short), tmp_path / "empty")
+    assert result.heuristic_mean is None
+    assert Run(tmp_path / "empty").evaluations()[0].heuristic_by_goal is None
+
+
+def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
+    values = load_scenario("wurtz_dodecane").model_dump()
+    assert BenchTask(load_scenario(values), "ext").warning() is None
+    values["benches"]["ext"]["start"] = {}
+    said = BenchTask(load_scenario(values), "ext").warning()
+    assert said is not None
+    assert said.endswith("record vessels with chemlab starts wurtz_dodecane, and train with --starts lab")
+    assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -426,10 +547,11 @@ def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: st
     assert not (tmp_path / "run").exists()
 
 
-def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "chemlab.agents.training.learn")
+def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("learn", "loop"):
+        monkeypatch.delitem(sys.modules, f"chemlab.agents.training.{module}")
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    result = CliRunner().invoke(app, ["train", RXN])
+    result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert 'pip install "chemlab-marl[train]"' in result.output.replace("\n", "")
 
