@@ -62,6 +62,7 @@ class RunConfig:
     others."""
     scenario: str
     bench: str
+    """Who learns: a bench's key, an agent's id, or several roles, with commas."""
     goals: list[str]
     fingerprint: str
     """Of the bench's chemistry, options and prices: equal fingerprints are equal tasks."""

@@ -135,7 +135,7 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
     task = find_task(_arguments(config))
     if config["fingerprint"] != task.fingerprint:
-        raise ValueError(f"{folder}: {task.bench} of {task.scenario.name} has changed since this run; train it again")
+        raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
     model: Any = load_learner(best, config["algo"])
     weights, activation, output = network_of(model)
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out

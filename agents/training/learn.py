@@ -176,7 +176,7 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         label_of(arguments),
         arguments.recorded(),
         arguments.scenario or task.scenario.name,
-        task.bench,
+        task.agent,
         list(task.goals),
         task.fingerprint,
         training_versions(),

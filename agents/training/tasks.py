@@ -32,8 +32,8 @@ class Task(ABC):
     """What a training run is about."""
 
     scenario: Scenario
-    bench: str
-    """The bench's key, or the agent's id in a laboratory."""
+    agent: str
+    """Who learns: a bench by its key, or an agent of a laboratory by its id."""
     goals: tuple[str, ...]
     workplace: Workplace
 
@@ -107,7 +107,7 @@ class BenchTask(Task):
         self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
         self._batches: dict[int, BenchVectorEnv] = {}
         self.workplace: Bench = self.batch(1).bench
-        self.scenario, self.bench = self.workplace.scenario, bench
+        self.scenario, self.agent = self.workplace.scenario, bench
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
     def batch(self, members: int) -> BenchVectorEnv:
@@ -136,8 +136,8 @@ class BenchTask(Task):
             return None
         recorded = f"; or record vessels with chemlab starts {given}, and train with --starts lab"
         return (
-            f"bench {self.bench!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
-            f"scenario has no [benches.{self.bench}.start]; give it contents (moles by material)"
+            f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
+            f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"
             f"{recorded if is_scripted(self.workplace) else ''}"
         )
 
@@ -163,7 +163,7 @@ class LaboratoryTask(Task):
         background: str = "heuristic",
         goals: tuple[str, ...] | None = None,
     ) -> None:
-        self.scenario, self.bench, self._background = load_scenario(scenario), agent, background
+        self.scenario, self.agent, self._background = load_scenario(scenario), agent, background
         known = self.scenario.lab_goals
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:
@@ -176,7 +176,7 @@ class LaboratoryTask(Task):
     def batch(self, members: int) -> FocalVectorEnv:
         """See :class:`Task`."""
         return focal_vector_env(
-            members, self.scenario, self.bench, self._background, autoreset_mode=AutoresetMode.SAME_STEP
+            members, self.scenario, self.agent, self._background, autoreset_mode=AutoresetMode.SAME_STEP
         )
 
     def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
@@ -187,9 +187,9 @@ class LaboratoryTask(Task):
         """See :class:`Task`."""
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
         others = background_policies(self._background)
-        policies = {**(others(labs) if callable(others) else others), self.bench: policy}
+        policies = {**(others(labs) if callable(others) else others), self.agent: policy}
         played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
-        own = (one.returns if self._number == 0 else one.measures[f"reward {self.bench}"] for one in played)
+        own = (one.returns if self._number == 0 else one.measures[f"reward {self.agent}"] for one in played)
         return np.array(list(own))
 
     def policy(self, name: str) -> Policy:
