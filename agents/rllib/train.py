@@ -359,7 +359,7 @@ def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = 
         if last is not None:
             # Only a run's own files are unpickled.
             state = pickle.loads((last / "state.pkl").read_bytes())
-            progress = Progress(**state.pop("progress"))
+            progress = Progress.of(state.pop("progress"), last)
         with connected(arguments.address, arguments.runners):
             team = _Team(arguments, scenario, roles, progress.step)
             try:

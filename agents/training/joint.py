@@ -276,7 +276,7 @@ class _Team(LaboratoryTrainee):
             mine.num_timesteps = model.num_timesteps
         self.set_state(state["team"])
         restore_random_state(state)
-        return Progress(**state["progress"])
+        return Progress.of(state["progress"], folder)
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""

@@ -108,7 +108,7 @@ class _Agent(Trainee):
         last, self.progress = run.checkpoint("last"), Progress()
         if last is not None:
             self.model, progress = load_agent(run, last, LEARNERS[a.algo], self.venv)
-            self.progress = Progress(**progress)
+            self.progress = Progress.of(progress, last)
         else:
             shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
             self.model = _learner(a, self.venv, self.steps)

@@ -10,7 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -81,6 +81,17 @@ class Progress:
     """Wall time over all sittings."""
     best_mean: float | None = None
     best_step: int | None = None
+
+    @classmethod
+    def of(cls, saved: Mapping[str, Any], folder: Path) -> Progress:
+        """What a checkpoint has kept.
+
+        Raises:
+            ValueError: it is another version's.
+        """
+        if set(saved) != {f.name for f in fields(cls)}:
+            raise ValueError(f"{folder}: not a checkpoint of this version; delete the run's folder to begin anew")
+        return cls(**saved)
 
 
 class Trainee(ABC):

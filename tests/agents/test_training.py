@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -215,6 +216,19 @@ def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
     shown = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     assert [event.step for event in shown.Scalars("rollout/ep_rew_mean")] == [64 * i for i in range(1, 7)]
     assert [event.step for event in shown.Scalars("eval/mean_reward")] == [64 * i for i in (2, 4, 6)]
+
+
+def test_a_checkpoint_of_another_version_is_not_gone_on_with(tmp_path: Path) -> None:
+    """Least of all from step 0, over what has been learned."""
+    with pytest.raises(Killed):
+        train(small("a2c"), tmp_path, Stop(3))
+    last = Run(tmp_path).checkpoint("last")
+    assert last is not None
+    state = pickle.loads((last / "state.pkl").read_bytes())
+    del state["progress"]["step"]
+    (last / "state.pkl").write_bytes(pickle.dumps(state))
+    with pytest.raises(ValueError, match=r"last-128: not a checkpoint of this version; delete the run's folder"):
+        train(small("a2c"), tmp_path)
 
 
 def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
