@@ -326,7 +326,7 @@ class HumanPolicy:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`~chemlab.agents.policy.Policy`.
+        """See :class:`~chemlab.agents.policies.Policy`.
 
         Raises:
             Left: the person has left.

@@ -3,8 +3,8 @@
 >>> from chemlab.agents.pretrained import load_pretrained, pretrained_names
 >>> policy = load_pretrained("wurtz_rxn")                                          # doctest: +SKIP
 
-A policy fits a bench if it would see and do the same there: the same channels, goals and actions, whatever the scenario
-is called. Cards say what it was trained on, how, with what, and what it then reached.
+A policy fits a bench, or a laboratory's manager, if it would see and do the same there: the same channels, goals and
+actions, whatever the scenario is called. Cards say what it was trained on, how, with what, and what it then reached.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import json
+import shlex
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -26,11 +27,14 @@ from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
+from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 __all__ = [
     "Card",
     "PretrainedPolicy",
+    "Workplace",
     "fingerprint",
+    "given_as",
     "interface",
     "load_pretrained",
     "pretrained_for",
@@ -41,24 +45,24 @@ __all__ = [
 Weights = Mapping[str, npt.NDArray[np.float32]]
 
 
-Role = Bench | ManagerRole
-"""What a policy may be for: a bench, or the manager of a laboratory (:meth:`Laboratories.role`)."""
+Workplace = Bench | ManagerRole
+"""What a policy operates: a bench, or a laboratory as its manager has it (:meth:`Laboratories.role`)."""
 
 
-def interface(bench: Role) -> dict[str, Any]:
+def interface(workplace: Workplace) -> dict[str, Any]:
     """What an agent sees and may do, as plain values; policies fit where this is equal."""
     return {
-        "kind": bench.kind,
-        "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in bench.channels],
-        "actions": list(bench.action_meanings),
-        "discrete": bool(bench.action_count),
+        "kind": workplace.kind,
+        "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in workplace.channels],
+        "actions": list(workplace.action_meanings),
+        "discrete": bool(workplace.action_count),
     }
 
 
-def fingerprint(bench: Role) -> str:
-    """A number for the task: the bench's options, starting state, chemistry, stock and prices; for a manager, those of
+def fingerprint(workplace: Workplace) -> str:
+    """A number for the task: a bench's options, starting state, chemistry, stock and prices; for a manager, those of
     all benches, and the shelf, instruments, limits and costs."""
-    scenario = bench.scenario
+    scenario = workplace.scenario
     task: dict[str, Any] = {
         "materials": {name: m.model_dump(mode="json") for name, m in scenario.materials.items()},
         "family": scenario.family.model_dump(mode="json"),
@@ -68,8 +72,8 @@ def fingerprint(bench: Role) -> str:
         "safety": scenario.safety.model_dump(mode="json"),
         "illegal_action": scenario.costs.illegal_action,
     }
-    if isinstance(bench, Bench):
-        task["bench"] = bench.spec.model_dump(mode="json", exclude={"count"})
+    if isinstance(workplace, Bench):
+        task["bench"] = workplace.spec.model_dump(mode="json", exclude={"count"})
     else:
         # What a scenario is called changes nothing.
         task["laboratory"] = scenario.model_dump(mode="json", exclude={"name", "title", "summary"})
@@ -95,7 +99,8 @@ class Card:
 
     Attributes:
         name: its name.
-        env_id, scenario, bench, goals, starts: what it was trained on.
+        env_id, scenario, goals, starts: what it was trained on.
+        bench: the role it plays: a bench's key, or ``manager``.
         fingerprint: of that task (:func:`fingerprint`).
         interface: what it sees and does (:func:`interface`).
         observation_size, action_size: sizes; ``action_size`` is how many there are to choose from, or numbers.
@@ -136,7 +141,7 @@ class Card:
 
 
 class PretrainedPolicy:
-    """A trained network as a :class:`~chemlab.agents.policy.Policy`; deterministic, without memory.
+    """A trained network as a :class:`~chemlab.agents.policies.Policy`; deterministic, without memory.
 
     Args:
         card: its card.
@@ -165,23 +170,23 @@ class PretrainedPolicy:
                 f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
             )
 
-    def check(self, bench: Role) -> None:
-        """Refuse a bench it does not fit; warn if the bench has changed since it was trained there.
+    def check(self, workplace: Workplace) -> None:
+        """Refuse a workplace it does not fit; warn if it has changed since the policy was trained there.
 
         Raises:
             ValueError: what differs first, and what to do.
         """
-        difference = _difference(self.card, bench)
+        difference = _difference(self.card, workplace)
         if difference:
             raise ValueError(
-                f"pretrained {self.card.name!r} does not fit bench {bench.key!r} of {bench.scenario.name}: "
-                f"{difference}; train one for it: {_advice(bench)}"
+                f"pretrained {self.card.name!r} does not fit {workplace.key!r} of {workplace.scenario.name}: "
+                f"{difference}; train one for it: {_advice(workplace)}"
             )
-        here = (self.card.scenario, self.card.bench) == (bench.scenario.name, bench.key)
-        if here and self.card.fingerprint != fingerprint(bench):
+        here = (self.card.scenario, self.card.bench) == (workplace.scenario.name, workplace.key)
+        if here and self.card.fingerprint != fingerprint(workplace):
             warnings.warn(
-                f"pretrained {self.card.name!r}: bench {bench.key!r} of {bench.scenario.name} has changed since it was "
-                f"trained, so that it may do worse than its card says; train it again: {self.card.command}",
+                f"pretrained {self.card.name!r}: {workplace.key!r} of {workplace.scenario.name} has changed since it "
+                f"was trained, so that it may do worse than its card says; train it again: {self.card.command}",
                 stacklevel=2,
             )
 
@@ -195,7 +200,7 @@ class PretrainedPolicy:
         if x.ndim != 2 or x.shape[1] != self.card.observation_size:
             raise ValueError(
                 f"pretrained {self.card.name!r} sees [B, {self.card.observation_size}] numbers, given {x.shape}; "
-                "check(bench) says what differs"
+                "check() says what differs"
             )
         # Sums of products depend on how long the batch is and where it lies in memory, in their last digits. With twice
         # as many digits none of that is left in the result, which chooses among actions that may be worth the same.
@@ -209,7 +214,7 @@ class PretrainedPolicy:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`; without a mask every discrete action counts as legal."""
+        """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation)
         if self.card.output == "argmax":
             if mask is not None:
@@ -220,17 +225,23 @@ class PretrainedPolicy:
         return np.clip(values, 0.0, 1.0).astype(np.float64)
 
 
-def _advice(bench: Role) -> str:
-    what = f"chemlab/Bench-v0 --bench {bench.key}" if isinstance(bench, Bench) else "manager"
-    return f"chemlab train {what} --scenario {bench.scenario.argument}, then chemlab export"
+def _advice(workplace: Workplace) -> str:
+    what = f"chemlab/Bench-v0 --bench {workplace.key}" if isinstance(workplace, Bench) else "manager"
+    return f"chemlab train {what} --scenario {workplace.scenario.argument}, then chemlab export"
 
 
-def _difference(card: Card, bench: Role) -> str:
-    """The first thing in which a bench is not what the policy knows, or nothing."""
-    mine, other = card.interface, json.loads(json.dumps(interface(bench)))
+def given_as(scenario: Scenario) -> str:
+    """What a command is given for a scenario: a shipped one's name, else the path of its file."""
+    shipped = scenario.name in scenario_names() and load_scenario(scenario.name).origin == scenario.origin
+    return shlex.quote(scenario.origin if Path(scenario.origin).is_file() and not shipped else scenario.name)
+
+
+def _difference(card: Card, workplace: Workplace) -> str:
+    """The first thing in which a workplace is not what the policy knows, or nothing."""
+    mine, other = card.interface, json.loads(json.dumps(interface(workplace)))
     if mine["kind"] != other["kind"]:
         return f"it is for {mine['kind']}, this is {other['kind']}"
-    size = int(bench.observation_space.shape[0])
+    size = int(workplace.observation_space.shape[0])
     for ours, theirs in zip(mine["channels"], other["channels"], strict=False):
         if ours != theirs:
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
@@ -301,11 +312,11 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     load_pretrained(path)
 
 
-def pretrained_for(bench: Role, laboratory: bool = False) -> PretrainedPolicy:
-    """The shipped policy for a bench: one trained on it, else one that fits because all it sees and does is the same.
+def pretrained_for(workplace: Workplace, laboratory: bool = False) -> PretrainedPolicy:
+    """The shipped policy for a workplace: one trained on it, else one that sees and does the same there.
 
     Args:
-        bench: what it is to operate.
+        workplace: what it is to operate.
         laboratory: whether in a laboratory. Where several fit as well, those that have met a laboratory's vessels are
             for that, and the others for single benches.
 
@@ -315,17 +326,17 @@ def pretrained_for(bench: Role, laboratory: bool = False) -> PretrainedPolicy:
     reasons, fitting = [], []
     for name in pretrained_names():
         card = _read_card(_shipped() / f"{name}.json")
-        difference = _difference(card, bench)
+        difference = _difference(card, workplace)
         if difference:
             reasons.append(f"{name}: {difference}")
         else:
-            elsewhere = (card.scenario, card.bench) != (bench.scenario.name, bench.key)
+            elsewhere = (card.scenario, card.bench) != (workplace.scenario.name, workplace.key)
             fitting.append((elsewhere, (card.starts == "paper") == laboratory, name))
     if not fitting:
         raise ValueError(
-            f"no pretrained policy fits bench {bench.key!r} of {bench.scenario.name} "
-            f"({'; '.join(reasons) or 'none come with this version'}); train one: {_advice(bench)}"
+            f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} "
+            f"({'; '.join(reasons) or 'none come with this version'}); train one: {_advice(workplace)}"
         )
     policy = load_pretrained(min(fitting)[-1])
-    policy.check(bench)
+    policy.check(workplace)
     return policy

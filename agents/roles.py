@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from chemlab.laboratory.core import Laboratories
+if TYPE_CHECKING:
+    from chemlab.laboratory.core import Laboratories
 
 __all__ = ["MANAGER_ROLE", "chosen_roles", "role_of"]
 
@@ -12,8 +14,9 @@ MANAGER_ROLE = "manager"
 
 
 def role_of(agent: str) -> str:
-    """The role of an agent's id: ``manager``, or its bench's key."""
-    return agent.rpartition("_")[0]
+    """The role of an agent's id (``rxn_0``): ``manager``, or its bench's key. A role's own name stays."""
+    role, _, number = agent.rpartition("_")
+    return role if role and number.isdigit() else agent
 
 
 def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> list[str]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from chemlab.laboratory.policy import Policy
+from chemlab.laboratory.policy import Policy, as_policy
 
-from .pretrained import Role, load_pretrained, pretrained_names
+from .pretrained import Workplace, load_pretrained, pretrained_names
 from .roles import role_of
-from .training.runs import Run
+from .runs import Run
 
 __all__ = ["Saved", "find_saved", "is_saved"]
 
@@ -25,56 +26,53 @@ class Saved:
         background: who played the roles that did not learn.
     """
 
-    load: dict[str, Callable[[Role], Policy]]
+    load: dict[str, Callable[[Workplace], Policy]]
     background: str = "heuristic"
 
 
-def _exported(name_or_path: str | Path) -> Callable[[Role], Policy]:
-    def load(role: Role) -> Policy:
+def _exported(name_or_path: str | Path) -> Callable[[Workplace], Policy]:
+    def load(workplace: Workplace) -> Policy:
         policy = load_pretrained(name_or_path)
-        policy.check(role)
+        policy.check(workplace)
         return policy
 
     return load
 
 
-def _learner(folder: Path, algo: str, path: Path) -> Callable[[Role], Policy]:
+def _learner(folder: Path, algo: str, path: Path) -> Callable[[Workplace], Policy]:
     """One of Stable-Baselines3's learners: not masked unless it learned with masks."""
 
-    def load(role: Role) -> Policy:
-        from .training.learn import LearnerPolicy, load_learner
+    def load(workplace: Workplace) -> Policy:
+        from .learners import load_learner  # Stable-Baselines3 is optional
 
-        model = load_learner(folder, algo)
-        _check_spaces(path, model, role)
-        return LearnerPolicy(model)
+        return _fitting(load_learner(folder, algo), path, workplace)
 
     return load
 
 
-def _member(folder: Path, name: str, path: Path) -> Callable[[Role], Policy]:
+def _member(folder: Path, role: str, path: Path) -> Callable[[Workplace], Policy]:
     """One role of a joint run's checkpoint."""
 
-    def load(role: Role) -> Policy:
-        from .training.joint import load_team
-        from .training.learn import LearnerPolicy
+    def load(workplace: Workplace) -> Policy:
+        from .learners import load_team
 
-        model = load_team(folder)[name]
-        _check_spaces(path, model, role)
-        return LearnerPolicy(model)
+        return _fitting(load_team(folder)[role], path, workplace)
 
     return load
 
 
-def _check_spaces(path: Path, model: object, role: Role) -> None:
-    trained = getattr(model, "observation_space", None), getattr(model, "action_space", None)
-    if trained != (role.observation_space, role.action_space):
+def _fitting(model: Any, path: Path, workplace: Workplace) -> Policy:
+    """A learner as a policy, or a ValueError where it was trained for other spaces."""
+    trained, needed = ((having.observation_space, having.action_space) for having in (model, workplace))
+    if trained != needed:
         raise ValueError(
             f"policy: {path}: was trained for {trained[0]} and {trained[1]}; "
-            f"{role.key!r} of {role.scenario.name} has {role.observation_space} and {role.action_space}"
+            f"{workplace.key!r} of {workplace.scenario.name} has {needed[0]} and {needed[1]}"
         )
+    return as_policy(model)
 
 
-def _cards(folder: Path) -> dict[str, Callable[[Role], Policy]]:
+def _cards(folder: Path) -> dict[str, Callable[[Workplace], Policy]]:
     """Exported policies of a folder, by role."""
     return {
         load_pretrained(file).card.bench: _exported(file)
@@ -124,8 +122,7 @@ def find_saved(name: str) -> Saved:
     if cards:
         return Saved(cards, background)
     if (folder / "model.zip").exists():
-        bench = str(config.get("bench", ""))  # a bench's key, or in a laboratory an agent's id
-        role = role_of(bench) if bench.rpartition("_")[2].isdigit() else bench
+        role = role_of(str(config.get("bench", "")))
         return Saved({role: _learner(folder, str(config["algo"]), path)}, background)
     members = {file.stem.partition(".")[0] for file in folder.glob("*.zip")}
     return Saved({role: _member(folder, role, path) for role in sorted(members)}, background)

@@ -38,7 +38,7 @@ class ChemlabVecEnv(VecEnv):
 
     Args:
         env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` or
-            :class:`~chemlab.laboratory.focal.FocalVectorEnv` (:func:`chemlab.agents.views.focal_vector_env`) with
+            :class:`~chemlab.laboratory.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 

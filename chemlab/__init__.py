@@ -55,8 +55,8 @@ def _register_views() -> None:
         if f"chemlab/{name}-v0" not in registry:
             register(
                 f"chemlab/{name}-v0",
-                entry_point="chemlab.agents.views:focal_env",
-                vector_entry_point="chemlab.agents.views:focal_vector_env",
+                entry_point="chemlab.agents.background:focal_env",
+                vector_entry_point="chemlab.agents.background:focal_vector_env",
                 kwargs=arguments,
             )
 

@@ -274,14 +274,18 @@ def _network(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
 
 def _violent_events(scenario: Scenario) -> IntArray:
     """[n] the safety event that each violent reaction counts as, -1 for none."""
-    kinds = scenario.safety_events
+    kinds, found = scenario.safety_events, []
     for step in scenario.family.violent:
-        if step.event is not None and step.event not in kinds:
+        first = scenario.materials[next(iter(step.reactants))]
+        metal = first.role == "solid" and len(first.composition) == 1 and "water" in step.reactants
+        event = step.event or ("metal_in_water_mol" if metal else "none")
+        if event not in ("none", *kinds):
             raise DataError(
                 f"{scenario.origin}: reactions {scenario.family.name!r}: violent.event: unknown safety event "
-                f"{step.event!r}; known: {', '.join(kinds)}; declare your own under safety.events"
+                f"{event!r}; known: none, {', '.join(kinds)}; declare your own under safety.events"
             )
-    return np.array([-1 if s.event is None else kinds.index(s.event) for s in scenario.family.violent], dtype=np.int64)
+        found.append(-1 if event == "none" else kinds.index(event))
+    return np.array(found, dtype=np.int64)
 
 
 def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:

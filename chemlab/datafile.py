@@ -10,16 +10,16 @@ import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-__all__ = ["DataError", "bounded", "dotted_key", "read_json", "read_toml", "validated"]
+__all__ = ["DataError", "Grown", "bounded", "dotted_key", "read_json", "read_toml", "validated"]
 
 _FILE_BYTES = 1_000_000
 _DEPTH = 12
@@ -179,3 +179,18 @@ def validated(model: type[BaseModel], values: Any, where: str) -> Any:
         return model.model_validate(dict(values) if isinstance(values, Mapping) else values)
     except ValidationError as error:
         raise DataError(_described(error, where)) from error
+
+
+class Grown(BaseModel):
+    """A model that has got fields since its first version: they are left out of what is written down while they are at
+    their defaults, so that a scenario that does not use them is the same as ever, down to its hash in a record."""
+
+    _later: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = dump(self)
+        for key in self._later:
+            if getattr(self, key) == type(self).model_fields[key].default:
+                values.pop(key, None)
+        return values

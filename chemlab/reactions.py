@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from .datafile import DataError, read_toml, validated
+from .datafile import DataError, Grown, read_toml, validated
 from .materials import Material, Text, atoms_of
 
 __all__ = [
@@ -84,11 +84,14 @@ class Salt(BaseModel):
     source: str = Field(min_length=1)
 
 
-class Violent(_Balanced):
+class Violent(_Balanced, Grown):
     """A reaction that goes to completion the moment its reactants meet."""
 
+    _later = ("event",)
+
     event: Text | None = None
-    """Safety event that it counts as, by the mol of its first reactant; None: it is none."""
+    """Safety event that it counts as, by the mol of its first reactant; without one, a solid element that reacts with
+    water counts as ``metal_in_water_mol``, and others as none."""
 
 
 class ReactionFamily(BaseModel):

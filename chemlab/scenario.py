@@ -11,7 +11,7 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import (
     BaseModel,
@@ -19,13 +19,11 @@ from pydantic import (
     ConfigDict,
     Field,
     PrivateAttr,
-    SerializerFunctionWrapHandler,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
-from .datafile import DataError, bounded, read_toml, validated
+from .datafile import DataError, Grown, bounded, read_toml, validated
 from .inherit import completed, scenario_folder, scenario_names
 from .materials import Material, load_materials, shipped_materials
 from .reactions import ReactionFamily, check_reactions, load_reactions
@@ -75,21 +73,6 @@ Capacity = Annotated[float, Field(ge=1e-6, le=100.0)]
 Goals = Annotated[tuple[Key, ...], Field(min_length=1, max_length=64)]
 Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32)]
 Share = Annotated[float, Field(ge=-1e6, le=1e6)]
-
-
-class _Grown(BaseModel):
-    """A model that has got fields since its first version: they are left out of what is written down while they are at
-    their defaults, so that a scenario that does not use them is the same as ever, down to its hash in a record."""
-
-    _later: ClassVar[tuple[str, ...]] = ()
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        for key in self._later:
-            if getattr(self, key) == type(self).model_fields[key].default:
-                values.pop(key, None)
-        return values
 
 
 class VesselSpec(BaseModel):
@@ -153,7 +136,7 @@ class StartSpec(BaseModel):
     """A further material that may be there."""
 
 
-class BenchSpec(_Grown):
+class BenchSpec(Grown):
     """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
 
     Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones. What a file
@@ -220,7 +203,7 @@ class CostSpec(BaseModel):
     """Taken off the reward of an agent that plays a masked action, which loses its turn."""
 
 
-class SafetySpec(_Grown):
+class SafetySpec(Grown):
     """Weights of safety events in ``info["cost"]``, and what a unit of that cost takes off the reward."""
 
     model_config = _FROZEN
@@ -287,7 +270,7 @@ class ManagerSpec(BaseModel):
     """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
 
 
-class Scenario(_Grown):
+class Scenario(Grown):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
     ``materials`` and ``family`` are resolved at load: only what can occur in this scenario is kept.

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import Turn, play_episode
+from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory import raw_env
 
 FRAMES, WIDTH, HEIGHT = 40, 640, 360

@@ -16,7 +16,7 @@ from chemlab.agents.evaluation.statistics import number_text
 from chemlab.agents.evaluation.tables import markdown_table, number, read_table, write_table
 from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from chemlab.agents.roles import MANAGER_ROLE, role_of
-from chemlab.agents.training.runs import RESULT_SEED
+from chemlab.agents.runs import RESULT_SEED
 from chemlab.scenario import load_scenario
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]

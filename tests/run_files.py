@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
+from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
 
 HEURISTIC = 0.5
 """What the scripted policy gets for every goal."""

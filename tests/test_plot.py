@@ -11,9 +11,9 @@ import pytest
 from helpers import Careless
 from typer.testing import CliRunner
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
-from chemlab.agents.training.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.record import Recorder, read_record

@@ -22,8 +22,8 @@ import chemlab.record.format as format_module
 import chemlab.record.recorder as recorder_module
 import chemlab.record.verify as verify_module
 import chemlab.scenarios
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories

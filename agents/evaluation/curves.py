@@ -12,7 +12,7 @@ import numpy as np
 from chemlab.arrays import FloatArray
 from chemlab.render.figure import new_figure
 
-from ..training.runs import Evaluation
+from ..runs import Evaluation
 from .results import TrainedRun, display_name, read_runs, task_title
 
 __all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_tasks"]

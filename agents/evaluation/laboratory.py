@@ -22,11 +22,11 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 from chemlab.scenario import load_scenario, scenario_names
 
-from ..policy import make_policies
+from ..policies import make_policies
 from ..pretrained import fingerprint
 from ..roles import MANAGER_ROLE, role_of
+from ..runs import RESULT_SEED
 from ..saved import find_saved
-from ..training.runs import RESULT_SEED
 from . import statistics
 from .curves import Tasks, draw_tasks
 from .play import LaboratoryTarget

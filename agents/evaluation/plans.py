@@ -16,13 +16,15 @@ import numpy.typing as npt
 from chemlab.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.actions import DISCARD, MEASURE, RECALL, START, SUBMIT, WAIT, ManagerActions
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.policy import Policy, play_on
+from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import Scenario, load_scenario
 
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
-from ..policy import agent_policy, make_policies
+from ..player import play_laboratory
+from ..policies import agent_policy, make_policies
+from ..runs import versions
 from . import statistics
-from .play import BATCH, play_laboratory, versions
+from .play import BATCH
 from .statistics import Estimate
 
 __all__ = [
@@ -155,7 +157,7 @@ class _Trials:
         """[count, seeds] the manager's scores; member i plays thing i // len(seeds)."""
         self.labs.restore(self._begun)
         members = self.labs.members[: count * len(self.seeds)]
-        play_on(self.labs, policies, members, lambda *_: None)
+        Players(self.labs, policies).play_on(members)
         return self.labs.result(members).reshape(count, len(self.seeds))
 
 
@@ -515,7 +517,7 @@ def search_plan(
 
     Args:
         scenario: where.
-        benches: who operates them, see :func:`~chemlab.agents.policy.make_policies`.
+        benches: who operates them, see :func:`~chemlab.agents.policies.make_policies`.
         budget: most plans tried, or one of :data:`BUDGETS`; the first context gets half of it. A search ends sooner
             when new beginnings from random plans have found nothing better.
         seed: of the search.
@@ -648,7 +650,7 @@ def replay_actions(
 
     Args:
         scenario: where.
-        policy: who is replayed, see :func:`~chemlab.agents.policy.make_policies`.
+        policy: who is replayed, see :func:`~chemlab.agents.policies.make_policies`.
         donors: episodes to choose from, for each context.
         episodes: episode i has seed + i and the goals that it draws.
         seed: of the first.

@@ -25,8 +25,8 @@ import numpy as np
 
 from chemlab.arrays import FloatArray
 
+from ..runs import Evaluation, Run, RunResult, find_runs
 from ..training.arguments import TrainArguments
-from ..training.runs import Evaluation, Run, RunResult, find_runs
 from . import statistics
 from .statistics import interval_text, number_text
 from .tables import markdown_table, number, read_table, write_table
@@ -54,7 +54,7 @@ _SCALARS: dict[str, type] = {
     "best_step": int,
     "episodes_per_goal": int,
 }
-"""Of :class:`~chemlab.agents.training.runs.RunResult`."""
+"""Of :class:`~chemlab.agents.runs.RunResult`."""
 _NAMES = ("scenario", "bench", "fingerprint")
 _TABLES: dict[str, tuple[str, ...]] = {
     "runs.csv": ("run", *_NAMES, *_SCALARS, "arguments", "versions"),

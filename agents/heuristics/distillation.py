@@ -75,7 +75,7 @@ class DistillationHeuristic:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
+        """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         return np.array(
             [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],

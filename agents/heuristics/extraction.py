@@ -60,7 +60,7 @@ class ExtractionHeuristic:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
+        """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
         return np.array(
             [

@@ -18,6 +18,8 @@ from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 
+from ..roles import role_of
+
 __all__ = ["ManagerHeuristic"]
 
 _PURE_ENOUGH = 0.97
@@ -89,7 +91,7 @@ class ManagerHeuristic:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
+        """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         return np.array(
             [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
@@ -157,7 +159,7 @@ class ManagerHeuristic:
     def _advance(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
         """The line's next action; None while it has to wait for a bench."""
         if line.running:
-            ended, line.running = line.running.rpartition("_")[0], ""
+            ended, line.running = role_of(line.running), ""
             if ended == self._ext:
                 beakers = [
                     s

@@ -60,7 +60,7 @@ class ReactionHeuristic:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
+        """See :class:`chemlab.agents.policies.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         pressure = observation[:, self._slices["pressure"]][:, 0]
         adding = np.where(self._late[goal] & (step < self._hold_until)[:, None], 0.0, self._need[goal])

@@ -27,10 +27,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from chemlab.arrays import IntArray
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.policy import Players
 from chemlab.laboratory.state import RUNNING
 
-from ..policy import Policy, agent_policy
+from ..policies import agent_policy
 from ..roles import chosen_roles, role_of
 
 try:
@@ -41,7 +43,6 @@ except ImportError as error:
 __all__ = ["LaboratoryMultiAgentEnv"]
 
 _SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model")
-_MOST_TRIES = 1000
 
 
 class LaboratoryMultiAgentEnv(MultiAgentEnv):
@@ -70,11 +71,15 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         learning = chosen_roles(labs, roles)
         self.possible_agents = [agent for agent in labs.agents if role_of(agent) in learning]
         self.agents = list(self.possible_agents)
-        self._background: dict[str, Policy] = {
-            agent: agent_policy(background, labs, number)
-            for number, agent in enumerate(labs.agents)
-            if agent not in self.possible_agents
-        }
+        # AEC's own step keeps account of rewards and infos, whoever has the turn.
+        self._players = Players(
+            labs,
+            [
+                None if agent in self.possible_agents else agent_policy(background, labs, number)
+                for number, agent in enumerate(labs.agents)
+            ],
+            lambda number, members, actions: self.laboratory.step(actions[0]),
+        )
         self.observation_spaces = {agent: self._seen_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: self.laboratory.action_space(agent) for agent in self.possible_agents}
         self._had_turn: set[str] = set()
@@ -108,41 +113,19 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         super().reset(seed=seed, options=options)
         if seed is not None:
             seed += self._seed_offset
-            self._seed_background(seed)
-        for _ in range(_MOST_TRIES):
-            self.laboratory.reset(seed=seed, options=options or None)
-            self._play_background()
-            if self._running():
-                break
-            seed = None
-        else:
-            raise RuntimeError(
-                f"{', '.join(self.possible_agents)}: had no turn in {_MOST_TRIES} episodes: the other policies never "
-                "start it"
-            )
+            self._players.seed(0, seed)
+        seeds = iter([seed])
+
+        def begin(members: IntArray) -> None:
+            self.laboratory.reset(seed=next(seeds, None), options=options or None)
+
+        self._players.begin(self.laboratory.laboratories.members, begin)
         self._had_turn = set()
         observations, _, infos = self._at_turn()
         return observations, infos
 
-    def _seed_background(self, seed: int) -> None:
-        sequences = np.random.SeedSequence(seed).spawn(len(self._background))
-        for policy, sequence in zip(self._background.values(), sequences, strict=True):
-            start = getattr(policy, "seed", None)
-            if start is not None:
-                start(0, sequence)
-
     def _running(self) -> bool:
         return bool(self.laboratory.laboratories.desk.status[0] == RUNNING)
-
-    def _play_background(self) -> None:
-        """Let the others play until an agent that learns has the turn, or the episode is over."""
-        laboratory, labs = self.laboratory, self.laboratory.laboratories
-        while self._running() and (agent := laboratory.agent_selection) in self._background:
-            mask: Any = laboratory.infos[agent].get("action_mask")
-            turns = labs.turns_had(labs.agents.index(agent))
-            seen = laboratory.observe(agent)[None]
-            action = self._background[agent].act(seen, None if mask is None else mask[None], turns, labs.members)[0]
-            laboratory.step(action)
 
     def step(
         self, action_dict: dict[str, Any]
@@ -162,7 +145,7 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         if set(action_dict) != {agent}:
             raise ValueError(f"{agent}: has the turn, so step() needs its action alone; given {list(action_dict)}")
         self.laboratory.step(action_dict[agent])
-        self._play_background()
+        self._players.play_on(self.laboratory.laboratories.members)
         running = self._running()
         observations, rewards, infos = self._at_turn() if running else self._at_end()
         terminated = not running and self.laboratory.terminations[agent]

@@ -1,13 +1,13 @@
 """Train roles of a laboratory with RLlib's PPO, on a Ray of its own or on a cluster.
 
 >>> from pathlib import Path
->>> from chemlab.agents.rllib.arguments import RllibArguments
+>>> from chemlab.agents.training.arguments import RllibArguments
 >>> from chemlab.agents.rllib.train import train_rllib
 >>> train_rllib(RllibArguments("wurtz_dodecane", roles=("manager",)), Path("runs/manager"))   # doctest: +SKIP
 
 Env runners play (:mod:`chemlab.agents.rllib.env`), wherever in the cluster Ray puts them; the process that was started
 gathers their turns, updates a policy for each role, evaluates and writes the run's folder
-(:mod:`chemlab.agents.training.runs`). A checkpoint has each role's policy as ``ROLE.safetensors`` and ``ROLE.json``,
+(:mod:`chemlab.agents.runs`). A checkpoint has each role's policy as ``ROLE.safetensors`` and ``ROLE.json``,
 which play without Ray and PyTorch (:mod:`chemlab.agents.pretrained`).
 
 An env runner that dies is started again and gets the current policies; until then the others play its share. A run
@@ -25,7 +25,7 @@ import pickle
 import shutil
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -36,14 +36,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.scenario import Scenario
 
-from ..evaluation.play import play_laboratory
-from ..policy import Policy, agent_policy
+from ..policies import Policy
 from ..pretrained import Card, PretrainedPolicy, fingerprint, interface, load_pretrained, save_policy
-from ..roles import MANAGER_ROLE, chosen_roles, role_of
-from ..training.runs import Evaluation, Run, RunConfig, RunResult
-from .arguments import LABEL, PLACE, RllibArguments, check_arguments, command_of
+from ..roles import MANAGER_ROLE, role_of
+from ..runs import Evaluation, Run, RunResult
+from ..training.arguments import RllibArguments
 
 try:
     import ray
@@ -55,14 +54,25 @@ try:
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
 
-    from ..training.learn import Watcher, open_run, versions
-    from ..training.rounds import EVALUATION_SEED, fresh_memory, train_in_rounds
+    from ..training.loop import (
+        EVALUATION_SEED,
+        LaboratoryTrainee,
+        Progress,
+        Watcher,
+        described_team,
+        open_run,
+        train_in_rounds,
+        training_versions,
+    )
     from .env import LaboratoryMultiAgentEnv
     from .module import PerRolePPOLearner, RoleModule, policy_weights
 except ImportError as error:
     raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
 
 __all__ = ["algorithm_config", "connected", "train_rllib"]
+
+LABEL = "rllib"
+"""What figures call the algorithm."""
 
 ALGORITHM = "ppo"
 _TOLERANCE = 1e-5
@@ -196,21 +206,22 @@ def algorithm_config(arguments: RllibArguments, scenario: Scenario, roles: Seque
     )
 
 
-class _Team:
+class _Team(LaboratoryTrainee):
     """The roles that learn, as an RLlib algorithm, and those that are played."""
 
     models = "*.[js]*"  # ROLE.json and ROLE.safetensors, not state.pkl
 
     def __init__(self, arguments: RllibArguments, scenario: Scenario, roles: list[str], step: int) -> None:
-        self._arguments, self._scenario, self.roles = arguments, scenario, roles
+        super().__init__(arguments, scenario)
+        self._arguments, self.roles = arguments, roles
         # One that goes on draws other episodes than those it has learned from.
         seed = arguments.seed if not step else int(np.random.SeedSequence([arguments.seed, step]).generate_state(1)[0])
         self.config = algorithm_config(arguments, scenario, roles, seed % 2**31)
         self.algorithm: Algorithm = self.config.build_algo()
         self._taken: dict[str, PretrainedPolicy] | None = None
 
-    def learn(self, memory: dict[str, Any]) -> tuple[int, list[float]]:
-        """See :class:`chemlab.agents.training.rounds.Team`.
+    def learn(self, progress: Progress) -> tuple[int, list[float]]:
+        """See :class:`~chemlab.agents.training.loop.Trainee`.
 
         Raises:
             RuntimeError: all env runners are lost and none has come back.
@@ -233,46 +244,36 @@ class _Team:
         states: dict[str, dict[str, npt.NDArray[Any]]] = self.algorithm.learner_group.get_weights()
         return {role: states[role] for role in self.roles}
 
-    def scores(self, episodes: int, seed: int, scripted: bool = False) -> dict[str, float]:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
-        labs, background = Laboratories(self._scenario, episodes), self._arguments.background
-        learned: dict[str, PretrainedPolicy] = {}
-        if not scripted:
-            learned = self._taken or {role: self._exported(role, state) for role, state in self._states().items()}
-        policies: dict[str, Policy] = {
-            agent: learned.get(role_of(agent)) or agent_policy(background, labs, number, seed)
-            for number, agent in enumerate(labs.agents)
-        }
-        return {
-            goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self._scenario.lab_goals
-        }
+    def learned(self) -> Mapping[str, Policy]:
+        """See :class:`~chemlab.agents.training.loop.LaboratoryTrainee`."""
+        return self._taken or {role: self._exported(role, state) for role, state in self._states().items()}
 
     def _exported(
         self, role: str, state: dict[str, npt.NDArray[Any]], step: int = 0, evaluation: dict[str, Any] | None = None
     ) -> PretrainedPolicy:
         """A role's policy without Ray and PyTorch, from its module's weights."""
-        a, labs = self._arguments, Laboratories(self._scenario, 1)
+        a, labs = self._arguments, Laboratories(self.scenario, 1)
         number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
-        place = labs.role(number)
+        workplace = labs.role(number)
         card = Card(
             name=role,
             env_id="chemlab/Laboratory-v0",
-            scenario=self._scenario.name,
+            scenario=self.scenario.name,
             bench=role,
-            goals=list(self._scenario.goals if number else self._scenario.lab_goals),
+            goals=list(self.scenario.goals if number else self.scenario.lab_goals),
             starts="lab",
-            fingerprint=fingerprint(place),
-            interface=json.loads(json.dumps(interface(place))),
-            observation_size=int(place.observation_space.shape[0]),
-            action_size=place.action_count or len(place.action_meanings),
+            fingerprint=fingerprint(workplace),
+            interface=json.loads(json.dumps(interface(workplace))),
+            observation_size=int(workplace.observation_space.shape[0]),
+            action_size=workplace.action_count or len(workplace.action_meanings),
             algo=ALGORITHM,
             label=LABEL,
             seed=a.seed,
             step=step,
-            command=command_of(a),
+            command=a.command_line(),
             versions=_versions(),
             activation="tanh",
-            output="argmax" if place.action_count else "clip",
+            output="argmax" if workplace.action_count else "clip",
             evaluation=evaluation or {},
         )
         return PretrainedPolicy(card, policy_weights(state))
@@ -301,23 +302,29 @@ class _Team:
                 f"{role}: the exported policy differs from RLlib's by {difference:.2g} (allowed: {_TOLERANCE:g})"
             )
 
-    def save(self, folder: Path, memory: dict[str, Any], evaluation: Evaluation) -> None:
-        """See :class:`chemlab.agents.training.rounds.Team`; with networks and optimizers in ``state.pkl``."""
-        reached = {"episodes_per_goal": self._arguments.eval_episodes, "seed": EVALUATION_SEED, **asdict(evaluation)}
-        step = reached.pop("step")
+    def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
+        """See :class:`~chemlab.agents.training.loop.Trainee`; with networks and optimizers in ``state.pkl``."""
+        reached: dict[str, Any] = {}
+        if evaluation is not None:
+            reached = {
+                "episodes_per_goal": self._arguments.eval_episodes,
+                "seed": EVALUATION_SEED,
+                **asdict(evaluation),
+            }
+            del reached["step"]
         for role, state in self._states().items():
-            policy = self._exported(role, state, step, reached)
+            policy = self._exported(role, state, progress.step, reached)
             self._check(role, policy, state)
             save_policy(folder / role, policy.card, policy_weights(state))
-        learned = {"learner_group": self.algorithm.learner_group.get_state(), "progress": memory}
+        learned = {"learner_group": self.algorithm.learner_group.get_state(), "progress": vars(progress)}
         (folder / "state.pkl").write_bytes(pickle.dumps(learned))
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put networks and optimizers back as a checkpoint has them, here and in the env runners."""
         self.algorithm.set_state(state)
 
-    def take_best(self, folder: Path) -> None:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
+    def take(self, folder: Path) -> None:
+        """See :class:`~chemlab.agents.training.loop.Trainee`."""
         self._taken = {role: load_pretrained(folder / role) for role in self.roles}
 
     def stop(self) -> None:
@@ -327,7 +334,7 @@ class _Team:
 
 
 def _versions() -> dict[str, str]:
-    return {**versions(), "ray": ray.__version__}
+    return {**training_versions(), "ray": ray.__version__}
 
 
 def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
@@ -335,7 +342,7 @@ def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = 
 
     Args:
         arguments: who learns what, and where.
-        out: the run's folder; what is in it is described in :mod:`chemlab.agents.training.runs`, and a checkpoint has
+        out: the run's folder; what is in it is described in :mod:`chemlab.agents.runs`, and a checkpoint has
             a policy for each role. On a cluster it is this machine's.
         watcher: is told how it goes.
 
@@ -344,48 +351,22 @@ def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = 
         DataError: unknown scenario.
         RuntimeError: all env runners were lost and none came back.
     """
-    a = arguments
-    check_arguments(a, "train_rllib")
-    scenario = load_scenario(a.scenario)
-    scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
-    labs = Laboratories(scenario, 1)
-    roles = chosen_roles(labs, a.roles)
-    for number, agent in enumerate(labs.agents):
-        if role_of(agent) not in roles:
-            agent_policy(a.background, labs, number)  # what is wrong with it is said here, not by an env runner
     run = Run(out)
-    described = RunConfig(
-        LABEL,
-        {
-            **{name: value for name, value in asdict(a).items() if name not in PLACE},
-            "algo": ALGORITHM,
-            "env_id": "chemlab/Laboratory-v0",
-        },
-        a.scenario,
-        ",".join(roles),
-        list(scenario.lab_goals),
-        fingerprint(labs.role(0)),
-        _versions(),
-    )
-    defaults = {name: value for name, value in asdict(RllibArguments()).items() if name not in PLACE}
-    return open_run(run, described, defaults, lambda: _train(run, a, scenario, roles, watcher))
+    scenario, roles, described = described_team(arguments, LABEL, ALGORITHM, _versions())
 
+    def go_on() -> RunResult:
+        last, state, progress = run.checkpoint("last"), None, Progress()
+        if last is not None:
+            # Only a run's own files are unpickled.
+            state = pickle.loads((last / "state.pkl").read_bytes())
+            progress = Progress.of(state.pop("progress"), last)
+        with connected(arguments.address, arguments.runners):
+            team = _Team(arguments, scenario, roles, progress.step)
+            try:
+                if state is not None:
+                    team.restore(state)
+                return train_in_rounds(run, described, team, arguments, progress, watcher)
+            finally:
+                team.stop()
 
-def _train(
-    run: Run, arguments: RllibArguments, scenario: Scenario, roles: list[str], watcher: Watcher | None
-) -> RunResult:
-    # On this size of network a second thread gains nothing, and env runners want the cores.
-    torch.set_num_threads(1)
-    last, state, memory = run.checkpoint("last"), None, fresh_memory()
-    if last is not None:
-        # Only a run's own files are unpickled.
-        state = pickle.loads((last / "state.pkl").read_bytes())
-        memory = dict(state.pop("progress"))
-    with connected(arguments.address, arguments.runners):
-        team = _Team(arguments, scenario, roles, memory["step"])
-        try:
-            if state is not None:
-                team.restore(state)
-            return train_in_rounds(run, team, arguments, memory, (LABEL, ALGORITHM), watcher)
-        finally:
-            team.stop()
+    return open_run(run, described, arguments, go_on)

@@ -1,7 +1,8 @@
-"""What a training run is: one dataclass, its presets, TOML files and flags.
+"""What a training run is told: dataclasses, checked when they are made, from presets, TOML files and flags.
 
-Later ones win: the field's default, the preset, the config file, flags. Fields that are None follow the algorithm:
-Stable-Baselines3's defaults, and the paper's protocol where the paper says something (:func:`resolved`).
+Later ones win: the field's default, the preset, the config file, flags. Fields of ``chemlab train`` that are None
+follow the algorithm: Stable-Baselines3's defaults, and the paper's protocol where the paper says something
+(:func:`resolved`).
 
 The paper's protocol: 10 environments; gather 256 steps in each, then update. PPO and A2C learn from those 2560 steps
 alone (so A2C makes one gradient step from them). DQN, SAC and TD3 keep 1M steps and sample them: 256 gradient steps of
@@ -12,34 +13,36 @@ how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 3
 from __future__ import annotations
 
 import difflib
+import math
+import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import Field, asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from chemlab.materials import read_toml
 
 __all__ = [
     "ALGORITHMS",
     "PRESETS",
+    "Arguments",
     "JointArguments",
+    "RllibArguments",
     "Stage",
+    "TeamArguments",
     "TrainArguments",
-    "arguments_of",
     "curriculum_of",
-    "flags_of",
-    "folder_of",
+    "help_of",
     "label_of",
-    "load_arguments",
-    "load_joint_arguments",
-    "merged",
     "resolved",
 ]
 
 ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "sac", "td3", "maskable-ppo")
 """What ``algo`` may be."""
 
-ON_POLICY = ("ppo", "a2c", "maskable-ppo")
+_PPO = ("ppo", "maskable-ppo")
+_ON_POLICY = (*_PPO, "a2c")
+_REPLAY = ("dqn", "sac", "td3")
 
 _MANAGER: dict[str, Any] = {
     "algo": "maskable-ppo",
@@ -62,36 +65,176 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 """Presets: the fields that differ from the defaults, which are the paper's protocol."""
 
-
 _SHORT = {"manager": "chemlab/LabManager-v0"}
 """What people may call an environment for short."""
 
+_SB3_BATCH = 64
+"""PPO's minibatch in SB3."""
 
-def _argument(default: Any, text: str) -> Any:
+_MOST_SEED = 2**32 - 1
+"""NumPy's global generator, which SB3 seeds, takes no larger one."""
+
+
+def _argument(default: Any, text: str, **bounds: Any) -> Any:
+    """A field: its default, what it is, and its bounds.
+
+    ``least``, ``most``, ``above`` bound a number (or each of several), ``known`` lists the choices; ``otherwise`` is
+    what None stands for (:func:`resolved` fills in numbers), ``place`` marks what says where a run is computed and not
+    what it learns.
+    """
+    return field(default=default, metadata={"help": text, **bounds}, kw_only=True)
+
+
+def _positional(default: str, text: str) -> Any:
+    """The one field that is given without its name, by a command too."""
     return field(default=default, metadata={"help": text})
 
 
-@dataclass(frozen=True)
-class TrainArguments:
-    """Everything that decides what a training run learns; ``chemlab train --help`` is made from this."""
+def _other_default(name: str, default: Any) -> Any:
+    """A field of :class:`Arguments` that begins with another value."""
+    of: Field[Any] = Arguments.__dataclass_fields__[name]
+    return field(default=default, metadata=of.metadata, kw_only=True)
 
-    env_id: str = _argument(
+
+A = TypeVar("A", bound="Arguments")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What every training run is told, whoever computes the updates.
+
+    Raises:
+        ValueError: a value is out of bounds; which one, its bounds, and what was given.
+    """
+
+    command: ClassVar[str] = ""
+    """The command of ``chemlab`` that takes them."""
+
+    steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.", least=1)
+    seed: int = _argument(0, "Seed of networks, exploration and environments.", least=0, most=_MOST_SEED)
+    envs: int = _argument(10, "Environments side by side.", least=1)
+    learning_rate: float | None = _argument(None, "Learning rate.", above=0.0)
+    gamma: float | None = _argument(None, "Discount.", least=0.0, most=1.0, otherwise=0.99)
+    gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C.", least=0.0, most=1.0)
+    ent_coef: float | None = _argument(
+        None, "Weight of the entropy.", least=0.0, otherwise="0 on policy, learned by SAC"
+    )
+    clip_range: float | None = _argument(None, "PPO's clip range.", above=0.0, otherwise=0.2)
+    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay.", least=2)
+    epochs: int | None = _argument(None, "PPO's passes over a rollout.", least=1, otherwise=10)
+    evaluations: int = _argument(10, "Evaluations during training, evenly spread, beside the scripted policy.", least=1)
+    eval_episodes: int = _argument(20, "Episodes a goal in each of them.", least=1)
+    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.", least=1)
+    checkpoints: int = _argument(
+        40, "Checkpoints during training, evenly spread (a crash loses what is after the last).", least=1
+    )
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            for item in value if isinstance(value, tuple) else (value,):
+                _check(f, item)
+
+    @classmethod
+    def of(cls: type[A], values: Mapping[str, Any], where: str = "arguments") -> A:
+        """Arguments from {field: value}; what is not there is the default.
+
+        Args:
+            values: as a TOML table has them; None where a flag was not given.
+            where: file or command, for errors.
+
+        Raises:
+            ValueError: unknown field, or a value of the wrong type or out of bounds.
+        """
+        given = cls._completed(_given(cls, values, where), where)
+        try:
+            return cls(**given)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+
+    @classmethod
+    def load(cls: type[A], path: Path | None, flags: Mapping[str, Any]) -> A:
+        """Arguments from a TOML file and a command's flags, which win.
+
+        Raises:
+            DataError: the file is missing or not TOML.
+            ValueError: unknown field, or a value of the wrong type or out of bounds.
+        """
+        if path is None:
+            return cls.of(flags, cls.command)
+        values = _given(cls, read_toml(path), str(path))
+        return cls.of({**values, **flags}, f"{cls.command} --config {path}")
+
+    @classmethod
+    def ordered(cls) -> list[Field[Any]]:
+        """The fields as people read them: what is this kind of run's own, then what every run is told."""
+        common = Arguments.__dataclass_fields__
+        return sorted(fields(cls), key=lambda f: f.name in common)
+
+    @classmethod
+    def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:
+        """What is given, with what it implies."""
+        return given
+
+    def folder(self) -> Path:
+        """Where a run stands in a folder of results."""
+        raise NotImplementedError
+
+    def recorded(self) -> dict[str, Any]:
+        """What a run's ``config.json`` says of them: a run may go on in another place."""
+        places = [f.name for f in fields(self) if f.metadata.get("place")]
+        return {name: value for name, value in asdict(self).items() if name not in places}
+
+    def flags(self, always: Sequence[str] = (), implied: Arguments | None = None) -> list[str]:
+        """What to give the command after the positional argument to get them.
+
+        Args:
+            always: fields to say even where they are as they would be.
+            implied: what the others are without being said (default: the defaults).
+        """
+        implied = type(self)() if implied is None else implied
+        words = []
+        for f in self.ordered():
+            name, value = f.name, getattr(self, f.name)
+            if not f.kw_only or f.metadata.get("place") or (value == getattr(implied, name) and name not in always):
+                continue
+            for item in value if isinstance(value, tuple) else (value,):
+                words += [f"--{name.replace('_', '-')}", str(item)]
+        return words
+
+    def command_line(self) -> str:
+        """The command that trains it again."""
+        (positional,) = (getattr(self, f.name) for f in fields(self) if not f.kw_only)
+        return shlex.join(["chemlab", self.command, positional, *self.flags()])
+
+
+@dataclass(frozen=True)
+class TrainArguments(Arguments):
+    """Everything that decides what a run of ``chemlab train`` learns."""
+
+    command = "train"
+
+    env_id: str = _positional(
         "chemlab/WurtzReaction-v0", "Environment to train in, as registered with Gymnasium; manager for short."
     )
-    algo: str = _argument("ppo", f"Algorithm: {', '.join(ALGORITHMS)}.")
-    preset: str = _argument("paper", f"Defaults to start from: {', '.join(PRESETS)}.")
-    steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.")
-    seed: int = _argument(0, "Seed of networks, exploration and environments.")
+    algo: str = _argument("ppo", f"Algorithm: {', '.join(ALGORITHMS)}.", known=ALGORITHMS)
+    preset: str = _argument("paper", f"Defaults to start from: {', '.join(PRESETS)}.", known=tuple(PRESETS))
     scenario: str | None = _argument(
-        None, "Scenario, for chemlab/Bench-v0 and the laboratory's views (others have their own)."
+        None,
+        "Scenario, for chemlab/Bench-v0 and the laboratory's views (others have their own).",
+        otherwise="wurtz_dodecane",
     )
     bench: str | None = _argument(
-        None, "Bench of the scenario, for chemlab/Bench-v0; the agent, for chemlab/LabAgent-v0 (others have their own)."
+        None,
+        "Bench of the scenario, for chemlab/Bench-v0; the agent, for chemlab/LabAgent-v0 (others have their own).",
+        otherwise="rxn; manager_0",
     )
     background: str | None = _argument(
-        None, "Who plays the other roles of a laboratory, by name. Default: heuristic, for the laboratory's views."
+        None,
+        "Who plays the other roles of a laboratory, by name.",
+        otherwise="heuristic, for the laboratory's views",
     )
-    goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option. Default: all.")
+    goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option.", otherwise="all")
     starts: str = _argument(
         "paper", "Starting states: paper, lab (as vessels reach the bench in a laboratory), or both."
     )
@@ -99,126 +242,195 @@ class TrainArguments:
         None,
         "Curriculum of a laboratory's role: backward (from the last bench to the first), or stages 'STEP: BENCH=SHARE "
         "...': until that step such shares of the episodes begin with a vessel on its way to the bench, or to submit, "
-        "the rest with the scenario's shelf; repeat the option. Default: none.",
+        "the rest with the scenario's shelf; repeat the option.",
+        otherwise="none",
     )
     imitate: str | None = _argument(
-        None, "Policy to imitate before learning, by name (heuristic, hasty, ...). Default: none."
+        None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
     )
-    imitate_steps: int | None = _argument(None, "About how many of its turns. Default: 20000.")
-    envs: int = _argument(10, "Environments side by side.")
-    rollout: int = _argument(256, "Steps gathered in each environment before each update.")
-    learning_rate: float | None = _argument(None, "Learning rate. Default: the algorithm's in SB3.")
-    gamma: float | None = _argument(None, "Discount. Default: 0.99.")
-    gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C. Default: the algorithm's in SB3.")
-    ent_coef: float | None = _argument(None, "Weight of the entropy. Default: 0 on policy, learned by SAC.")
-    ent_coef_start: float | None = _argument(None, "What SAC's learned weight begins with. Default: 1.0, SB3's.")
-    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay. Default: the algorithm's in SB3.")
-    epochs: int | None = _argument(None, "PPO's passes over a rollout. Default: 10.")
-    clip_range: float | None = _argument(None, "PPO's clip range. Default: 0.2.")
+    imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, otherwise="20000")
+    rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1)
+    ent_coef_start: float | None = _argument(
+        None, "What SAC's learned weight of the entropy begins with.", above=0.0, otherwise="1.0, SB3's"
+    )
     gradient_steps: int | None = _argument(
-        None, "Gradient steps from replay after each rollout. Default: 256; SAC, TD3 128."
+        None, "Gradient steps from replay after each rollout.", least=1, otherwise="256; SAC, TD3 128"
     )
-    buffer_size: int | None = _argument(None, "Steps kept for replay. Default: 1000000.")
-    learning_starts: int | None = _argument(None, "Random steps before learning from replay. Default: 100.")
+    buffer_size: int | None = _argument(None, "Steps kept for replay.", least=1, otherwise=1_000_000)
+    learning_starts: int | None = _argument(None, "Random steps before learning from replay.", least=0, otherwise=100)
     exploration_steps: int | None = _argument(
-        None, "Steps in which DQN's exploration falls to its end. Default: 30000."
+        None, "Steps in which DQN's exploration falls to its end.", least=1, otherwise=30_000
     )
-    exploration_final: float | None = _argument(None, "DQN's exploration after that. Default: 0.01.")
-    action_noise: float | None = _argument(None, "Standard deviation of TD3's exploration, of [-1, 1]. Default: 0.1.")
-    net_arch: tuple[int, ...] | None = _argument(
-        None, "Hidden layers; repeat the option. Default: the algorithm's in SB3."
+    exploration_final: float | None = _argument(
+        None, "DQN's exploration after that.", least=0.0, most=1.0, otherwise=0.01
     )
-    evaluations: int = _argument(10, "Evaluations during training, evenly spread, beside the scripted policy.")
-    eval_episodes: int = _argument(20, "Episodes a goal in each of them.")
-    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.")
-    checkpoints: int = _argument(
-        40, "Checkpoints during training, evenly spread (a crash loses what is after the last)."
+    action_noise: float | None = _argument(
+        None, "Standard deviation of TD3's exploration, of [-1, 1].", least=0.0, otherwise=0.1
     )
+    net_arch: tuple[int, ...] | None = _argument(None, "Hidden layers; repeat the option.", least=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, algorithms in _ONLY.items():
+            if getattr(self, name) is not None and self.algo not in algorithms:
+                raise ValueError(f"{name}: is for {', '.join(algorithms)}, not for {self.algo}")
+        if self.ent_coef is not None and self.ent_coef_start is not None:
+            raise ValueError("ent_coef_start: is where a learned weight begins; ent_coef fixes it")
+        if self.algo in _PPO and self.envs * self.rollout < 2:
+            raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
+        if self.algo == "maskable-ppo" and self.envs * self.rollout % (self.batch_size or _SB3_BATCH) == 1:
+            raise ValueError(
+                f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
+                "last minibatch, where advantages are normalized; give another, or another rollout"
+            )
+        curriculum_of(self, ())
+
+    @classmethod
+    def ordered(cls) -> list[Field[Any]]:
+        """The fields as people read them: what is this kind of run's own, then what every run is told."""
+        common = Arguments.__dataclass_fields__
+        return sorted(fields(cls), key=lambda f: f.name in common)
+
+    @classmethod
+    def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:
+        preset = given.get("preset", "paper")
+        if preset not in PRESETS:
+            raise ValueError(f"{where}: preset: known: {', '.join(PRESETS)}; given {preset!r}")
+        given = {**PRESETS[preset], **given}
+        env_id = given.get("env_id", cls.env_id)
+        return {**given, "env_id": _SHORT.get(env_id, env_id)}
+
+    def folder(self, label: str | None = None) -> Path:
+        """Where a run stands in a folder of results: bench, label (default: :func:`label_of`), seed."""
+        task = self.env_id.rpartition("/")[2].rpartition("-v")[0] or self.env_id
+        other = {"Bench": "rxn", "LabAgent": "manager_0", "LabManager": "manager_0"}.get(task)
+        if other is not None:
+            task = f"{Path(self.scenario or 'wurtz_dodecane').stem}-{self.bench or other}"
+        return Path(task, label or label_of(self), f"seed-{self.seed}")
+
+    def flags(self, always: Sequence[str] = ("algo", "steps", "seed"), implied: Arguments | None = None) -> list[str]:
+        """See :meth:`Arguments.flags`; what the preset implies is not said."""
+        return super().flags(always, TrainArguments(**PRESETS[self.preset]) if implied is None else implied)
 
 
 @dataclass(frozen=True)
-class JointArguments:
-    """Everything that decides what a joint training run learns."""
+class TeamArguments(Arguments):
+    """What a run is told in which several roles of a laboratory learn, each with a learner of its own."""
 
-    scenario: str = _argument("wurtz_dodecane", "Scenario: a shipped name or a path.")
+    scenario: str = _positional("wurtz_dodecane", "Scenario: a shipped name or a path.")
     roles: tuple[str, ...] | None = _argument(
-        None, "Roles that learn: manager and bench keys; repeat the option. Default: all."
+        None, "Roles that learn: manager and bench keys; repeat the option.", otherwise="all"
     )
     background: str = _argument("heuristic", "Who plays the roles that do not learn, by name.")
-    regime: str = _argument("together", "together, or in-turns (round-robin).")
-    period: int = _argument(10, "Updates before the next role's turn (in-turns).")
+    rewards: str | None = _argument(None, "Another reward mix than the scenario's.", otherwise="the scenario's")
+    manager_gamma: float = _argument(1.0, "Discount a decision of the manager.", least=0.0, most=1.0)
+    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.", least=1)
+    learning_rate: float = _other_default("learning_rate", 3e-4)
+    gamma: float = _argument(0.99, "Discount a turn of a bench's agent.", least=0.0, most=1.0)
+    gae_lambda: float = _other_default("gae_lambda", 0.95)
+    ent_coef: float = _argument(0.01, "Weight of the entropy of discrete actions.", least=0.0)
+    clip_range: float = _other_default("clip_range", 0.2)
+    batch_size: int = _argument(256, "Minibatch of each role.", least=2)
+    epochs: int = _other_default("epochs", 10)
+
+
+@dataclass(frozen=True)
+class JointArguments(TeamArguments):
+    """Everything that decides what a run of ``chemlab train-together`` learns."""
+
+    command = "train-together"
+
+    regime: str = _argument("together", "together, or in-turns (round-robin).", known=("together", "in-turns"))
+    period: int = _argument(10, "Updates before the next role's turn (in-turns).", least=1)
     begin_from: str | None = _argument(
-        None, "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN. Default: scratch."
+        None,
+        "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
+        otherwise="scratch",
     )
-    rewards: str | None = _argument(None, "Another reward mix than the scenario's.")
-    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.")
-    envs: int = _argument(64, "Laboratories side by side.")
-    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.")
-    seed: int = _argument(0, "Seed of networks, exploration and laboratories.")
-    gamma: float = _argument(0.99, "Discount a turn of a bench's agent.")
-    manager_gamma: float = _argument(1.0, "Discount a decision of the manager.")
+    envs: int = _argument(64, "Laboratories side by side.", least=1)
+    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
-    gae_lambda: float = _argument(0.95, "GAE lambda.")
-    learning_rate: float = _argument(3e-4, "Learning rate.")
-    ent_coef: float = _argument(0.01, "Weight of the entropy of discrete actions.")
-    batch_size: int = _argument(256, "Minibatch.")
-    epochs: int = _argument(10, "PPO's passes over a rollout.")
-    evaluations: int = _argument(10, "Evaluations during training, evenly spread.")
-    eval_episodes: int = _argument(20, "Episodes a goal in each of them.")
-    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.")
+
+    def folder(self) -> Path:
+        """Where a run stands in a folder of results: scenario, regime, seed."""
+        return Path(f"{Path(self.scenario).stem}-joint", self.regime, f"seed-{self.seed}")
 
 
-_LIMITS: dict[str, float] = {
-    "steps": 1,
-    "imitate_steps": 1,
-    "seed": 0,
-    "envs": 1,
-    "rollout": 1,
-    "batch_size": 1,
-    "epochs": 1,
-    "gradient_steps": 1,
-    "buffer_size": 1,
-    "learning_starts": 0,
-    "exploration_steps": 1,
-    "exploration_final": 0.0,
-    "action_noise": 0.0,
-    "evaluations": 1,
-    "eval_episodes": 1,
-    "final_episodes": 1,
-    "checkpoints": 1,
-}
+@dataclass(frozen=True)
+class RllibArguments(TeamArguments):
+    """Everything that decides what a run of ``chemlab train-rllib`` learns, and where."""
+
+    command = "train-rllib"
+
+    address: str | None = _argument(
+        None,
+        "Ray cluster: HOST:PORT, or auto for the one that runs on this machine.",
+        otherwise="a Ray of its own",
+        place=True,
+    )
+    runners: int = _argument(
+        1, "Env runners: processes that play, anywhere in the cluster, a CPU each.", least=1, place=True
+    )
+    envs: int = _argument(8, "Laboratories in each env runner.", least=1)
+    batch: int = _argument(4096, "Turns gathered before each update, all runners and roles together.", least=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.batch < self.runners * self.envs:
+            raise ValueError(
+                f"batch: must be at least a turn in each of the {self.runners * self.envs} laboratories "
+                f"(runners x envs), given {self.batch}"
+            )
+        if self.batch_size > self.batch:
+            raise ValueError(f"batch_size: must be at most batch, {self.batch}, given {self.batch_size}")
+
+    def folder(self) -> Path:
+        """Where a run stands in a folder of results: scenario, who learns, seed."""
+        return Path(f"{Path(self.scenario).stem}-rllib", "-".join(self.roles or ("all",)), f"seed-{self.seed}")
+
 
 _ONLY: dict[str, tuple[str, ...]] = {
-    "imitate": ON_POLICY,
-    "imitate_steps": ON_POLICY,
-    "gae_lambda": ON_POLICY,
-    "ent_coef": (*ON_POLICY, "sac"),
+    "imitate": _ON_POLICY,
+    "imitate_steps": _ON_POLICY,
+    "gae_lambda": _ON_POLICY,
+    "ent_coef": (*_ON_POLICY, "sac"),
     "ent_coef_start": ("sac",),
-    "batch_size": ("ppo", "maskable-ppo", "dqn", "sac", "td3"),
-    "epochs": ("ppo", "maskable-ppo"),
-    "clip_range": ("ppo", "maskable-ppo"),
-    "gradient_steps": ("dqn", "sac", "td3"),
-    "buffer_size": ("dqn", "sac", "td3"),
-    "learning_starts": ("dqn", "sac", "td3"),
+    "batch_size": (*_PPO, *_REPLAY),
+    "epochs": _PPO,
+    "clip_range": _PPO,
+    "gradient_steps": _REPLAY,
+    "buffer_size": _REPLAY,
+    "learning_starts": _REPLAY,
     "exploration_steps": ("dqn",),
     "exploration_final": ("dqn",),
     "action_noise": ("td3",),
 }
 """Fields that are some algorithms' own."""
 
-_DEFAULTS: dict[str, Any] = {
-    "gamma": 0.99,
-    "buffer_size": 1_000_000,
-    "learning_starts": 100,
-    "exploration_steps": 30_000,
-    "exploration_final": 0.01,
-    "action_noise": 0.1,
-    "epochs": 10,
-    "clip_range": 0.2,
-}
+
+def help_of(argument: Field[Any]) -> str:
+    """What a field is and what it is by default, for people."""
+    default = argument.default
+    if default is None:
+        default = argument.metadata.get("otherwise", "the algorithm's in SB3")
+    return f"{argument.metadata['help']} Default: {default}."
 
 
-Arguments = TypeVar("Arguments")
+def _check(argument: Field[Any], value: Any) -> None:
+    """Refuse a value that is out of a field's bounds."""
+    bounds, name = argument.metadata, argument.name
+    if "known" in bounds and value not in bounds["known"]:
+        raise ValueError(f"{name}: known: {', '.join(bounds['known'])}; given {value!r}")
+    if not isinstance(value, (int, float)):
+        return
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: must be a finite number, given {value}")
+    least, most, above = (bounds.get(key) for key in ("least", "most", "above"))
+    if above is not None and value <= above:
+        raise ValueError(f"{name}: must be above {above:g}, given {value}")
+    if (least is not None and value < least) or (most is not None and value > most):
+        wanted = f"at least {least:g}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name}: must be {wanted}, given {value}")
 
 
 def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
@@ -227,8 +439,6 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
     if get_origin(hint) is tuple:
         kinds = [hint]
     kind = kinds[0]
-    if value is None and type(None) in get_args(hint):
-        return None
     if get_origin(kind) is tuple:
         inner = get_args(kind)[0]
         items = [value] if isinstance(value, (str, int)) else value
@@ -244,7 +454,7 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
     return value
 
 
-def _given(kind: type[Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _given(kind: type[Arguments], values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """What was given of a dataclass's fields, as the fields' types."""
     hints = get_type_hints(kind)
     names = [f.name for f in fields(kind)]
@@ -256,46 +466,6 @@ def _given(kind: type[Any], values: Mapping[str, Any], where: str) -> dict[str, 
         if value is not None:
             given[name] = _converted(name, hints[name], value, where)
     return given
-
-
-def arguments_of(values: Mapping[str, Any], where: str = "arguments") -> TrainArguments:
-    """Arguments from {field: value}; what is not there is the preset's.
-
-    Args:
-        values: as a TOML table has them; None where a flag was not given.
-        where: file or command, for errors.
-
-    Raises:
-        ValueError: unknown field, or a value of the wrong type or out of bounds.
-    """
-    given = _given(TrainArguments, values, where)
-    given["env_id"] = _SHORT.get(given.get("env_id", ""), given.get("env_id", TrainArguments.env_id))
-    preset = given.get("preset", "paper")
-    if preset not in PRESETS:
-        raise ValueError(f"{where}: preset: known: {', '.join(PRESETS)}; given {preset!r}")
-    arguments = TrainArguments(**{**PRESETS[preset], **given})
-    _check(arguments, where)
-    return arguments
-
-
-def _check(arguments: TrainArguments, where: str) -> None:
-    algo = arguments.algo
-    if algo not in ALGORITHMS:
-        raise ValueError(f"{where}: algo: known: {', '.join(ALGORITHMS)}; given {algo!r}")
-    for name, least in _LIMITS.items():
-        value = getattr(arguments, name)
-        if value is not None and value < least:
-            raise ValueError(f"{where}: {name}: must be at least {least}, given {value}")
-    for name, algorithms in _ONLY.items():
-        if getattr(arguments, name) is not None and algo not in algorithms:
-            raise ValueError(f"{where}: {name}: is for {', '.join(algorithms)}, not for {algo}")
-    curriculum_of(arguments, ())
-    for name in ("learning_rate", "ent_coef_start"):
-        value = getattr(arguments, name)
-        if value is not None and value <= 0.0:
-            raise ValueError(f"{where}: {name}: must be above 0, given {value}")
-    if arguments.ent_coef is not None and arguments.ent_coef_start is not None:
-        raise ValueError(f"{where}: ent_coef_start: is where a learned weight begins; ent_coef fixes it")
 
 
 class Stage(NamedTuple):
@@ -347,52 +517,17 @@ def curriculum_of(arguments: TrainArguments, benches: Sequence[str]) -> list[Sta
     return stages
 
 
-def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> TrainArguments:
-    """Arguments from a TOML file and flags, which win.
-
-    Raises:
-        DataError: the file is missing or not TOML.
-        ValueError: unknown field, or a value of the wrong type or out of bounds.
-    """
-    values = {} if path is None else read_toml(path)
-    if path is not None:
-        arguments_of(values, str(path))
-    return arguments_of({**values, **{k: v for k, v in flags.items() if v is not None}}, "train")
-
-
-def merged(kind: type[Arguments], path: Path | None, flags: Mapping[str, Any], command: str) -> Arguments:
-    """A dataclass of arguments from a TOML file and a command's flags, which win.
-
-    Raises:
-        DataError: the file is missing or not TOML.
-        ValueError: unknown field, or a value of the wrong type.
-    """
-    values = {} if path is None else _given(kind, read_toml(path), str(path))
-    return kind(**{**values, **_given(kind, flags, command)})
-
-
-def load_joint_arguments(path: Path | None, flags: Mapping[str, Any]) -> JointArguments:
-    """Arguments of joint training from a TOML file and flags, which win.
-
-    Raises:
-        DataError: the file is missing or not TOML.
-        ValueError: unknown field, or a value of the wrong type or out of bounds.
-    """
-    arguments = merged(JointArguments, path, flags, "train-together")
-    for name in ("steps", "envs", "rollout", "period", "batch_size", "epochs", "evaluations", "eval_episodes"):
-        if getattr(arguments, name) < 1:
-            raise ValueError(f"train-together: {name}: must be at least 1, given {getattr(arguments, name)}")
-    if arguments.regime not in ("together", "in-turns"):
-        raise ValueError(f"train-together: regime: together or in-turns, given {arguments.regime!r}")
-    return arguments
-
-
 def resolved(arguments: TrainArguments) -> TrainArguments:
     """The same with every default of ours that depends on the algorithm filled in (SB3's own stay None)."""
-    known = {**_DEFAULTS, "gradient_steps": 256 if arguments.algo == "dqn" else 128}
+    ours: dict[str, Any] = {
+        f.name: f.metadata["otherwise"]
+        for f in fields(TrainArguments)
+        if type(f.metadata.get("otherwise")) in (int, float)
+    }
+    ours["gradient_steps"] = 256 if arguments.algo == "dqn" else 128
     values = {
         name: value
-        for name, value in known.items()
+        for name, value in ours.items()
         if getattr(arguments, name) is None and arguments.algo in _ONLY.get(name, ALGORITHMS)
     }
     return replace(arguments, **values)
@@ -405,26 +540,3 @@ def label_of(arguments: TrainArguments) -> str:
         return arguments.algo
     own = PRESETS[arguments.preset].get("algo", arguments.algo)
     return arguments.preset if arguments.algo == own else f"{arguments.preset}-{arguments.algo}"
-
-
-def folder_of(arguments: TrainArguments, label: str | None = None) -> Path:
-    """Where a run stands in a folder of results: bench, label, seed."""
-    bench = arguments.env_id.rpartition("/")[2].rpartition("-v")[0] or arguments.env_id
-    other = {"Bench": "rxn", "LabAgent": "manager_0", "LabManager": "manager_0"}.get(bench)
-    if other is not None:
-        bench = f"{Path(arguments.scenario or 'wurtz_dodecane').stem}-{arguments.bench or other}"
-    return Path(bench, label or label_of(arguments), f"seed-{arguments.seed}")
-
-
-def flags_of(arguments: TrainArguments) -> list[str]:
-    """What to give ``chemlab train`` after the environment to get these arguments."""
-    preset = TrainArguments(**PRESETS[arguments.preset])
-    flags = []
-    for f in fields(TrainArguments):
-        value = getattr(arguments, f.name)
-        # Some are always said: a command should show what it trains.
-        if f.name == "env_id" or (value == getattr(preset, f.name) and f.name not in ("algo", "steps", "seed")):
-            continue
-        for item in value if isinstance(value, tuple) else (value,):
-            flags += [f"--{f.name.replace('_', '-')}", str(item)]
-    return flags

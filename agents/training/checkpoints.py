@@ -20,17 +20,10 @@ from stable_baselines3.common.buffers import ReplayBuffer
 
 from chemlab.files import draft_of, sync_file, sync_folder
 
+from ..runs import Run
 from ..sb3 import ChemlabVecEnv
-from .runs import Run
 
-__all__ = [
-    "commit_checkpoint",
-    "load_checkpoint",
-    "random_state",
-    "restore_random_state",
-    "save_checkpoint",
-    "tidy",
-]
+__all__ = ["commit_checkpoint", "load_agent", "random_state", "restore_random_state", "save_agent", "tidy"]
 
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -83,37 +76,24 @@ def commit_checkpoint(
     tidy(run, step, best_step)
 
 
-def save_checkpoint(run: Run, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any], best: bool) -> None:
-    """Write the ``last`` checkpoint of a learner, and its model as ``best`` if it is that.
+def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any]) -> None:
+    """Write what :func:`load_agent` needs into the folder of a checkpoint.
 
     Args:
-        run: whose checkpoint.
+        run: whose checkpoint; replay memory is beside its checkpoints.
+        folder: the checkpoint's.
         model, venv: the learner between two rollouts and its environments.
         progress: what the training loop itself has to remember.
-        best: whether this is the best model so far.
     """
-    rows = 0
-
-    def write(folder: Path) -> None:
-        nonlocal rows
-        model.save(folder / "model.zip")
-        rows = _save_replay(run, model) if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer) else 0
-        state = {
-            "step": model.num_timesteps,
-            "replay_rows": rows,
-            "environments": venv.get_state(),
-            "action_space": model.action_space.np_random.bit_generator.state,
-            **random_state(),
-            "progress": progress,
-        }
-        (folder / "state.pkl").write_bytes(pickle.dumps(state))
-
-    commit_checkpoint(run, model.num_timesteps, write, "model.zip", best, progress["best_step"])
-    if rows:
-        size = model.replay_buffer.buffer_size  # type: ignore[attr-defined]
-        for _, stop, file in _replay_files(run):
-            if stop <= rows - size:
-                file.unlink()
+    model.save(folder / "model.zip")
+    state = {
+        "replay_rows": _save_replay(run, model) if _replay(model) is not None else 0,
+        "environments": venv.get_state(),
+        "action_space": model.action_space.np_random.bit_generator.state,
+        **random_state(),
+        "progress": progress,
+    }
+    (folder / "state.pkl").write_bytes(pickle.dumps(state))
 
 
 def _renamed(draft: Path, final: Path) -> None:
@@ -131,12 +111,20 @@ def tidy(run: Run, last: int, best: int | None) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    return getattr(model, "replay_buffer", None)
+
+
 def _save_replay(run: Run, model: Any) -> int:
     """Write the rows that no file has yet; the number of rows there have ever been."""
     buffer: ReplayBuffer = model.replay_buffer
     size, rows = buffer.buffer_size, int(model.num_timesteps // model.n_envs)
     files = _replay_files(run)
-    start = max(max((stop for _, stop, _ in files), default=0), rows - size)
+    written = max((stop for _, stop, _ in files), default=0)
+    for _, stop, file in files:
+        if stop <= written - size:  # the last checkpoint does without it
+            file.unlink()
+    start = max(written, rows - size)
     if start < rows:
         at = np.arange(start, rows) % size
         target = run.checkpoints / "replay" / f"{start}-{rows}.npz"
@@ -171,7 +159,7 @@ def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
     buffer.pos, buffer.full = rows % size, rows >= size
 
 
-def load_checkpoint(
+def load_agent(
     run: Run, folder: Path, algorithm: type[BaseAlgorithm], venv: ChemlabVecEnv
 ) -> tuple[BaseAlgorithm, dict[str, Any]]:
     """The learner of a ``last`` checkpoint with the environments as they were, and the loop's own memory.
@@ -184,8 +172,9 @@ def load_checkpoint(
     # Only a run's own files are unpickled, as SB3 does with the model beside them.
     state = pickle.loads((folder / "state.pkl").read_bytes())
     model = algorithm.load(folder / "model.zip", env=venv, device="cpu", force_reset=False)
-    if isinstance(getattr(model, "replay_buffer", None), ReplayBuffer):
-        _load_replay(run, model.replay_buffer, state["replay_rows"])  # type: ignore[attr-defined]
+    buffer = _replay(model)
+    if buffer is not None:
+        _load_replay(run, buffer, state["replay_rows"])
     # Making the model has seeded everything anew: the streams come last.
     venv.set_state(state["environments"])
     model.action_space.np_random.bit_generator.state = state["action_space"]

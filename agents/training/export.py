@@ -6,7 +6,6 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,16 +16,17 @@ import numpy.typing as npt
 
 from chemlab.arrays import ObservationArray
 
-from ..policy import RandomPolicy
+from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, interface, save_policy
-from .arguments import TrainArguments, arguments_of, flags_of, resolved
-from .learn import RESULT_SEED, load_learner
-from .runs import Run
+from ..runs import RESULT_SEED, Run
+from .arguments import TrainArguments, resolved
 from .tasks import LaboratoryTask, Task, find_task
 
 try:
     import torch
     from torch import nn
+
+    from ..learners import load_learner
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
 
@@ -80,7 +80,7 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
 def _observations(task: Task, members: int = 64) -> ObservationArray:
     """Observations of random episodes."""
     env = task.batch(members)
-    shape = task.role.observation_space.shape
+    shape = task.workplace.observation_space.shape
     policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
     nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
     observations, infos = env.reset(seed=0)
@@ -135,7 +135,7 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
     task = find_task(_arguments(config))
     if config["fingerprint"] != task.fingerprint:
-        raise ValueError(f"{folder}: {task.bench} of {task.scenario.name} has changed since this run; train it again")
+        raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
     model: Any = load_learner(best, config["algo"])
     weights, activation, output = network_of(model)
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
@@ -143,13 +143,13 @@ def export_run(folder: Path, out: Path) -> Card:
         "name": path.name,
         "env_id": config["env_id"],
         "scenario": task.scenario.name,
-        "bench": task.role.key,
+        "bench": task.workplace.key,
         "goals": config["goals"],
         "starts": config["starts"],
         "fingerprint": config["fingerprint"],
-        "interface": json.loads(json.dumps(interface(task.role))),
-        "observation_size": int(task.role.observation_space.shape[0]),
-        "action_size": task.role.action_count or len(task.role.action_meanings),
+        "interface": json.loads(json.dumps(interface(task.workplace))),
+        "observation_size": int(task.workplace.observation_space.shape[0]),
+        "action_size": task.workplace.action_count or len(task.workplace.action_meanings),
         "algo": config["algo"],
         "label": config["label"],
         "seed": config["seed"],
@@ -168,8 +168,7 @@ def export_run(folder: Path, out: Path) -> Card:
         )
     episodes = config["final_episodes"]
     found = task.by_goal(policy, episodes, RESULT_SEED)
-    scripted = task.scripted()
-    heuristic = None if scripted is None else task.by_goal(scripted, episodes, RESULT_SEED)
+    heuristic = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,
         "seed": RESULT_SEED,
@@ -207,7 +206,7 @@ def training_command(config: dict[str, Any]) -> str:
     given = vars(_arguments(config))
     if given["goals"] == tuple(find_task(_arguments({**config, "goals": None})).goals):
         given = {**given, "goals": None}
-    implied = vars(resolved(arguments_of({name: given[name] for name in ("env_id", "algo", "preset")})))
+    implied = vars(resolved(TrainArguments.of({name: given[name] for name in ("env_id", "algo", "preset")})))
     own = {name: value for name, value in given.items() if value != implied[name]}
-    own |= {name: given[name] for name in ("algo", "preset")}
-    return shlex.join(["chemlab", "train", config["env_id"], *flags_of(arguments_of(own))])
+    own |= {name: given[name] for name in ("env_id", "algo", "preset")}
+    return TrainArguments.of(own).command_line()

@@ -17,7 +17,7 @@ from chemlab.arrays import BoolArray, FloatArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
 
-from ..policy import Policy
+from ..policies import Policy
 
 __all__ = ["imitate"]
 

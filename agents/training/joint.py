@@ -13,8 +13,7 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +23,15 @@ import numpy.typing as npt
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import play_pass
+from chemlab.laboratory.policy import Players, as_policy
 from chemlab.laboratory.state import RUNNING
-from chemlab.scenario import load_scenario
+from chemlab.scenario import Scenario
 
-from ..evaluation.play import play_laboratory
-from ..policy import Policy, agent_policy
-from ..pretrained import fingerprint
-from ..roles import MANAGER_ROLE, chosen_roles, role_of
+from ..policies import Policy, agent_policy
+from ..roles import MANAGER_ROLE, role_of
+from ..runs import Evaluation, Run, RunResult
 from .arguments import JointArguments
 from .experience import Experience
-from .runs import Evaluation, Run, RunConfig, RunResult
 
 try:
     import torch
@@ -45,13 +42,13 @@ try:
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv
 
+    from ..learners import load_learner, load_team, save_team
     from .checkpoints import random_state, restore_random_state
-    from .learn import LearnerPolicy, Watcher, load_learner, open_run, versions
-    from .rounds import fresh_memory, train_in_rounds
+    from .loop import LaboratoryTrainee, Progress, Watcher, described_team, open_run, train_in_rounds, training_versions
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
-__all__ = ["JointArguments", "load_team", "train_together"]
+__all__ = ["JointArguments", "train_together"]
 
 
 class _Spaces(VecEnv):
@@ -155,20 +152,18 @@ class _Acting:
         return played
 
 
-class _Team:
+class _Team(LaboratoryTrainee):
     """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
 
     models = "*.zip"
 
-    def __init__(self, arguments: JointArguments) -> None:
+    def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str]) -> None:
+        super().__init__(arguments, scenario)
         a = self.arguments = arguments
-        scenario = load_scenario(a.scenario)
-        self.scenario = scenario if a.rewards is None else scenario.with_rewards(a.rewards)
         self.labs = labs = Laboratories(self.scenario, a.envs)
         # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
-        self.roles = chosen_roles(labs, None)
-        self.learning = chosen_roles(labs, a.roles)
+        self.learning = roles
         self.learners: dict[str, _Learner] = {}
         for role in self.learning:
             number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
@@ -180,7 +175,7 @@ class _Team:
         for member, seed in zip(labs.members, seeds, strict=True):
             labs.seed(int(member), int(seed))
         labs.reset(labs.members)
-        self._policies: list[Policy | None] = [self._player(number) for number in range(len(labs.agents))]
+        self._players = Players(labs, [self._player(number) for number in range(len(labs.agents))])
 
     def _model(self, role: str, space: gymnasium.Space[Any], actions: gymnasium.Space[Any]) -> Any:
         a = self.arguments
@@ -191,6 +186,7 @@ class _Team:
             "batch_size": a.batch_size,
             "n_epochs": a.epochs,
             "ent_coef": a.ent_coef if discrete else 0.0,
+            "clip_range": a.clip_range,
             "gamma": a.manager_gamma if role == MANAGER_ROLE else a.gamma,
             "gae_lambda": a.gae_lambda,
             "seed": a.seed,
@@ -216,7 +212,7 @@ class _Team:
         """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
         labs = self.labs
         for _ in range(self.arguments.rollout):
-            play_pass(labs, self._policies, labs.members, self._after)
+            self._players.play_pass(labs.members, self._after)
             over = labs.members[labs.desk.status != RUNNING]
             if len(over):
                 self.returns += labs.result(over).tolist()
@@ -249,50 +245,50 @@ class _Team:
                 learner.experience.forget()
         return turns
 
-    def learn(self, memory: dict[str, Any]) -> tuple[int, list[float]]:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
+    def learn(self, progress: Progress) -> tuple[int, list[float]]:
+        """See :class:`~chemlab.agents.training.loop.Trainee`."""
         a = self.arguments
         self.collect()
-        at = memory["updates"] // a.period % len(self.learning)
+        at = progress.rounds // a.period % len(self.learning)
         learning = self.learning if a.regime == "together" else [self.learning[at]]
-        turns = max(self.update(learning, 1.0 - memory["step"] / a.steps), 1)
+        turns = max(self.update(learning, 1.0 - progress.step / a.steps), 1)
         returns, self.returns = self.returns, []
         return turns, returns
 
-    def scores(self, episodes: int, seed: int, scripted: bool = False) -> dict[str, float]:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
-        labs = Laboratories(self.scenario, episodes)
-        policies: dict[str, Policy] = {}
-        for number, agent in enumerate(labs.agents):
-            learner = None if scripted else self.learners.get(role_of(agent))
-            policies[agent] = (
-                agent_policy(self.arguments.background, labs, number, seed)
-                if learner is None
-                else LearnerPolicy(learner.model)
-            )
-        return {
-            goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self.scenario.lab_goals
-        }
+    def learned(self) -> Mapping[str, Policy]:
+        """See :class:`~chemlab.agents.training.loop.LaboratoryTrainee`."""
+        return {role: as_policy(learner.model) for role, learner in self.learners.items()}
 
-    def save(self, folder: Path, memory: dict[str, Any], evaluation: Evaluation) -> None:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
-        for role, learner in self.learners.items():
-            learner.model.save(_file_of(folder, role, learner.model))
-        state = {"team": self.get_state(), **random_state(), "progress": memory}
+    def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
+        """See :class:`~chemlab.agents.training.loop.Trainee`."""
+        save_team(folder, {role: learner.model for role, learner in self.learners.items()})
+        state = {"team": self.get_state(), **random_state(), "progress": vars(progress)}
         (folder / "state.pkl").write_bytes(pickle.dumps(state))
 
-    def take_best(self, folder: Path) -> None:
-        """See :class:`chemlab.agents.training.rounds.Team`."""
+    def load(self, folder: Path) -> Progress:
+        """Go on from a checkpoint."""
+        # Only a run's own files are unpickled, as SB3 does with the models beside them.
+        state = pickle.loads((folder / "state.pkl").read_bytes())
+        for role, model in load_team(folder).items():
+            mine = self.learners[role].model
+            mine.policy.load_state_dict(model.policy.state_dict())
+            mine.policy.optimizer.load_state_dict(model.policy.optimizer.state_dict())
+            mine.num_timesteps = model.num_timesteps
+        self.set_state(state["team"])
+        restore_random_state(state)
+        return Progress.of(state["progress"], folder)
+
+    def take(self, folder: Path) -> None:
+        """See :class:`~chemlab.agents.training.loop.Trainee`."""
         for role, model in load_team(folder).items():
             self.learners[role].model.policy.load_state_dict(model.policy.state_dict())
 
     def get_state(self) -> dict[str, Any]:
         """Everything that changes but the learners' networks."""
-        memories = [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
         return {
             "laboratories": self.labs.snapshot(),
             "experience": {role: learner.experience.get_state() for role, learner in self.learners.items()},
-            "memories": memories,
+            "memories": self._players.get_memory(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -300,23 +296,7 @@ class _Team:
         self.labs.restore(state["laboratories"])
         for role, learner in self.learners.items():
             learner.experience.set_state(state["experience"][role])
-        for policy, memory in zip(self._policies, state["memories"], strict=True):
-            remind = getattr(policy, "set_memory", None)
-            if remind is not None:
-                remind(memory)
-
-
-def load_team(folder: Path) -> dict[str, Any]:
-    """The learners of a joint run's checkpoint, by role."""
-    found = {}
-    for file in sorted(folder.glob("*.zip")):
-        kind = MaskablePPO if "maskable" in file.stem else PPO
-        found[file.stem.partition(".")[0]] = kind.load(file, device="cpu")
-    return found
-
-
-def _file_of(folder: Path, role: str, model: Any) -> Path:
-    return folder / (f"{role}.maskable.zip" if isinstance(model, MaskablePPO) else f"{role}.zip")
+        self._players.set_memory(state["memories"])
 
 
 def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
@@ -324,7 +304,7 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
 
     Args:
         arguments: who learns what.
-        out: the run's folder; what is in it is described in :mod:`chemlab.agents.training.runs`, and a checkpoint has
+        out: the run's folder; what is in it is described in :mod:`chemlab.agents.runs`, and a checkpoint has
             a model for each role.
         watcher: is told how it goes.
 
@@ -332,47 +312,17 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
         ValueError: the folder holds another run, another process trains it, or an argument is wrong.
         DataError: unknown scenario.
     """
-    if arguments.regime not in ("together", "in-turns"):
-        raise ValueError(f"regime: together or in-turns, given {arguments.regime!r}")
-    torch.set_num_threads(1)
-    run, team = Run(out), _Team(arguments)
-    described = RunConfig(
-        f"joint-{arguments.regime}",
-        {**asdict(arguments), "algo": "joint", "env_id": "chemlab/Laboratory-v0"},
-        arguments.scenario,
-        ",".join(team.learning),
-        list(team.scenario.lab_goals),
-        fingerprint(team.labs.role(0)),
-        versions(),
-    )
-    return open_run(run, described, asdict(JointArguments()), lambda: _train(run, arguments, team, watcher))
+    run, label = Run(out), f"joint-{arguments.regime}"
+    scenario, roles, described = described_team(arguments, label, "joint", training_versions())
 
+    def go_on() -> RunResult:
+        team, last = _Team(arguments, scenario, roles), run.checkpoint("last")
+        progress = Progress() if last is None else team.load(last)
+        if last is None and arguments.begin_from is not None:
+            _begin_from(arguments.begin_from, team)
+        return train_in_rounds(run, described, team, arguments, progress, watcher)
 
-def _train(run: Run, arguments: JointArguments, team: _Team, watcher: Watcher | None) -> RunResult:
-    memory, last = fresh_memory(), run.checkpoint("last")
-    if last is not None:
-        memory = _load(last, team)
-    elif arguments.begin_from is not None:
-        _begin_from(arguments.begin_from, team)
-    return train_in_rounds(run, team, arguments, memory, (f"joint-{arguments.regime}", "joint"), watcher)
-
-
-def _load(folder: Path, team: _Team) -> dict[str, Any]:
-    """Put a team back as it was; returns what the loop had to remember."""
-    # Only a run's own files are unpickled, as SB3 does with the models beside them.
-    state = pickle.loads((folder / "state.pkl").read_bytes())
-    for role, model in load_team(folder).items():
-        _take_over(team.learners[role], model)
-    team.set_state(state["team"])
-    restore_random_state(state)
-    return dict(state["progress"])
-
-
-def _take_over(learner: _Learner, model: Any) -> None:
-    """Go on with a saved model's networks and optimizer."""
-    learner.model.policy.load_state_dict(model.policy.state_dict())
-    learner.model.policy.optimizer.load_state_dict(model.policy.optimizer.state_dict())
-    learner.model.num_timesteps = model.num_timesteps
+    return open_run(run, described, arguments, go_on)
 
 
 def _begin_from(text: str, team: _Team) -> None:

@@ -30,8 +30,8 @@ from typing import Any
 from chemlab.files import write_text
 from chemlab.materials import read_toml
 
-from .arguments import TrainArguments, arguments_of, flags_of, folder_of, label_of, resolved
-from .runs import Run, differences, to_text
+from ..runs import Run, differences, to_text
+from .arguments import TrainArguments, label_of, resolved
 from .tasks import task_fingerprint
 
 __all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
@@ -91,9 +91,9 @@ def plan(file: Path, out: Path) -> list[Planned]:
         for seed in _seeds(values.get("seeds", 1), where):
             for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
                 own = {k: v for k, v in values.items() if k not in _OWN}
-                arguments = arguments_of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
+                arguments = TrainArguments.of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
                 label = str(values.get("name", label_of(arguments)))
-                path = out / folder_of(arguments, label)
+                path = out / arguments.folder(label)
                 one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
                 if path in found and found[path].arguments != arguments:
                     raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
@@ -215,7 +215,7 @@ def _start(one: Planned) -> subprocess.Popen[bytes]:
     one.run.path.mkdir(parents=True, exist_ok=True)
     one.run.failed_file.unlink(missing_ok=True)
     command = [sys.executable, "-m", "chemlab", "train", one.arguments.env_id]
-    command += [*flags_of(one.arguments), "--out", str(one.run.path), "--quiet"]
+    command += [*one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
     # One core a run: libraries that start threads of their own would share it with the other runs.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with one.log.open("ab") as log:

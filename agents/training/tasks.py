@@ -19,10 +19,10 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 
-from ..evaluation.play import bench_policy, play_bench, play_laboratory
-from ..policy import Policy, agent_policy
-from ..pretrained import Role, fingerprint
-from ..views import background_policies, focal_vector_env
+from ..background import background_policies, focal_vector_env
+from ..player import play_bench, play_laboratory
+from ..policies import Policy, agent_policy, bench_policy, is_scripted
+from ..pretrained import Workplace, fingerprint, given_as
 from .arguments import TrainArguments
 
 __all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint"]
@@ -32,15 +32,15 @@ class Task(ABC):
     """What a training run is about."""
 
     scenario: Scenario
-    bench: str
-    """The bench's key, or the agent's id in a laboratory."""
+    agent: str
+    """Who learns: a bench by its key, or an agent of a laboratory by its id."""
     goals: tuple[str, ...]
-    role: Role
+    workplace: Workplace
 
     @property
     def fingerprint(self) -> str:
         """Equal fingerprints are equal tasks."""
-        return fingerprint(self.role)
+        return fingerprint(self.workplace)
 
     @abstractmethod
     def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
@@ -69,12 +69,15 @@ class Task(ABC):
             ValueError: unknown name, or nothing that fits.
         """
 
-    def scripted(self) -> Policy | None:
-        """The scripted policy, or None where there is none."""
-        try:
-            return self.policy("heuristic")
-        except ValueError:
+    def warning(self) -> str | None:
+        """What whoever trains for this should know before, if anything."""
+        return None
+
+    def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
+        """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
+        if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
             return None
+        return self.by_goal(self.policy("heuristic"), episodes, seed)
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
         """A policy's mean for each goal."""
@@ -103,8 +106,8 @@ class BenchTask(Task):
     def __init__(self, scenario: Any, bench: str, goals: tuple[str, ...] | None = None, starts: str = "paper") -> None:
         self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
         self._batches: dict[int, BenchVectorEnv] = {}
-        self.role: Bench = self.batch(1).bench
-        self.scenario, self.bench = self.role.scenario, bench
+        self.workplace: Bench = self.batch(1).bench
+        self.scenario, self.agent = self.workplace.scenario, bench
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
     def batch(self, members: int) -> BenchVectorEnv:
@@ -124,7 +127,19 @@ class BenchTask(Task):
 
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
-        return bench_policy(name, self.role)
+        return bench_policy(name, self.workplace)
+
+    def warning(self) -> str | None:
+        """See :class:`Task`: the scenario may say nothing of what a single bench begins with."""
+        start, given = self.workplace.spec.start, given_as(self.scenario)
+        if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
+            return None
+        recorded = f"; or record vessels with chemlab starts {given}, and train with --starts lab"
+        return (
+            f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
+            f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"
+            f"{recorded if is_scripted(self.workplace) else ''}"
+        )
 
 
 class LaboratoryTask(Task):
@@ -148,20 +163,20 @@ class LaboratoryTask(Task):
         background: str = "heuristic",
         goals: tuple[str, ...] | None = None,
     ) -> None:
-        self.scenario, self.bench, self._background = load_scenario(scenario), agent, background
+        self.scenario, self.agent, self._background = load_scenario(scenario), agent, background
         known = self.scenario.lab_goals
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:
             raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
         env = self.batch(1)
         self._number = env.focal
-        self.role = env.laboratories.role(env.focal)
+        self.workplace = env.laboratories.role(env.focal)
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> FocalVectorEnv:
         """See :class:`Task`."""
         return focal_vector_env(
-            members, self.scenario, self.bench, self._background, autoreset_mode=AutoresetMode.SAME_STEP
+            members, self.scenario, self.agent, self._background, autoreset_mode=AutoresetMode.SAME_STEP
         )
 
     def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
@@ -172,9 +187,9 @@ class LaboratoryTask(Task):
         """See :class:`Task`."""
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
         others = background_policies(self._background)
-        policies = {**(others(labs) if callable(others) else others), self.bench: policy}
+        policies = {**(others(labs) if callable(others) else others), self.agent: policy}
         played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
-        own = (one.returns if self._number == 0 else one.measures[f"reward {self.bench}"] for one in played)
+        own = (one.returns if self._number == 0 else one.measures[f"reward {self.agent}"] for one in played)
         return np.array(list(own))
 
     def policy(self, name: str) -> Policy:
@@ -209,7 +224,7 @@ def find_task(arguments: TrainArguments) -> Task:
     if env_id not in known:
         raise ValueError(f"env_id: known: {', '.join(known)}; given {env_id!r}")
     own = known[env_id]
-    laboratory = ".views:" in str(gymnasium.spec(env_id).entry_point)
+    laboratory = ".background:" in str(gymnasium.spec(env_id).entry_point)
     asked = {"scenario": arguments.scenario, ("agent" if laboratory else "bench"): arguments.bench}
     for name, value in asked.items():
         if value is not None and own.get(name, value) != value:

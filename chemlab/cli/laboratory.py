@@ -25,7 +25,7 @@ from .common import (
 from .screen import err, event_words, happened, out, page, plain, show_table
 
 if TYPE_CHECKING:
-    from ..agents.run import EpisodeResult, Turn
+    from ..agents.episodes import EpisodeResult, Turn
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
     from ..laboratory.describe import FactTable
@@ -139,8 +139,8 @@ def _play(
     watch: Any = None,
     recorders: Mapping[int, Recorder] | None = None,
 ) -> Iterator[EpisodeResult]:
-    from ..agents.policy import make_policies
-    from ..agents.run import play_episode
+    from ..agents.episodes import play_episode
+    from ..agents.policies import make_policies
 
     for seed in seeds:
         policies = make_policies(policy, env.laboratories, seed)
@@ -362,7 +362,7 @@ def starts(
 
     with Progress(console=err, transient=True) as progress:
         spec, _ = prepare(scenario, quiet=True)
-        from ..agents.starts import record_starts
+        from ..agents.start_recorder import record_starts
         from ..laboratory.starts import starts_file, write_starts
 
         task = progress.add_task("episodes", total=episodes * len(spec.goals))

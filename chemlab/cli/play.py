@@ -15,8 +15,8 @@ from .records import TrustOption
 from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
-    from ..agents.policy import Policy
-    from ..agents.run import Turn
+    from ..agents.episodes import Turn
+    from ..agents.policies import Policy
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
 
@@ -28,7 +28,7 @@ __all__: list[str] = []
 
 def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
     """(name, policy) of who plays the other roles."""
-    from ..agents.policy import make_policies
+    from ..agents.policies import make_policies
 
     pretrained = name == "pretrained"
     made = make_policies("heuristic" if pretrained else name, labs, seed)
@@ -112,8 +112,8 @@ def play(
 
     At each of your turns you see what that role's agent sees, no more. Type ? for help and q to leave.
     """
+    from ..agents.episodes import play_episode
     from ..agents.human import HumanPolicy, Left
-    from ..agents.run import play_episode
     from ..record import Recorder
 
     _, env = prepare(scenario, quiet=False)

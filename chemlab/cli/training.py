@@ -7,7 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin, get_type_hints
 
@@ -18,17 +18,11 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ..agents.training.arguments import (
-    JointArguments,
-    TrainArguments,
-    folder_of,
-    load_arguments,
-    load_joint_arguments,
-)
+from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
 from .common import JsonOption, app, err, out, readable_errors
 
 if TYPE_CHECKING:
-    from ..agents.training.runs import Evaluation, RunResult
+    from ..agents.runs import Evaluation, RunResult
     from ..agents.training.sweep import Planned, Status
 
 __all__: list[str] = []
@@ -51,7 +45,7 @@ class _Account:
         console.print(text)
 
     def begun(self, step: int, steps: int) -> None:
-        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        """See :class:`chemlab.agents.training.loop.Watcher`."""
         self._steps = steps
         if step:
             self._say(f"resuming at step {step:,} of {steps:,}")
@@ -59,47 +53,26 @@ class _Account:
             self._task = self._progress.add_task("training", total=steps, completed=step, mean="")
 
     def advanced(self, step: int, mean: float | None) -> None:
-        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        """See :class:`chemlab.agents.training.loop.Watcher`."""
         if self._progress is not None:
             shown = "" if mean is None else f"return {mean:.3f}"
             self._progress.update(self._task, completed=step, mean=shown)
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
-        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        """See :class:`chemlab.agents.training.loop.Watcher`."""
         scripted = evaluation.heuristic_mean
         beside = "" if scripted is None else f", scripted {scripted:.3f}"
         self._say(f"step {evaluation.step:>9,}: mean return {evaluation.mean:.3f}{beside}{'  (best)' if best else ''}")
 
     def finishing(self) -> None:
-        """See :class:`chemlab.agents.training.learn.Watcher`."""
+        """See :class:`chemlab.agents.training.loop.Watcher`."""
         if self._progress is not None:
             self._progress.update(self._task, mean="last evaluation")
 
 
-def _train(config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]) -> None:
-    with readable_errors():
-        arguments = load_arguments(config, flags)
-        from ..agents.training.learn import train
-
-        place = folder or Path("runs") / folder_of(arguments)
-        _watched(place, quiet, as_json, lambda watcher: train(arguments, place, watcher))
-
-
-def _train_together(
-    config: Path | None, folder: Path | None, quiet: bool, as_json: bool, flags: dict[str, Any]
-) -> None:
-    with readable_errors():
-        arguments = load_joint_arguments(config, flags)
-        from ..agents.training.joint import train_together
-
-        own = Path(f"{Path(arguments.scenario).stem}-joint", arguments.regime, f"seed-{arguments.seed}")
-        place = folder or Path("runs") / own
-        _watched(place, quiet, as_json, lambda watcher: train_together(arguments, place, watcher))
-
-
 def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunResult]) -> None:
     """Train with an account of it on standard error, then say what came of it."""
-    from ..agents.training.runs import Run
+    from ..agents.runs import Run
 
     known = Run(folder).result_file.exists()
     silent = quiet or as_json or not err.is_terminal
@@ -139,26 +112,41 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
 
-def _command(
-    name: str, arguments: type[Any], positional: str, about: str, folder_help: str, act: Callable[..., None]
-) -> None:
+def _single() -> Any:
+    from ..agents.training.learn import train
+
+    return train
+
+
+def _joint() -> Any:
+    from ..agents.training.joint import train_together
+
+    return train_together
+
+
+def _rllib() -> Any:
+    from ..agents.rllib.train import train_rllib
+
+    return train_rllib
+
+
+def _command(kind: type[Arguments], trainer: Callable[[], Any], about: str, folder_help: str) -> None:
     """Add a command with one option for each field of a dataclass: there is one list of arguments.
 
-    ``act`` is called with the config file, the folder, whether to be quiet, whether to print JSON, and the flags given.
+    ``trainer`` imports, when it is needed, the function of (arguments, folder, watcher) that trains.
     """
-    hints = get_type_hints(arguments)
+    hints = get_type_hints(kind)
     parameters: list[tuple[str, Any, Any]] = []
-    for f in fields(arguments):
-        kinds = [kind for kind in (get_args(hints[f.name]) or (hints[f.name],)) if kind is not type(None)]
-        kind: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
-        text = f.metadata["help"]
-        if f.name == positional:
-            parameters.append((f.name, Annotated[kind, typer.Argument(help=text)], inspect.Parameter.empty))
+    for f in kind.ordered():
+        kinds = [k for k in (get_args(hints[f.name]) or (hints[f.name],)) if k is not type(None)]
+        taken: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
+        if not f.kw_only:
+            text = typer.Argument(help=f.metadata["help"])
+            parameters.append((f.name, Annotated[taken, text], inspect.Parameter.empty))
             continue
         # No flag is None, so that what was given wins over file and preset, which win over the field's default.
-        shown = text if f.default is None else f"{text} Default: {f.default}."
-        option = typer.Option(f"--{f.name.replace('_', '-')}", help=shown, show_default=False)
-        parameters.append((f.name, Annotated[Optional[kind], option], None))  # noqa: UP045 - made at run time
+        option = typer.Option(f"--{f.name.replace('_', '-')}", help=help_of(f), show_default=False)
+        parameters.append((f.name, Annotated[Optional[taken], option], None))  # noqa: UP045 - made at run time
     config = typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False)
     folder = typer.Option("--out", help=folder_help, show_default=False)
     quiet = typer.Option("--quiet", help="No progress bar; a line for each evaluation.")
@@ -168,9 +156,12 @@ def _command(
     parameters.append(("as_json", JsonOption, False))
 
     def run(**given: Any) -> None:
-        own = [given.pop(name) for name in ("config", "out", "quiet", "as_json")]
-        flags = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-        act(*own, {name: value for name, value in flags.items() if value is not None and value != ()})
+        config, folder, quiet, as_json = (given.pop(name) for name in ("config", "out", "quiet", "as_json"))
+        flags = {name: value for name, value in given.items() if value is not None and value != []}
+        with readable_errors():
+            arguments = kind.load(config, flags)
+            train, place = trainer(), folder or Path("runs") / arguments.folder()
+            _watched(place, quiet, as_json, lambda watcher: train(arguments, place, watcher))
 
     run.__doc__ = about
     keyword = inspect.Parameter.KEYWORD_ONLY
@@ -178,31 +169,37 @@ def _command(
         [inspect.Parameter(name, keyword, default=default, annotation=hint) for name, hint, default in parameters]
     )
     run.__annotations__ = {name: hint for name, hint, _ in parameters}
-    app.command(name)(run)
+    app.command(kind.command)(run)
 
 
 _command(
-    "train",
     TrainArguments,
-    "env_id",
+    _single,
     """Train a bench's agent, or one role of a laboratory; a run that was interrupted goes on where it was.
 
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
     scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
     """,
     "The run's folder. Default: runs/BENCH/ALGO/seed-SEED.",
-    _train,
 )
 _command(
-    "train-together",
     JointArguments,
-    "scenario",
+    _joint,
     """Train several roles of a laboratory together, a learner for each; an interrupted run goes on where it was.
 
     Returns are the laboratory's scores. The run's folder is like that of train, with a model for each role.
     """,
     "The run's folder. Default: runs/SCENARIO-joint/REGIME/seed-SEED.",
-    _train_together,
+)
+_command(
+    RllibArguments,
+    _rllib,
+    """Train roles of a laboratory with Ray RLlib, here or on a cluster; an interrupted run goes on where it was.
+
+    Returns are the laboratory's scores. A lost env runner is replaced. The run's folder is like that of train, with
+    a policy for each role that plays without Ray: chemlab evaluate SCENARIO --policy FOLDER.
+    """,
+    "The run's folder. Default: runs/SCENARIO-rllib/ROLES/seed-SEED.",
 )
 
 

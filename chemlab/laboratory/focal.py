@@ -45,7 +45,7 @@ from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import SAFETY_EVENTS, RewardSpec, Scenario, load_scenario
 from .batch_env import BatchEnv, State
 from .core import MANAGER_AGENT, Laboratories
-from .policy import as_policy, play_on
+from .policy import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
 from .state import RUNNING, TERMINATED
 from .text import describe_laboratory
@@ -58,8 +58,6 @@ __all__ = ["FocalEnv", "FocalVectorEnv", "Policies"]
 Policies = Mapping[str, Any] | Callable[[Laboratories], Mapping[str, Any]]
 """Who plays the other agents: anything :func:`~chemlab.laboratory.policy.as_policy` takes, by agent id; or a function
 that makes these for the laboratories."""
-
-_MOST_TRIES = 1000
 
 
 class FocalVectorEnv(BatchEnv):
@@ -111,7 +109,7 @@ class FocalVectorEnv(BatchEnv):
         missing = [name for name in labs.agents if name != agent and name not in given]
         if missing:
             raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
-        self._policies = [as_policy(given[name], name) if name != agent else None for name in labs.agents]
+        self._players = Players(labs, [as_policy(given[name], name) if name != agent else None for name in labs.agents])
         super().__init__(
             num_envs,
             agent,
@@ -137,11 +135,7 @@ class FocalVectorEnv(BatchEnv):
 
     def _seed_member(self, member: int, seed: int) -> None:
         self.laboratories.seed(member, seed)
-        sequences = np.random.SeedSequence(seed).spawn(len(self._policies))
-        for policy, sequence in zip(self._policies, sequences, strict=True):
-            start = getattr(policy, "seed", None)
-            if start is not None:
-                start(member, sequence)
+        self._players.seed(member, seed)
 
     def _begin(self, members: IntArray, goal: int | None) -> None:
         self._restart(members, None if goal is None else self._goal_names[goal])
@@ -149,17 +143,7 @@ class FocalVectorEnv(BatchEnv):
 
     def _restart(self, members: IntArray, goal: str | None) -> None:
         """New episodes, played on to the agent's first turn; nothing before it is the agent's."""
-        waiting = members
-        for _ in range(_MOST_TRIES):
-            self.laboratories.reset(waiting, goal)
-            self._run(waiting)
-            waiting = waiting[self.laboratories.desk.status[waiting] != RUNNING]
-            if not len(waiting):
-                break
-        else:
-            raise RuntimeError(
-                f"{self.agent}: had no turn in {_MOST_TRIES} episodes: the other policies never start it"
-            )
+        self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal))
         self._clear(members)
         self._last_turn[members] = self.laboratories.desk.ticks[members]
 
@@ -182,7 +166,8 @@ class FocalVectorEnv(BatchEnv):
         labs.act(self.focal, acting, actions[acting])
         self._illegal[acting] = labs.illegal(self.focal)[acting]
         self._collect(acting)
-        self._run(acting)
+        # The others play until the agent has the turn again or all is over.
+        self._players.play_on(acting, lambda number, group: self._collect(group))
         self._events[acting] = labs.safety_totals[acting] - before
         # Not a matrix product: the last digit of that depends on how many rows there are.
         self._lab_costs[acting] = (self._events[acting] * self._event_weights).sum(axis=1)
@@ -221,10 +206,6 @@ class FocalVectorEnv(BatchEnv):
             self._scores,
         ]
 
-    def _run(self, members: IntArray) -> None:
-        """Let the others play in every laboratory of ``members`` until the agent has the turn or all is over."""
-        play_on(self.laboratories, self._policies, members, lambda number, group: self._collect(group))
-
     def _collect(self, members: IntArray) -> None:
         """Add up what the last turn, whoever's it was, meant for the agent."""
         labs, focal = self.laboratories, self.focal
@@ -255,18 +236,13 @@ class FocalVectorEnv(BatchEnv):
 
     def get_state(self) -> State:
         """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
-        memories = np.empty(len(self._policies), dtype=object)
-        for number, policy in enumerate(self._policies):
-            remember = getattr(policy, "get_memory", None)
-            memories[number] = remember() if remember is not None else None
+        memories = np.empty(1, dtype=object)
+        memories[0] = self._players.get_memory()
         return [*super().get_state(), memories]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
         """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
-        for policy, memory in zip(self._policies, state[-1], strict=True):
-            remind = getattr(policy, "set_memory", None)
-            if remind is not None:
-                remind(memory)
+        self._players.set_memory(state[-1][0])
         return super().set_state(state[:-1])
 
     def _more_arrays(self) -> State:

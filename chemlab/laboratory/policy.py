@@ -14,7 +14,9 @@ from .batch_env import checked_actions
 from .core import Laboratories
 from .state import RUNNING
 
-__all__ = ["Policy", "as_policy", "play_on", "play_pass"]
+__all__ = ["Players", "Policy", "as_policy"]
+
+_MOST_TRIES = 1000
 
 
 class Policy(Protocol):
@@ -99,51 +101,104 @@ def as_policy(given: Any, agent: str = "") -> Policy:
     )
 
 
-def play_pass(
-    laboratories: Laboratories,
-    policies: Sequence[Policy | None],
-    members: IntArray,
-    after: Callable[[int, IntArray], None],
-) -> None:
-    """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
-    tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
+def _nothing(number: int, members: IntArray) -> None:
+    """After a turn."""
+
+
+class Players:
+    """Policies of the agents of some laboratories; where an agent has none, somebody else moves it.
 
     Args:
-        laboratories: the laboratories.
-        policies: of every agent, None for one that others move.
-        members: [B] laboratories that play.
-        after: called after every turn with the agent's number and the laboratories it was in.
-
-    Raises:
-        ValueError: a policy's actions are outside its agent's space; the message names the agent.
+        laboratories: where they play.
+        policies: of every agent, in order, or None.
+        act: plays some agent's actions in some laboratories: (number, members [B], actions [B, ...]); default:
+            :meth:`Laboratories.act`.
     """
-    labs = laboratories
-    cursor, status = labs.desk.cursor, labs.desk.status
-    for number, policy in enumerate(policies):
-        group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
-        if len(group) and policy is not None:
-            seen, mask = labs.observe(number, group), labs.mask(number, group)
-            actions = policy.act(seen, mask, labs.turns_had(number)[group], group)
-            labs.act(
-                number, group, checked_actions(labs.agents[number], actions, len(group), labs.action_space(number))
-            )
-            after(number, group)
 
+    def __init__(
+        self,
+        laboratories: Laboratories,
+        policies: Sequence[Policy | None],
+        act: Callable[[int, IntArray, npt.NDArray[Any]], None] | None = None,
+    ) -> None:
+        self._labs, self._policies, self._act = laboratories, list(policies), act or laboratories.act
+        self._played = np.array([policy is not None for policy in policies])
 
-def play_on(
-    laboratories: Laboratories,
-    policies: Sequence[Policy | None],
-    members: IntArray,
-    after: Callable[[int, IntArray], None],
-) -> None:
-    """Let policies play, until in every laboratory the episode is over or an agent without a policy has the turn.
+    def seed(self, member: int, seed: int) -> None:
+        """Start one laboratory's random streams of the policies that have any afresh."""
+        sequences = np.random.SeedSequence(seed).spawn(len(self._policies))
+        for policy, sequence in zip(self._policies, sequences, strict=True):
+            start = getattr(policy, "seed", None)
+            if start is not None:
+                start(member, sequence)
 
-    Arguments and errors are those of :func:`play_pass`.
-    """
-    desk = laboratories.desk
-    played = np.array([policy is not None for policy in policies])
-    while True:
-        members = members[(desk.status[members] == RUNNING) & played[desk.cursor[members] + 1]]
-        if not len(members):
-            return
-        play_pass(laboratories, policies, members, after)
+    def get_memory(self) -> list[Any]:
+        """What every policy remembers, for :meth:`set_memory`."""
+        return [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
+
+    def set_memory(self, memory: Sequence[Any]) -> None:
+        """Let every policy remember what it did at a :meth:`get_memory`."""
+        for policy, own in zip(self._policies, memory, strict=True):
+            remind = getattr(policy, "set_memory", None)
+            if remind is not None:
+                remind(own)
+
+    def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
+        """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
+        tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
+
+        Args:
+            members: [B] laboratories that play.
+            after: called after every turn with the agent's number and the laboratories it was in.
+
+        Raises:
+            ValueError: a policy's actions are outside its agent's space; the message names the agent.
+        """
+        labs = self._labs
+        cursor, status = labs.desk.cursor, labs.desk.status
+        for number, policy in enumerate(self._policies):
+            group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
+            if len(group) and policy is not None:
+                seen, mask = labs.observe(number, group), labs.mask(number, group)
+                actions = policy.act(seen, mask, labs.turns_had(number)[group], group)
+                space = labs.action_space(number)
+                self._act(number, group, checked_actions(labs.agents[number], actions, len(group), space))
+                after(number, group)
+
+    def play_on(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
+        """Play until in every laboratory the episode is over or an agent without a policy has the turn.
+
+        Arguments and errors are those of :meth:`play_pass`.
+        """
+        desk = self._labs.desk
+        while True:
+            members = members[(desk.status[members] == RUNNING) & self._played[desk.cursor[members] + 1]]
+            if not len(members):
+                return
+            self.play_pass(members, after)
+
+    def begin(
+        self, members: IntArray, reset: Callable[[IntArray], None], after: Callable[[int, IntArray], None] = _nothing
+    ) -> None:
+        """New episodes, played on to the first turn of an agent without a policy; those in which it never has one are
+        played over.
+
+        Args:
+            members: [B] laboratories.
+            reset: begins an episode in some of them.
+            after: as for :meth:`play_pass`.
+
+        Raises:
+            RuntimeError: the policies never start the others.
+        """
+        waiting = members
+        for _ in range(_MOST_TRIES):
+            reset(waiting)
+            self.play_on(waiting, after)
+            waiting = waiting[self._labs.desk.status[waiting] != RUNNING]
+            if not len(waiting):
+                return
+        others = [agent for agent, played in zip(self._labs.agents, self._played, strict=True) if not played]
+        raise RuntimeError(
+            f"{', '.join(others)}: had no turn in {_MOST_TRIES} episodes: the other policies never start it"
+        )

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.agents.evaluation.play import BenchTarget, bench_policy, play_bench
+from chemlab.agents.evaluation.play import BenchTarget
 from chemlab.agents.evaluation.tables import number, read_table, write_table
+from chemlab.agents.player import play_bench
+from chemlab.agents.policies import bench_policy
 from chemlab.bench.base import Bench
 from chemlab.scenario import load_scenario
 

@@ -10,11 +10,12 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.starts import record_starts
-from chemlab.agents.training.arguments import Stage, arguments_of, curriculum_of
-from chemlab.agents.training.learn import LearnerPolicy, load_learner, train
-from chemlab.agents.training.runs import Run
+from chemlab.agents.learners import load_learner
+from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.runs import Run
+from chemlab.agents.start_recorder import record_starts
+from chemlab.agents.training.arguments import Stage, TrainArguments, curriculum_of
+from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import LaboratoryTask
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
@@ -157,7 +158,7 @@ def test_either_kind_of_start_is_drawn_as_often() -> None:
 
 
 def test_backward_adds_a_bench_at_a_time() -> None:
-    stages = curriculum_of(arguments_of({"steps": 1000, "curriculum": ["backward"]}), ("rxn", "ext", "dit"))
+    stages = curriculum_of(TrainArguments.of({"steps": 1000, "curriculum": ["backward"]}), ("rxn", "ext", "dit"))
     assert [list(stage.shares) for stage in stages] == [
         ["submit", "dit"],
         ["submit", "dit", "ext"],
@@ -168,23 +169,23 @@ def test_backward_adds_a_bench_at_a_time() -> None:
 
 
 def test_stages_of_ones_own() -> None:
-    arguments = arguments_of({"curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
+    arguments = TrainArguments.of({"curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
     assert curriculum_of(arguments, ()) == [Stage(1000, {"submit": 1.0}), Stage(3000, {"dit": 0.5, "ext": 0.25})]
 
 
 @pytest.mark.parametrize("text", ["soon: dit=1", "100 dit=1", "100:", "100: dit", "100: dit=many", "forward"])
 def test_stages_that_are_not_understood(text: str) -> None:
     with pytest.raises(ValueError, match=r"curriculum: stages are .*given"):
-        arguments_of({"curriculum": [text]})
+        TrainArguments.of({"curriculum": [text]})
 
 
 def test_stages_have_growing_steps() -> None:
     with pytest.raises(ValueError, match="growing steps"):
-        arguments_of({"curriculum": ["100: dit=1", "100: ext=1"]})
+        TrainArguments.of({"curriculum": ["100: dit=1", "100: ext=1"]})
 
 
 def test_a_bench_on_its_own_has_no_curriculum(tmp_path: Path) -> None:
-    arguments = arguments_of({"env_id": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
+    arguments = TrainArguments.of({"env_id": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
     with pytest.raises(ValueError, match="curriculum: is for a laboratory"):
         train(arguments, tmp_path / "run")
 
@@ -209,7 +210,7 @@ class _Stop:
 
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
-    arguments = arguments_of({**SMALL, "scenario": "wurtz_any", "imitate": "heuristic", "imitate_steps": 200})
+    arguments = TrainArguments.of({**SMALL, "scenario": "wurtz_any", "imitate": "heuristic", "imitate_steps": 200})
     train(arguments, tmp_path / "whole")
     for rounds in (1, 2):
         with pytest.raises(KeyboardInterrupt):
@@ -231,7 +232,7 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
         ("clone", {"imitate": "heuristic", "imitate_steps": 4000}),
         ("scratch", {"preset": "manager-curriculum"}),
     ):
-        arguments = arguments_of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
+        arguments = TrainArguments.of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
         result = train(arguments, tmp_path / name)
         scores[name] = result.last_mean
         assert result.heuristic_mean is not None
@@ -240,7 +241,7 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
 
 
 def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
-    arguments = arguments_of(
+    arguments = TrainArguments.of(
         {
             **{name: value for name, value in SMALL.items() if name not in ("preset", "env_id")},
             "imitate": "heuristic",
@@ -254,14 +255,14 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
-    arguments = arguments_of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
+    arguments = TrainArguments.of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
     with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
         train(arguments, tmp_path / "run")
 
 
 def test_only_learners_with_a_policy_can_imitate() -> None:
     with pytest.raises(ValueError, match="imitate: is for ppo"):
-        arguments_of({"algo": "dqn", "imitate": "heuristic"})
+        TrainArguments.of({"algo": "dqn", "imitate": "heuristic"})
 
 
 # -- who plays --------------------------------------------------------------------------------------------------------
@@ -270,15 +271,15 @@ def test_only_learners_with_a_policy_can_imitate() -> None:
 @pytest.mark.slow
 def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(arguments_of({**SMALL, "background": "hasty"}), run)
+    train(TrainArguments.of({**SMALL, "background": "hasty"}), run)
     labs = Laboratories("wurtz_dodecane")
     policies = make_policies(str(run), labs)
-    assert isinstance(policies["manager_0"], LearnerPolicy)
+    assert not hasattr(policies["manager_0"], "_careful"), "it is the learner, not the scripted manager"
     expected = make_policies("hasty", labs)
     assert vars(policies["dit_0"]).get("_careful") == vars(expected["dit_0"]).get("_careful")
     best = Run(run).checkpoint("best")
     assert best is not None
-    learner = LearnerPolicy(load_learner(best, "maskable-ppo"))
+    learner = as_policy(load_learner(best, "maskable-ppo"))
     seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
     zero = np.zeros(1, dtype=np.int64)
     assert policies["manager_0"].act(seen, mask, zero, zero) == learner.act(seen, mask, zero, zero)

@@ -12,8 +12,8 @@ from helpers import Careless
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations, write_datasets
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv

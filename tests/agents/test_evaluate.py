@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluation import play as module
 from chemlab.agents.evaluation.play import (
     BenchTarget,
@@ -21,8 +22,7 @@ from chemlab.agents.evaluation.play import (
     find_target,
     play_bench,
 )
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv

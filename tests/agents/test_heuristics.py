@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.policy import Policy, make_policies
-from chemlab.agents.run import EpisodeResult, Turn, play_episode
+from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
+from chemlab.agents.policies import Policy, make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.scenario import scenario_names
 

@@ -13,11 +13,13 @@ from chemlab.agents.training.experience import Experience
 
 pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
 
+from chemlab.agents.learners import load_learner, load_team
+from chemlab.agents.runs import Run
 from chemlab.agents.training import joint
-from chemlab.agents.training.arguments import arguments_of
-from chemlab.agents.training.joint import JointArguments, load_team, train_together
-from chemlab.agents.training.learn import load_learner, train
-from chemlab.agents.training.runs import Run
+from chemlab.agents.training.arguments import JointArguments, TrainArguments
+from chemlab.agents.training.joint import train_together
+from chemlab.agents.training.learn import train
+from chemlab.agents.training.loop import described_team
 
 BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
 SMALL: dict[str, Any] = {
@@ -30,6 +32,12 @@ SMALL: dict[str, Any] = {
     "eval_episodes": 1,
     "final_episodes": 1,
 }
+
+
+def team_of(arguments: JointArguments) -> joint._Team:
+    """What a run with these arguments begins with."""
+    scenario, roles, _ = described_team(arguments, "joint", "joint", {})
+    return joint._Team(arguments, scenario, roles)
 
 
 def turn(experience: Experience, stream: int, value: float, tick: int, action: int = 0) -> None:
@@ -91,8 +99,8 @@ def test_what_is_open_is_kept_for_the_next_rollout() -> None:
 def test_no_reward_is_lost_or_another_agents(scenario: str, rewards: str | None) -> None:
     """What all laboratories paid a role is what its experience holds; only shares of a result to which an agent has
     done nothing are nobody's."""
-    team = joint._Team(JointArguments(scenario, envs=6, rollout=120, rewards=rewards))
-    labs, paid = team.labs, dict.fromkeys(team.roles, 0.0)
+    team = team_of(JointArguments(scenario, envs=6, rollout=120, rewards=rewards))
+    labs, paid = team.labs, dict.fromkeys(team.learning, 0.0)
     after = team._after
 
     def watched(number: int, members: Any) -> None:
@@ -179,7 +187,7 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
 
 def test_a_last_minibatch_of_one_does_no_harm() -> None:
     """The spread of one advantage is not a number, and neither is a network that has learned from it."""
-    team = joint._Team(JointArguments(**{**SMALL, "batch_size": 16}, roles=("dit",)))
+    team = team_of(JointArguments(**{**SMALL, "batch_size": 16}, roles=("dit",)))
     learner = team.learners["dit"]
     space = learner.model.observation_space.shape[0]
     for turn_of in range(33):
@@ -204,9 +212,9 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
         ("dit", "chemlab/WurtzDistillation-v0", "ppo"),
         ("ext", "chemlab/WurtzExtraction-v0", "maskable-ppo"),
     ):
-        train(arguments_of({**short, "env_id": env_id, "algo": algo}), tmp_path / role)
+        train(TrainArguments.of({**short, "env_id": env_id, "algo": algo}), tmp_path / role)
     begin = ",".join(f"{role}={tmp_path / role}" for role in ("rxn", "dit", "ext"))
-    team = joint._Team(JointArguments(**SMALL))
+    team = team_of(JointArguments(**SMALL))
     joint._begin_from(begin, team)
     for role in ("rxn", "dit", "ext"):
         best = Run(tmp_path / role).checkpoint("best")
@@ -227,7 +235,7 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
         train_together(JointArguments(roles=("cook",)), tmp_path / "a")
-    with pytest.raises(ValueError, match="regime: together or in-turns"):
+    with pytest.raises(ValueError, match="regime: known: together, in-turns; given 'chaos'"):
         train_together(JointArguments(regime="chaos"), tmp_path / "b")
     train_together(JointArguments(**{**SMALL, "steps": 10}), tmp_path / "c")
     with pytest.raises(ValueError, match="holds a run with other arguments: seed 0"):

@@ -13,7 +13,6 @@ from helpers import mapping
 from typer.testing import CliRunner
 
 from chemlab.agents.evaluation.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
-from chemlab.agents.evaluation.play import play_laboratory
 from chemlab.agents.plans import (
     ConstantPlan,
     Plan,
@@ -24,12 +23,13 @@ from chemlab.agents.plans import (
     plan_for,
     stored_plans,
 )
-from chemlab.agents.policy import make_policies
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
 from chemlab.arrays import IntArray
 from chemlab.cli import app
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import play_on
+from chemlab.laboratory.policy import Players
 from chemlab.scenario import Scenario, load_scenario
 
 runner = CliRunner()
@@ -89,7 +89,7 @@ def test_the_search_finds_what_is_best_of_all_plans() -> None:
     labs.reset(labs.members)
     policies = make_policies("heuristic", labs)
     policies["manager_0"] = Playback(labs.actions, plans)
-    play_on(labs, list(policies.values()), labs.members, lambda *_: None)
+    Players(labs, list(policies.values())).play_on(labs.members)
     scores = labs.result(labs.members)
     best = search_plan(scenario, budget=3000, seed=1)
     assert best.tried <= 3000

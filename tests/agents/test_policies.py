@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chemlab.agents.policy import RandomPolicy, bench_heuristic, make_policies, policy_names
+from chemlab.agents import policies as policies_module
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import RandomPolicy, make_policies, policy_names
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.arena import BenchArena
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 
 def chi_square(counts: Any) -> float:
@@ -127,11 +130,39 @@ def test_an_unknown_policy_is_refused() -> None:
         assert name in str(caught.value)
 
 
-def test_a_bench_without_a_script_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def unscripted(monkeypatch: pytest.MonkeyPatch) -> Scenario:
+    """A laboratory with a bench of somebody's own, of which nothing has been said yet."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "bench"))
+    monkeypatch.setattr(policies_module, "_UNSCRIPTED", set())
     values = load_scenario("fictitious").model_dump()
-    values["benches"]["fil"] = {"kind": "filtration_bench:FiltrationBench", "step_limit": 5}
-    bench = BenchArena(load_scenario(values), "fil").bench
-    with pytest.raises(ValueError, match="no scripted policy for kind 'filtration_bench:FiltrationBench'") as caught:
-        bench_heuristic(bench)
-    assert "'fil'" in str(caught.value)
+    values["benches"]["fil"] = {"kind": "filtration_bench:FiltrationBench", "step_limit": 5, "count": 2}
+    return load_scenario(values)
+
+
+def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(unscripted: Scenario) -> None:
+    labs = Laboratories(unscripted)
+    said = r"'fil' plays random legal actions: .* kind 'filtration_bench:FiltrationBench' .*reaction, extraction"
+    with pytest.warns(UserWarning, match=said) as caught:
+        policies = make_policies("heuristic", labs, seed=5)
+    assert len(caught) == 1, "of two agents, too"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_policies("hasty", labs)
+    assert isinstance(policies["fil_0"], RandomPolicy)
+    assert not isinstance(policies["dit_0"], RandomPolicy)
+    mask = np.zeros((6000, 2), dtype=np.int8)
+    mask[:, 1] = 1
+    assert act(policies["fil_0"], mask).tolist() == [1] * 6000
+    drawn = [act(policies[agent], np.ones((200, 2), dtype=np.int8)).tolist() for agent in ("fil_0", "fil_1")]
+    assert drawn[0] != drawn[1], "every agent has dice of its own"
+
+
+def test_a_laboratory_with_such_a_bench_is_played_to_its_end(unscripted: Scenario) -> None:
+    env = raw_env(unscripted)
+    with pytest.warns(UserWarning, match="plays random legal actions"):
+        result = play_episode(env, make_policies("heuristic", env.laboratories, 0), 0)
+    assert result.terminated
+    alone = raw_env("fictitious")
+    without = play_episode(alone, make_policies("heuristic", alone.laboratories, 0), 0)
+    assert result.score == pytest.approx(without.score), "the manager does without it"

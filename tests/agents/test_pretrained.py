@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 import warnings
@@ -16,7 +17,8 @@ from helpers import slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
-from chemlab.agents.policy import make_policies
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import (
     Card,
     PretrainedPolicy,
@@ -26,7 +28,6 @@ from chemlab.agents.pretrained import (
     pretrained_for,
     pretrained_names,
 )
-from chemlab.agents.run import play_episode
 from chemlab.agents.training.tasks import BenchTask, LaboratoryTask, Task
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
@@ -96,11 +97,11 @@ def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
 
 def test_card_says_the_preset() -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.training.arguments import TrainArguments
     from chemlab.agents.training.export import training_command
     from chemlab.agents.training.tasks import find_task
 
-    arguments = arguments_of({"env_id": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
+    arguments = TrainArguments.of({"env_id": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
     config = {**asdict(arguments), "goals": list(find_task(arguments).goals), "label": "ppo-entropy"}
     assert training_command(config) == (
         "chemlab train chemlab/WurtzExtraction-v0 --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
@@ -110,22 +111,26 @@ def test_card_says_the_preset() -> None:
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
 def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import arguments_of
+    from chemlab.agents.learners import load_learner
+    from chemlab.agents.runs import Run
+    from chemlab.agents.training.arguments import TrainArguments
     from chemlab.agents.training.export import export_run, largest_difference
-    from chemlab.agents.training.learn import load_learner, train
-    from chemlab.agents.training.runs import Run
+    from chemlab.agents.training.learn import train
 
     values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
     if algo in ("dqn", "sac", "td3"):
         values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
     run = Run(tmp_path / "run")
-    train(arguments_of(values), run.path)
+    train(TrainArguments.of(values), run.path)
     card = export_run(run.path, tmp_path / "models" / "mine")
     assert {path.name for path in (tmp_path / "models").iterdir()} == {"mine.json", "mine.safetensors"}
     policy = load_pretrained(tmp_path / "models" / "mine.json")
     assert policy.card == card
-    assert policy.card.command.startswith(f"chemlab train {env_id} --algo {algo} --steps 240 --seed 0 --envs 2")
+    words = shlex.split(policy.card.command)
+    assert words[:5] == ["chemlab", "train", env_id, "--algo", algo]
+    told = dict(zip(words[3::2], words[4::2], strict=True))
+    assert [told[flag] for flag in ("--steps", "--seed", "--envs")] == ["240", "0", "2"]
     assert "--gamma" not in policy.card.command
     policy.check(bench_of(env_id))
     folder = run.checkpoint("best")
@@ -195,7 +200,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pretrained_for(direct).card.name in ("a", "b")
-    with pytest.raises(ValueError, match=r"no pretrained policy fits bench 'ext'.*a: it is for distillation"):
+    with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*a: it is for distillation"):
         pretrained_for(BenchArena("wurtz_dodecane", "ext").bench)
 
 
@@ -214,7 +219,7 @@ def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
     with pytest.raises(ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"):
         policy.check(bench_of(RXN))
-    with pytest.raises(ValueError, match=r"bench 'dit' of salt_from_oil: observation '.*': it knows"):
+    with pytest.raises(ValueError, match=r"'dit' of salt_from_oil: observation '.*': it knows"):
         policy.check(BenchArena("salt_from_oil", "dit").bench)
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
@@ -323,7 +328,7 @@ def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        policy.check(task.role)
+        policy.check(task.workplace)
     found = task.by_goal(policy, episodes, seed)
     mean = sum(found.values()) / len(found)
     assert mean == pytest.approx(card.evaluation["mean"], rel=0.03, abs=0.01)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import EpisodeResult, Turn, play_episode
-from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env

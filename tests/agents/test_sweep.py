@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from chemlab.agents.training.runs import Run
+from chemlab.agents.runs import Run
 from chemlab.agents.training.sweep import plan, status_of
 from chemlab.cli import app
 from chemlab.materials import DataError

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
+import re
 import subprocess
 import sys
 import threading
@@ -19,26 +21,28 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
-from chemlab.agents.policy import bench_heuristic, make_policies
-from chemlab.agents.run import play_episode
+import chemlab.scenarios
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.learners import load_learner
+from chemlab.agents.policies import bench_heuristic, make_policies
+from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
+    Arguments,
+    JointArguments,
+    RllibArguments,
     TrainArguments,
-    arguments_of,
-    flags_of,
-    folder_of,
     label_of,
-    load_arguments,
     resolved,
 )
-from chemlab.agents.training.learn import load_learner, train
-from chemlab.agents.training.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.scenario import load_scenario
 
 SMALL: dict[str, Any] = {
     "envs": 2,
@@ -58,7 +62,7 @@ def small(algo: str, **more: Any) -> TrainArguments:
     if algo in ("dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
-    return arguments_of(values)
+    return TrainArguments.of(values)
 
 
 def weights(run: Run, algo: str, kind: str = "last") -> Any:
@@ -160,7 +164,7 @@ COMMAND = [sys.executable, "-m", "chemlab", "train"]
 
 
 def start(arguments: TrainArguments, out: Path) -> subprocess.Popen[str]:
-    command = [*COMMAND, arguments.env_id, *flags_of(arguments), "--out", str(out), "--quiet"]
+    command = [*COMMAND, arguments.env_id, *arguments.flags(), "--out", str(out), "--quiet"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
@@ -215,6 +219,19 @@ def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
     assert [event.step for event in shown.Scalars("eval/mean_reward")] == [64 * i for i in (2, 4, 6)]
 
 
+def test_a_checkpoint_of_another_version_is_not_gone_on_with(tmp_path: Path) -> None:
+    """Least of all from step 0, over what has been learned."""
+    with pytest.raises(Killed):
+        train(small("a2c"), tmp_path, Stop(3))
+    last = Run(tmp_path).checkpoint("last")
+    assert last is not None
+    state = pickle.loads((last / "state.pkl").read_bytes())
+    del state["progress"]["step"]
+    (last / "state.pkl").write_bytes(pickle.dumps(state))
+    with pytest.raises(ValueError, match=f"{last.name}: not a checkpoint of this version; delete the run's folder"):
+        train(small("a2c"), tmp_path)
+
+
 def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a checkpoint is not taken for one; the one before is still there."""
     arguments = small("sac", checkpoints=6)
@@ -251,13 +268,13 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = CliRunner()
-    flags = ["train", RXN, *flags_of(small("ppo")), "--out", str(tmp_path / "run")]
+    flags = ["train", RXN, *small("ppo").flags(), "--out", str(tmp_path / "run")]
     first = runner.invoke(app, [*flags, "--json"])
     assert first.exit_code == 0, first.output
     result = Run(tmp_path / "run").result()
     assert result is not None
     assert json.loads(first.stdout)["mean"] == result.mean
-    monkeypatch.setattr(training, "_train", None)
+    monkeypatch.setattr(training, "_Agent", None)
     again = runner.invoke(app, flags)
     assert again.exit_code == 0, again.output
     assert "is finished" in again.output
@@ -325,7 +342,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
 
 def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
     task = BenchTask("wurtz_dodecane", "dit", ("NaCl", "dodecane"))
-    policy = bench_heuristic(task.role)
+    policy = bench_heuristic(task.workplace)
     returns = task.returns(policy, 2, 50)
     np.testing.assert_array_equal(returns, task.returns(policy, 2, 50))
     env = BenchEnv("wurtz_dodecane", "dit")
@@ -345,14 +362,14 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
         venv = ChemlabVecEnv(2, scenario="fictitious", bench="rxn")
         model: Any = training._learner(resolved(arguments), venv, 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
-    assert arguments_of({"preset": "sac-cool"}).algo == "sac"
+    assert TrainArguments.of({"preset": "sac-cool"}).algo == "sac"
     for values, message in (
         ({"algo": "ppo", "ent_coef_start": 0.1}, "is for sac"),
         ({"algo": "sac", "ent_coef_start": 0.0}, "must be above 0"),
         ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
     ):
         with pytest.raises(ValueError, match=message):
-            arguments_of(values)
+            TrainArguments.of(values)
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
@@ -361,16 +378,16 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text('preset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')
-    arguments = load_arguments(file, {"seed": 7, "gamma": None})
+    arguments = TrainArguments.load(file, {"seed": 7, "gamma": None})
     assert (arguments.steps, arguments.seed, arguments.envs, arguments.net_arch) == (100_000, 7, 32, (32, 32))
     assert label_of(arguments) == "ppo-xl"
     assert label_of(replace(arguments, algo="a2c")) == "ppo-xl-a2c"
-    assert folder_of(arguments) == Path("WurtzReaction", "ppo-xl", "seed-7")
-    assert arguments_of({}) == TrainArguments()
+    assert arguments.folder() == Path("WurtzReaction", "ppo-xl", "seed-7")
+    assert TrainArguments.of({}) == TrainArguments()
 
 
 def test_the_papers_protocol_is_the_default() -> None:
-    ppo, dqn = resolved(arguments_of({})), resolved(arguments_of({"algo": "dqn"}))
+    ppo, dqn = resolved(TrainArguments.of({})), resolved(TrainArguments.of({"algo": "dqn"}))
     assert (ppo.envs, ppo.rollout, ppo.steps) == (10, 256, 1_000_000)
     assert (dqn.buffer_size, dqn.exploration_steps, dqn.exploration_final) == (1_000_000, 30_000, 0.01)
     assert ppo.buffer_size is None
@@ -387,7 +404,7 @@ def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
 
 def test_flags_say_the_same_as_arguments() -> None:
     arguments = small("sac", goals=["E", "F"], learning_rate=1e-3)
-    flags = flags_of(arguments)
+    flags = arguments.flags()
     assert flags.count("--goals") == 2
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))
     assert (pairs["--rollout"], pairs["--learning-rate"]) == ("32", "0.001")
@@ -410,7 +427,122 @@ def test_flags_say_the_same_as_arguments() -> None:
 )
 def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        arguments_of(values)
+        TrainArguments.of(values)
+
+
+KINDS: tuple[type[Arguments], ...] = (TrainArguments, JointArguments, RllibArguments)
+NAN, INFINITY = float("nan"), float("inf")
+NONSENSE: dict[str, tuple[Any, ...]] = {
+    "steps": (0, -1),
+    "seed": (-1, 2**32),
+    "envs": (0,),
+    "learning_rate": (0.0, -1e-3, NAN, INFINITY),
+    "gamma": (-0.1, 1.5, NAN),
+    "manager_gamma": (-0.1, 1.5, NAN),
+    "gae_lambda": (-1.0, 1.01, NAN),
+    "ent_coef": (-0.01, NAN, INFINITY),
+    "ent_coef_start": (0.0, -1.0, NAN, INFINITY),
+    "clip_range": (0.0, -0.2, NAN, INFINITY),
+    "batch_size": (1, 0, -5),
+    "epochs": (0,),
+    "evaluations": (0,),
+    "eval_episodes": (0,),
+    "final_episodes": (0,),
+    "checkpoints": (0,),
+    "imitate_steps": (0,),
+    "rollout": (0,),
+    "gradient_steps": (0, -1),
+    "buffer_size": (0,),
+    "learning_starts": (-1,),
+    "exploration_steps": (0,),
+    "exploration_final": (-0.1, 1.1, NAN),
+    "action_noise": (-0.1, NAN, INFINITY),
+    "net_arch": ((64, 0), (-1,)),
+    "period": (0,),
+    "runners": (0,),
+    "batch": (0,),
+}
+EDGES: dict[str, tuple[Any, ...]] = {
+    "seed": (0, 2**32 - 1),
+    "gamma": (0.0, 1.0),
+    "manager_gamma": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "ent_coef": (0.0,),
+    "exploration_final": (0.0, 1.0),
+    "action_noise": (0.0,),
+    "learning_starts": (0,),
+    "batch_size": (2,),
+}
+
+
+def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
+    """Arguments among which a field may be given at all."""
+    if kind is not TrainArguments:
+        return {}
+    others = {"exploration_steps": "dqn", "exploration_final": "dqn", "action_noise": "td3", "ent_coef_start": "sac"}
+    replay = ("gradient_steps", "buffer_size", "learning_starts")
+    return {"algo": others.get(name, "sac" if name in replay else "ppo")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
+    """Every number of every kind of run, however it is given, and nothing that is no number."""
+    numbers = {f.name for f in fields(kind) if {"int", "float"} & set(re.findall(r"\w+", str(f.type)))}
+    assert numbers <= set(NONSENSE)
+    for name in numbers:
+        for value in NONSENSE[name]:
+            with pytest.raises(ValueError, match=f"{name}: must be "):
+                kind(**fitting(kind, name), **{name: value})
+            with pytest.raises(ValueError, match=f"{kind.command}: {name}: must be "):
+                kind.load(None, {**fitting(kind, name), name: value})
+        for value in EDGES.get(name, ()):
+            kind(**fitting(kind, name), **{name: value})
+
+
+def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
+    file = tmp_path / "train.toml"
+    file.write_text("clip_range = nan\n")
+    with pytest.raises(
+        ValueError, match=r"train --config .*train.toml: clip_range: must be a finite number, given nan"
+    ):
+        TrainArguments.load(file, {})
+    for command in (["train", RXN], ["train-together", "wurtz_dodecane"], ["train-rllib", "wurtz_dodecane"]):
+        result = CliRunner().invoke(app, [*command, "--gae-lambda", "nan", "--out", str(tmp_path / "run")])
+        assert result.exit_code == 2
+        assert f"{command[0]}: gae_lambda: must be a finite number, given nan" in result.output.replace("\n", " ")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
+    with pytest.raises(ValueError, match="batch_size: of the 65 steps of a rollout a single one would be left"):
+        TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13)
+    TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13, batch_size=33)
+    with pytest.raises(ValueError, match="rollout: PPO needs at least 2 steps"):
+        TrainArguments(RXN, envs=1, rollout=1)
+
+
+def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bench of somebody's own, which has no scripted policy to be evaluated beside either."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "bench"))
+    file = tmp_path / "with_filter.toml"
+    entry = '\n[benches.fil]\nkind = "filtration_bench:FiltrationBench"\nstep_limit = 5\n'
+    file.write_text((Path(chemlab.scenarios.__path__[0]) / "wurtz_dodecane.toml").read_text() + entry)
+    short = {**SMALL, "env_id": "chemlab/Bench-v0", "scenario": str(file), "bench": "fil", "steps": 64}
+    said = r"'fil' of wurtz_dodecane: .* empty vessel, .* no \[benches.fil.start\]; give it contents .moles by mat"
+    with pytest.warns(UserWarning, match=said):
+        result = train(TrainArguments.of(short), tmp_path / "empty")
+    assert result.heuristic_mean is None
+    assert Run(tmp_path / "empty").evaluations()[0].heuristic_by_goal is None
+
+
+def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
+    values = load_scenario("wurtz_dodecane").model_dump()
+    assert BenchTask(load_scenario(values), "ext").warning() is None
+    values["benches"]["ext"]["start"] = {}
+    said = BenchTask(load_scenario(values), "ext").warning()
+    assert said is not None
+    assert said.endswith("record vessels with chemlab starts wurtz_dodecane, and train with --starts lab")
+    assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
 
 
 @pytest.mark.parametrize(
@@ -426,14 +558,15 @@ def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
 )
 def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
-        train(arguments_of(values), tmp_path / "run")
+        train(TrainArguments.of(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
-def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "chemlab.agents.training.learn")
+def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("learn", "loop"):
+        monkeypatch.delitem(sys.modules, f"chemlab.agents.training.{module}")
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    result = CliRunner().invoke(app, ["train", RXN])
+    result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert 'pip install "chemlab-marl[train]"' in result.output.replace("\n", "")
 
@@ -456,9 +589,9 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     env = raw_env("wurtz_dodecane")
     results = [play_episode(env, make_policies("heuristic", env.laboratories), seed) for seed in (4, 5)]
     manager = LaboratoryTask("wurtz_dodecane")
-    assert manager.returns(manager.scripted(), 2, 4).tolist() == [[result.score for result in results]]
+    assert manager.returns(manager.policy("heuristic"), 2, 4).tolist() == [[result.score for result in results]]
     bench = LaboratoryTask("wurtz_dodecane", "ext_0")
     expected = [result.rewards["ext_0"] for result in results]
-    assert bench.returns(bench.scripted(), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    assert bench.returns(bench.policy("heuristic"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
     with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
         LaboratoryTask("wurtz_dodecane", goals=("gold",))

@@ -10,8 +10,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import chemlab
-from chemlab.agents.policy import RandomPolicy, agent_policy, make_policies, policy_names
-from chemlab.agents.views import background_policies, focal_env, focal_vector_env
+from chemlab.agents.background import background_policies, focal_env, focal_vector_env
+from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, policy_names
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
 from chemlab.scenario import scenario_names
@@ -165,7 +165,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
-    from chemlab.agents.run import play_episode
+    from chemlab.agents.episodes import play_episode
     from chemlab.laboratory.aec import raw_env
 
     whole = raw_env("wurtz_any")

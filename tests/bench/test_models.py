@@ -11,7 +11,7 @@ import pytest
 from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
-from chemlab.agents.policy import Policy, bench_heuristic
+from chemlab.agents.policies import Policy, bench_heuristic
 from chemlab.chemistry import Layout
 from chemlab.laboratory import raw_env
 from chemlab.laboratory.arena import BenchArena

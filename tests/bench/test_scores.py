@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from chemlab.agents.policy import Policy, RandomPolicy, bench_heuristic
+from chemlab.agents.policies import Policy, RandomPolicy, bench_heuristic
 from chemlab.bench.operations import OperationBench
 from chemlab.laboratory.arena import BenchArena
 from chemlab.scenario import load_scenario

@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import Turn, play_episode
+from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.render.draw import draw

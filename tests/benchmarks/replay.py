@@ -16,8 +16,8 @@ from typing import Any
 
 from playwright.sync_api import sync_playwright
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.record import Recorder, read_record
 from chemlab.render.replay import replay_page

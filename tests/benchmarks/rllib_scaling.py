@@ -20,9 +20,10 @@ from typing import Any
 
 import torch
 
-from chemlab.agents.rllib.arguments import RllibArguments
 from chemlab.agents.rllib.train import _Team, connected
 from chemlab.agents.roles import chosen_roles
+from chemlab.agents.training.arguments import RllibArguments
+from chemlab.agents.training.loop import Progress
 from chemlab.files import replace_between
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import load_scenario
@@ -53,7 +54,7 @@ class Timed:
 
     def round(self) -> None:
         self._learning, begun = 0.0, time.perf_counter()
-        turns, scores = self.team.learn({})
+        turns, scores = self.team.learn(Progress())
         seconds = time.perf_counter() - begun
         self.rounds.append((turns, seconds - self._learning, self._learning, len(scores)))
 

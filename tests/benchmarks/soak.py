@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.agents.policy import RandomPolicy
+from chemlab.agents.policies import RandomPolicy
 from chemlab.arrays import FloatArray, IntArray, ObservationArray
 from chemlab.chemistry import element_matrix
 from chemlab.jit import kernel

@@ -22,8 +22,8 @@ import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the environments
-from chemlab.agents.policy import RandomPolicy
-from chemlab.agents.views import focal_vector_env
+from chemlab.agents.background import focal_vector_env
+from chemlab.agents.policies import RandomPolicy
 from chemlab.files import replace_between
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, raw_env

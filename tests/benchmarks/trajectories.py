@@ -105,7 +105,7 @@ def bench_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
 
 def hashes(seeds: int) -> dict[str, list[str]]:
     """Hashes by what is played, one a seed."""
-    from chemlab.agents.policy import make_policies
+    from chemlab.agents.policies import make_policies
     from chemlab.laboratory import raw_env
 
     found: dict[str, list[str]] = {}

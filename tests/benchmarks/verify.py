@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from helpers import Careless
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.record import Recorder, read_record, verify_record
 from chemlab.scenario import scenario_names

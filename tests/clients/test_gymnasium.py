@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 
-from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.scenario import load_scenario, scenario_names
 
 MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"

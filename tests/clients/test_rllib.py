@@ -23,17 +23,16 @@ import torch
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 
-from chemlab.agents.evaluation.play import play_laboratory
-from chemlab.agents.policy import make_policies
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.rllib import train as training
-from chemlab.agents.rllib.arguments import RllibArguments, command_of, load_rllib_arguments
 from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv
 from chemlab.agents.rllib.module import RoleModule, policy_weights
 from chemlab.agents.rllib.train import algorithm_config, train_rllib
 from chemlab.agents.roles import role_of
-from chemlab.agents.training.learn import RESULT_SEED
-from chemlab.agents.training.runs import Evaluation, Run
+from chemlab.agents.runs import RESULT_SEED, Evaluation, Run
+from chemlab.agents.training.arguments import RllibArguments
 from chemlab.laboratory import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import load_scenario
@@ -439,11 +438,11 @@ def test_a_cluster_that_is_not_there_or_too_small_is_named(
 
 
 def test_arguments() -> None:
-    arguments = load_rllib_arguments(None, {"scenario": "fictitious", "roles": ("rxn", "dit"), "address": "auto"})
-    assert command_of(arguments) == "chemlab train-rllib fictitious --roles rxn --roles dit"
+    arguments = RllibArguments.load(None, {"scenario": "fictitious", "roles": ("rxn", "dit"), "address": "auto"})
+    assert arguments.command_line() == "chemlab train-rllib fictitious --roles rxn --roles dit"
     with pytest.raises(ValueError, match="train-rllib: runners: must be at least 1, given 0"):
-        load_rllib_arguments(None, {"runners": 0})
+        RllibArguments.load(None, {"runners": 0})
     with pytest.raises(ValueError, match="train-rllib: batch: must be at least a turn"):
-        load_rllib_arguments(None, {"batch": 7})
+        RllibArguments.load(None, {"batch": 7})
     with pytest.raises(ValueError, match="train-rllib: runner: no such argument; did you mean runners"):
-        load_rllib_arguments(None, {"runner": 1})
+        RllibArguments.load(None, {"runner": 1})

@@ -27,8 +27,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import chemlab  # noqa: F401 - registers the environments
+from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.agents.views import focal_env, focal_vector_env
 from chemlab.scenario import load_scenario, scenario_names
 
 SMALL: dict[str, Any] = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0, "device": "cpu"}

@@ -24,7 +24,7 @@ from tianshou.trainer import OffPolicyTrainerParams
 from tianshou.utils.net.common import Net
 
 import chemlab  # noqa: F401 - registers the environments
-from chemlab.agents.views import focal_env
+from chemlab.agents.background import focal_env
 from chemlab.laboratory import env as laboratory_env
 
 

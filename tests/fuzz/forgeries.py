@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.record import Recorder, verify_record
 from chemlab.scenario import dump_scenario, load_scenario, restore_scenario

@@ -29,8 +29,8 @@ import numpy as np
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.materials import DataError

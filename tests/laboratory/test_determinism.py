@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers import slow_but
 
-from chemlab.agents.policy import make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import scenario_names

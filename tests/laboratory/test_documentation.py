@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from chemlab.agents.policy import make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.bench import distillation, extraction, reaction
 from chemlab.laboratory import bench_env
 from chemlab.laboratory.arena import BenchArena

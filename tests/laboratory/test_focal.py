@@ -20,8 +20,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from helpers import slow_but
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories

@@ -14,9 +14,9 @@ import pytest
 from helpers import allowed, laboratory, manager, mapping, slow_but
 
 import chemlab.scenarios
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
-from chemlab.agents.views import focal_env, focal_vector_env
+from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.chemistry import PRESENT, element_matrix
 from chemlab.laboratory import parallel_env

@@ -8,7 +8,7 @@ import pytest
 
 from chemlab.agents.evaluation.play import evaluate, find_target
 from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.training.runs import RESULT_SEED
+from chemlab.agents.runs import RESULT_SEED
 from papers import shipped
 from papers.shipped import bench_policies, benches_table, collect_benches
 

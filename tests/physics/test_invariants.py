@@ -13,7 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from chemlab.agents.policy import RandomPolicy
+from chemlab.agents.policies import RandomPolicy
 from chemlab.chemistry import AIR, CAPACITY, CLOCK, PRESENT, TEMPERATURE
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.agents.policy import bench_heuristic, make_policies
-from chemlab.agents.run import Turn, play_episode
+from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.chemistry import CLOCK, CLOCK_WAS
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv

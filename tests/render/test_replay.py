@@ -15,8 +15,8 @@ import pytest
 from helpers import slow_but
 from typer.testing import CliRunner
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import play_episode
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories

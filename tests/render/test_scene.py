@@ -9,8 +9,8 @@ import pytest
 from helpers import molar_volume
 from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
 
-from chemlab.agents.policy import make_policies
-from chemlab.agents.run import Turn, play_episode
+from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories

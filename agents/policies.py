@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 
@@ -15,12 +17,38 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .heuristics.distillation import DistillationHeuristic
+from .heuristics.extraction import ExtractionHeuristic
+from .heuristics.manager import ManagerHeuristic
+from .heuristics.reaction import ReactionHeuristic
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
 
-__all__ = ["LapsingPolicy", "Policy", "RandomPolicy", "agent_policy", "as_policy", "make_policies", "policy_names"]
+__all__ = [
+    "LapsingPolicy",
+    "Policy",
+    "RandomPolicy",
+    "agent_policy",
+    "as_policy",
+    "bench_heuristic",
+    "bench_policy",
+    "is_scripted",
+    "make_policies",
+    "manager_heuristic",
+    "policy_names",
+]
+
+_SCRIPTS: dict[str, type[Any]] = {
+    "reaction": ReactionHeuristic,
+    "extraction": ExtractionHeuristic,
+    "distillation": DistillationHeuristic,
+}
+"""Scripted policies by kind of bench."""
+
+_UNSCRIPTED: set[str] = set()
+"""Kinds of benches without a script that have been spoken of."""
 
 
 @kernel
@@ -184,10 +212,9 @@ def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
     return general
 
 
-def _size(laboratories: Laboratories, number: int) -> int:
-    """Numbers of an agent's action, 0 where it is discrete."""
-    shape = laboratories.action_space(number).shape
-    return int(shape[0]) if shape else 0
+def _size(actions: gymnasium.Space[Any]) -> int:
+    """Numbers of an action, 0 where it is discrete."""
+    return int((actions.shape or (0,))[0])
 
 
 def _probability(name: str, text: str) -> float:
@@ -212,13 +239,8 @@ def agent_policy(
     own = _name_for(name, agent, laboratories.agents)
     steady, at, share = own.rpartition("@")
     if at and not is_saved(own):
-        shape = laboratories.action_space(number).shape
-        return LapsingPolicy(
-            agent_policy(steady, laboratories, number, seed),
-            _probability(own, share),
-            int(shape[0]) if shape else 0,
-            seed,
-        )
+        policy = agent_policy(steady, laboratories, number, seed)
+        return LapsingPolicy(policy, _probability(own, share), _size(laboratories.action_space(number)), seed)
     if own == "plan" or own.startswith("plan:"):
         if number == 0:
             operators = name.split(",")[0].partition("@")[0]
@@ -235,45 +257,78 @@ def agent_policy(
             return saved.load[role_of(agent)](role)
         return agent_policy(saved.background, laboratories, number, seed)
     if own == "random":
-        return RandomPolicy(_size(laboratories, number), seed)
+        return RandomPolicy(_size(laboratories.action_space(number)), seed)
     if own == "trained" or (own == "pretrained" and number > 0):
         return pretrained_for(role, laboratory=True)
     careful = own != "hasty"
     if number > 0:
-        return bench_heuristic(laboratories.benches[number - 1], careful)
+        return bench_heuristic(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
     return manager_heuristic(laboratories, careful, washing)
 
 
-def bench_heuristic(bench: Bench, careful: bool = True) -> Policy:
-    """The scripted policy for a bench; ``careful`` False leaves out what only safety is for.
+def is_scripted(bench: Bench) -> bool:
+    """Whether there is a scripted policy for a kind of bench."""
+    return bench.spec.kind in _SCRIPTS
 
-    Raises:
-        ValueError: chemlab has none for this kind of bench.
+
+def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
+    """The scripted policy for a bench; random legal actions, and a warning, for a kind that has none.
+
+    Args:
+        bench: what it is to operate.
+        careful: False leaves out what only safety is for.
+        seed: seed of random actions.
     """
-    from .heuristics.distillation import DistillationHeuristic
-    from .heuristics.extraction import ExtractionHeuristic
-    from .heuristics.reaction import ReactionHeuristic
-
-    known: dict[str, type[Any]] = {
-        "reaction": ReactionHeuristic,
-        "extraction": ExtractionHeuristic,
-        "distillation": DistillationHeuristic,
-    }
-    if bench.spec.kind not in known:
-        raise ValueError(
-            f"bench {bench.key!r}: no scripted policy for kind {bench.spec.kind!r}; known: {', '.join(known)}"
+    kind = bench.spec.kind
+    if is_scripted(bench):
+        policy: Policy = _SCRIPTS[kind](bench, careful)
+        return policy
+    if kind not in _UNSCRIPTED:
+        _UNSCRIPTED.add(kind)
+        warnings.warn(
+            f"bench {bench.key!r} plays random legal actions: there is no scripted policy for kind {kind!r} "
+            f"(only for {', '.join(_SCRIPTS)})",
+            stacklevel=2,
         )
-    policy: Policy = known[bench.spec.kind](bench, careful)
-    return policy
+    return RandomPolicy(_size(bench.action_space), seed)
 
 
 def manager_heuristic(laboratories: Laboratories, careful: bool = True, skip: Collection[str] = ()) -> Policy:
     """The scripted manager for some laboratories; ``careful`` False leaves out what only safety and measuring are
     for, ``skip`` are benches it does without."""
-    from .heuristics.manager import ManagerHeuristic
-
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
     return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
+
+
+def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
+    """A policy for a bench by name.
+
+    Args:
+        name: ``heuristic``, ``random``, ``pretrained``, the name of a policy that comes with chemlab
+            (:func:`~chemlab.agents.pretrained.pretrained_names`), or a path: a training run's folder, a checkpoint in
+            it (folder or ``model.zip``), or exported weights (``.safetensors``).
+        bench: whose experiments it is to run.
+        seed: seed of a random policy.
+
+    Raises:
+        ValueError: there is no such policy for this bench.
+    """
+    if name == "heuristic":
+        return bench_heuristic(bench, seed=seed)
+    if name == "random":
+        return RandomPolicy(_size(bench.action_space), seed)
+    if name == "pretrained":
+        return pretrained_for(bench)
+    if not is_saved(name):
+        raise ValueError(
+            f"policy: known: heuristic, random, pretrained, a shipped one's name, or a path that exists; given {name!r}"
+        )
+    saved = find_saved(name).load
+    # A run of one role may be tried on any bench that it fits; which of several it is has to be clear.
+    role = next(iter(saved)) if len(saved) == 1 else bench.key
+    if role not in saved:
+        raise ValueError(f"policy: {name} is for {', '.join(saved)}; given bench {bench.key!r}")
+    return saved[role](bench)

@@ -13,8 +13,8 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.starts import SUBMIT, Start
 from chemlab.scenario import Scenario
 
-from .policy import Policy, make_policies, manager_heuristic
-from .run import play_episode
+from .episodes import play_episode
+from .policies import Policy, make_policies, manager_heuristic
 
 __all__ = ["record_starts"]
 
@@ -31,7 +31,7 @@ class _Recording:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policy.Policy`."""
+        """See :class:`chemlab.agents.policies.Policy`."""
         actions = self._policy.act(observation, mask, step, members)
         kind, *arguments = self._labs.actions.decode(int(actions[0]))
         if kind == "start":

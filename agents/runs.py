@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import shutil
 import sys
 import time
@@ -26,6 +27,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+import chemlab
 from chemlab.files import write_text
 
 __all__ = [
@@ -39,6 +43,7 @@ __all__ = [
     "differences",
     "find_runs",
     "to_text",
+    "versions",
 ]
 
 RESULT_SEED = 2_000_000
@@ -57,6 +62,7 @@ class RunConfig:
     others."""
     scenario: str
     bench: str
+    """Who learns: a bench's key, an agent's id, or several roles, with commas."""
     goals: list[str]
     fingerprint: str
     """Of the bench's chemistry, options and prices: equal fingerprints are equal tasks."""
@@ -291,6 +297,11 @@ def differences(saved: Mapping[str, Any], expected: Mapping[str, Any], defaults:
 def to_text(values: Any) -> str:
     """A JSON file's content."""
     return json.dumps(values, indent=1) + "\n"
+
+
+def versions() -> dict[str, str]:
+    """What results may depend on."""
+    return {"chemlab": chemlab.__version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def find_runs(folder: Path) -> list[Run]:

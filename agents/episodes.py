@@ -10,10 +10,11 @@ import numpy as np
 
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.state import COST_ITEMS
+from chemlab.laboratory.text import action_words
 from chemlab.record import Play, Recorder
 from chemlab.scenario import SAFETY_EVENTS
 
-from .policy import Policy
+from .policies import Policy
 
 __all__ = ["EpisodeResult", "Turn", "play_episode"]
 
@@ -66,16 +67,6 @@ class EpisodeResult:
         return f"{end}; costs: {costs or 'none'}; score {self.score:.3f}"
 
 
-def _describe(env: raw_env, agent: int, action: Any) -> str:
-    labs = env.laboratories
-    if agent == 0:
-        return labs.actions.action_meanings[int(action)]
-    bench = labs.benches[agent - 1]
-    if np.ndim(action) == 0:
-        return bench.action_meanings[int(action)]
-    return ", ".join(f"{value:.2f}" for value in action)
-
-
 def play_episode(
     env: raw_env,
     policies: Mapping[str, Policy],
@@ -122,7 +113,8 @@ def play_episode(
         for name, reward in env.rewards.items():
             result.rewards[name] += reward
         if watch is not None:
-            watch(Turn(agent, tick, step, action, _describe(env, number, action), env.rewards[agent], env.infos[agent]))
+            words = action_words(labs, number, action)
+            watch(Turn(agent, tick, step, action, words, env.rewards[agent], env.infos[agent]))
     outcome = labs.outcome()
     result.submitted_mol, result.purity = outcome["submitted_mol"], outcome["purity"]
     result.score = float(labs.result(members)[0])

@@ -8,13 +8,14 @@ from typing import Any
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv, Policies
 
-from .policy import agent_policy
+from .policies import agent_policy
+from .roles import role_of
 
 __all__ = ["Background", "focal_env", "focal_vector_env"]
 
 Background = str | Mapping[str, Any]
 """Who plays the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
-(``rxn_0``) or kind (``rxn``, ``manager``); scripted ones play those that are not mentioned."""
+(``rxn_0``) or role (``rxn``, ``manager``); scripted ones play those that are not mentioned."""
 
 
 def focal_env(
@@ -61,16 +62,16 @@ def background_policies(background: Background) -> Policies:
 
     def choose(laboratories: Laboratories) -> dict[str, Any]:
         given = {} if isinstance(background, str) else dict(background)
-        kinds = {agent: agent.rpartition("_")[0] for agent in laboratories.agents}
-        unknown = set(given) - set(kinds) - set(kinds.values())
+        roles = {agent: role_of(agent) for agent in laboratories.agents}
+        unknown = set(given) - set(roles) - set(roles.values())
         if unknown:
             raise ValueError(
                 f"background: nobody is called {', '.join(sorted(unknown))}; agents: {', '.join(laboratories.agents)}"
             )
         chosen = {}
-        for number, (agent, kind) in enumerate(kinds.items()):
+        for number, (agent, role) in enumerate(roles.items()):
             fallback = background if isinstance(background, str) else "heuristic"
-            policy = given.get(agent, given.get(kind, fallback))
+            policy = given.get(agent, given.get(role, fallback))
             chosen[agent] = agent_policy(policy, laboratories, number) if isinstance(policy, str) else policy
         return chosen
 

@@ -1,0 +1,161 @@
+"""Play many episodes at once: experiments of a bench, or whole laboratories, every member from a seed of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.arrays import FloatArray, IntArray
+from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import Players, Policy
+from chemlab.laboratory.state import COST_ITEMS
+
+__all__ = ["Played", "play_bench", "play_laboratory"]
+
+_TRACE_MOL = 1e-6
+
+
+@dataclass
+class Played:
+    """What a policy's episodes for one goal came to, n episodes.
+
+    Attributes:
+        returns: [n] return of the bench's agent, or the manager's score of a laboratory.
+        lengths: [n] steps taken (a laboratory: ticks).
+        cost: [n] weighted safety events.
+        illegal: [n] masked actions played (lost turns).
+        cases: [n] which starting state it was, where there are several, else ''.
+        measures: further numbers of each episode, {name: [n]}.
+        actions: the actions of each episode, where they were recorded: integers, or rows of numbers.
+    """
+
+    returns: FloatArray
+    lengths: IntArray
+    cost: FloatArray
+    illegal: IntArray
+    cases: list[str]
+    measures: dict[str, FloatArray]
+    actions: list[list[Any]] | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Played]) -> Played:
+        """Several batches as one."""
+        names = parts[0].measures
+        recorded = [part.actions for part in parts if part.actions is not None]
+        return cls(
+            np.concatenate([part.returns for part in parts]),
+            np.concatenate([part.lengths for part in parts]),
+            np.concatenate([part.cost for part in parts]),
+            np.concatenate([part.illegal for part in parts]),
+            [case for part in parts for case in part.cases],
+            {name: np.concatenate([part.measures[name] for part in parts]) for name in names},
+            [actions for part in recorded for actions in part] if recorded else None,
+        )
+
+
+def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
+    """Whether the starting state's companion is there, where that is left to chance."""
+    companion = env.bench.spec.start.companion
+    if companion is None or companion.probability in (0.0, 1.0):
+        return ""
+    other = companion.if_goal if goal == companion.material else companion.material
+    forms = {other}
+    forms |= {
+        ion for salt in env.arena.scenario.family.salt if salt.solid == other for ion in (salt.cation, salt.anion)
+    }
+    present = bool(forms & env.arena.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys())
+    return f"{'with' if present else 'without'} {other}"
+
+
+def play_bench(
+    env: BenchVectorEnv,
+    policy: Policy,
+    goal: str | Sequence[str],
+    seed: int | Sequence[int],
+    record: bool = False,
+) -> Played:
+    """One experiment in every member of a batch; a member plays what a single environment reset with its seed plays.
+
+    Args:
+        env: batch of N with ``autoreset_mode="SameStep"``.
+        policy: plays all members.
+        goal: what the experiments are for, or one for each member.
+        seed: of member 0, the others have the next ones; or one for each member.
+        record: whether to keep the actions.
+
+    Returns:
+        N episodes.
+    """
+    n, limit = env.num_envs, env.bench.spec.step_limit
+    goals = np.array([goal] * n if isinstance(goal, str) else goal)
+    seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
+    for i, one in enumerate(dict.fromkeys(goals.tolist())):
+        # The first reset has to be of all; each other goal's members are then begun again with the goal that is theirs.
+        only = goals == one if i else np.ones(n, dtype=np.bool_)
+        observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
+    cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
+    played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
+    running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
+    rows: list[npt.NDArray[Any]] = []
+    for _ in range(limit):
+        mask = env.action_masks().astype(np.int8) if env.bench.action_count else None
+        actions = policy.act(observations, mask, step, members)
+        if record:
+            rows.append(np.array(actions))
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        played.returns += running * rewards
+        played.cost += running * infos["cost"]
+        played.illegal += running * infos["illegal_action"]
+        played.lengths += running
+        ended = terminated | truncated
+        # A member that has ended goes on with an experiment that does not count: its policy begins anew there.
+        step = np.where(ended, 0, step + 1)
+        running &= ~ended
+        if not running.any():
+            break
+    if record:
+        played.actions = [[row[i].tolist() for row in rows[: int(length)]] for i, length in enumerate(played.lengths)]
+    return played
+
+
+def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
+    """One episode in each of N laboratories; laboratory i plays what ``play_episode`` plays with seed + i.
+
+    Args:
+        labs: N laboratories.
+        policies: one for every agent, by its id.
+        goal: the laboratory's goal; None: drawn, as in any episode.
+        seed: of laboratory 0.
+
+    Returns:
+        N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
+        ``instruments`` (what measuring has cost, in units of the score), ``manager_actions``, and the reward of every
+        bench's agent.
+    """
+    n = len(labs.members)
+    for member in labs.members:
+        labs.seed(int(member), np.random.SeedSequence(seed + int(member)))
+    labs.reset(labs.members, goal)
+    cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
+
+    def count(number: int, members: IntArray) -> None:
+        rewards[members] += labs.rewards[members]
+        cost[members] += labs.cost[members].sum(axis=1)
+        illegal[members] += labs.illegal(number)[members]
+
+    Players(labs, [policies[agent] for agent in labs.agents]).play_on(labs.members, count)
+    scores = labs.result(labs.members)
+    submitted = labs.desk.submitted
+    measures = {
+        "submitted_mol": submitted[:, :, 0].sum(axis=1),
+        "purity": submitted[:, :, 1].mean(axis=1),
+        "instruments": labs.desk.charges[:, COST_ITEMS.index("instruments")].copy(),
+        "manager_actions": labs.desk.actions.astype(np.float64),
+    }
+    measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
+    return Played(scores, labs.desk.ticks.copy(), cost, illegal, [""] * n, measures)
