@@ -303,7 +303,7 @@ class Scenario(Grown):
     """Temperature at which vessels and bottles stand."""
     ambient_pressure_kpa: float = Field(default=101.325, ge=1.0, le=1000.0)
     """Pressure outside the vessels."""
-    stock: Amounts = {}
+    stock: Amounts = Field(default_factory=dict)
     """Moles in the reagent and solvent bottles, shared by all benches."""
     shelf: ShelfSpec
     """The shared shelf of vessels."""
