@@ -38,7 +38,7 @@ def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
 
 def mapping(name: str) -> dict[str, Any]:
     """All that a shipped scenario says, as a mapping to be changed."""
-    return load_scenario(name).model_dump(mode="json")
+    return load_scenario(name).model_dump(mode="json", exclude_none=True)
 
 
 def laboratory(values: dict[str, Any] | str, seed: int = 0, **arguments: Any) -> raw_env:
