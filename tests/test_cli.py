@@ -351,10 +351,10 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     folder.mkdir()
     (tmp_path / "file").write_text("")
     cases = [
-        (["run", str(folder)], f"error: {folder}: {os.strerror(errno.EISDIR)}\n"),
-        (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], os.strerror(errno.ENOENT)),
+        (["run", str(folder)], f"error: {folder}: is no file\n"),
+        (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
         (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
-        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], os.strerror(errno.EISDIR)),
+        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "not a regular file"),
     ]
 
     def full(*_: object, **__: object) -> None:
@@ -365,7 +365,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         assert done.exit_code == 2, done.output
         assert words in done.output
         assert "Traceback" not in done.output
-        assert isinstance(runner.invoke(app, ["--traceback", *arguments]).exception, OSError)
+        assert isinstance(runner.invoke(app, ["--traceback", *arguments]).exception, (OSError, ValueError))
     monkeypatch.setattr(json, "dumps", full)
     done = runner.invoke(app, ["list", "--json"])
     assert (done.exit_code, done.stderr) == (2, f"error: {os.strerror(errno.ENOSPC)}\n")

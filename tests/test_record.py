@@ -791,7 +791,7 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     elif key == "instrument":
         next(iter(spec["instruments"].values()))["kind"] = name
     elif key == "manager":
-        spec["manager"]["reward"] = [name]
+        spec["manager"] = {"reward": [name]}
     else:
         spec["benches"]["rxn"][key] = [name]
     (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\nEvil = 1\n")
