@@ -224,7 +224,7 @@ def test_text_of_files_is_shown_as_it_is(hostile: Path, arguments: list[str], ty
     assert SEEN in shown
     assert not set(done.output) & {"\x1b", "\x07", "\x9b", "\u202e"}
     if command == "describe":
-        assert "[/bold] oil :smile: ␛[31m" in shown
+        assert "[/bold] oil :smile:" in shown
 
 
 def test_errors_and_hints_show_paths_as_they_are(hostile: Path) -> None:
