@@ -64,7 +64,7 @@ constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where noth
 BASELINES: dict[str, tuple[str, str]] = {
     "scripted": ("heuristic", "scripted"),
     "direct": ("direct", "scripted, without extraction"),
-    "hasty": ("hasty", "fixed plan, nothing measured"),
+    "plan": ("plan", "best constant plan that a search found"),
     "random": ("random", "random legal actions"),
 }
 """Managers that learned nothing: their policy's name (the benches are the background's) and what the table says.

@@ -70,7 +70,7 @@ def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> N
     """Make a folder of runs one of tables, in which the runs by name and the baselines have been played."""
     runs = read_runs(folder)
     write_runs(folder, runs)
-    values = {"scripted": SCRIPTED, "direct": 0.3, "hasty": 0.25, "random": -0.1}
+    values = {"scripted": SCRIPTED, "direct": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
     write_table(folder / "managers.csv", laboratory._COLUMNS, [*rows, *more])
@@ -235,7 +235,7 @@ def test_what_measuring_costs_and_how_often_a_manager_acts() -> None:
     assert played.measures["instruments"].tolist() == charged
     assert max(charged) > 0.0
     assert played.measures["manager_actions"].tolist() == labs.turns_had(0).tolist()
-    plan = play_laboratory(labs, make_policies("heuristic,manager=hasty", labs, 3), "dodecane", 3)
+    plan = play_laboratory(labs, make_policies("heuristic,manager=plan", labs, 3), "dodecane", 3)
     assert (plan.measures["instruments"] == 0.0).all()
 
 
@@ -272,14 +272,14 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     write_run(tmp_path / "manager" / "seed-0")
     store(tmp_path, {"manager/seed-0": 0.7})
     before = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
-    swapped = {name: value for name, value in BASELINES.items() if name != "hasty"}
+    swapped = {name: value for name, value in BASELINES.items() if name != "plan"}
     monkeypatch.setattr(
         laboratory, "BASELINES", {**swapped, "new": ("direct", "new"), "none": ("no_such_policy", "not there")}
     )
     (said,) = collect(tmp_path, tmp_path, 2)
     assert said.startswith("wurtz_dodecane, none: ")
     after = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
-    assert after.keys() == before.keys() - {("hasty", "")} | {("new", "")}
+    assert after.keys() == before.keys() - {("plan", "")} | {("new", "")}
     assert all(after[key] == before[key] for key in after if key != ("new", ""))
     labs = Laboratories("wurtz_dodecane", 2)
     played = play_laboratory(labs, make_policies("heuristic,manager=direct", labs), "dodecane", RESULT_SEED)
@@ -294,7 +294,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from chemlab.agents.training.learn import train
 
     folder = tmp_path_factory.mktemp("results")
-    train(TrainArguments.of({**SMALL, "background": "hasty"}), folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0")
+    train(TrainArguments.of({**SMALL, "background": "pretrained"}), folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0")
     return folder
 
 
@@ -314,7 +314,7 @@ def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> 
     done = runner.invoke(app, ["figures", str(tables), "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "left out" not in done.output
-    cells = rows_of(tmp_path / "laboratory.md")["hasty", "tiny"]
+    cells = rows_of(tmp_path / "laboratory.md")["pretrained", "tiny"]
     assert float(cells[0]) == pytest.approx(result.mean, abs=6e-4)
     assert float(cells[2]) == pytest.approx(result.last_mean, abs=6e-4)
     assert cells[-1] == "128"
