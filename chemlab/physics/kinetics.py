@@ -27,7 +27,7 @@ _E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 3392
 _SMALLEST_STEP = 1e-12
 _FIRST_SHARE = 0.3
 """Share of a reactant that the first trial step may use up at the first rate."""
-_MOST_STEPS = 100_000
+_MOST_STEPS = 1_000_000
 """Steps after which an integration is given up: what needs more is stiffer than an explicit method can take."""
 _USED_UP = 1e-15
 """mol/L; a reactant of which there is less is used up."""
@@ -98,7 +98,7 @@ def react(
         work: scratch of shape :func:`react_work_size`.
 
     Returns:
-        Number of steps taken, rejected ones included; -1 where that would have been more than 100,000 (nothing has
+        Number of steps taken, rejected ones included; -1 where that would have been more than 1,000,000 (nothing has
         changed then).
     """
     chemistry = opened(Chemistry, chem)

@@ -235,7 +235,7 @@ def test_what_is_in_the_way_of_results_is_found_before_anything_is_played(
         raise AssertionError("nothing is to be played")
 
     monkeypatch.setattr(module, "play_bench", play)
-    monkeypatch.setattr("chemlab.agents.run.play_episode", play)
+    monkeypatch.setattr("chemlab.agents.episodes.play_episode", play)
     result = runner.invoke(app, arguments, env={"COLUMNS": "200"})
     assert result.exit_code == 2
     assert words in result.output.replace("\n", " ")
