@@ -79,8 +79,8 @@ EVAPORATE = Operation(
 def float_hydrometer(bench: Bench, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
     """[B, 1] density of the first vessel's contents, of 2 kg/L."""
     amounts = shelf.rows[station.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
-    kilograms, litres = amounts @ bench.known.molar_mass / 1000.0, amounts @ bench.known.molar_volume
-    return np.clip(kilograms / np.maximum(litres, 1e-9) / 2.0, 0.0, 1.0)[:, None]
+    grams, litres = (amounts * bench.known.molar_mass).sum(axis=1), (amounts * bench.known.molar_volume).sum(axis=1)
+    return np.clip(grams / 1000.0 / np.maximum(litres, 1e-9) / 2.0, 0.0, 1.0)[:, None]
 
 
 def hydrometer_channel(bench: Bench) -> Channel:
@@ -92,7 +92,8 @@ HYDROMETER = Observation(hydrometer_channel, float_hydrometer)
 
 def look_into_can(labs: Laboratories, members: IntArray) -> FloatArray:
     """[B, 1] litres in the waste can, of 5."""
-    return np.clip(labs.shelf.waste[members] @ labs.shelf.known().molar_volume / 5.0, 0.0, 1.0)[:, None]
+    litres = (labs.shelf.waste[members] * labs.shelf.known().molar_volume).sum(axis=1)
+    return np.clip(litres / 5.0, 0.0, 1.0)[:, None]
 
 
 def can_channel(labs: Laboratories) -> Channel:
@@ -107,7 +108,7 @@ WASTE_CAN = Observation(can_channel, look_into_can)
 def concentrate(bench: Bench, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
     """[B] every action costs 0.01 for a litre in the first vessel."""
     amounts = shelf.rows[station.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
-    return -0.01 * amounts @ bench.known.molar_volume
+    return -0.01 * (amounts * bench.known.molar_volume).sum(axis=1)
 
 
 def tidy(labs: Laboratories, members: IntArray) -> FloatArray:

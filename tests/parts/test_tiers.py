@@ -47,11 +47,12 @@ def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
 
 
 def test_a_law_can_be_called(brisk: Scenario) -> None:
-    handles = {tier: build_chemistry(brisk.model_copy(update={"physics": tier})).handles for tier in TIERS}
+    tables = {tier: build_chemistry(brisk.model_copy(update={"physics": tier})) for tier in TIERS}
+    paper, other = tables["paper"].handles[0], tables["brisk"].handles[0]
     for r, step in enumerate(brisk.family.reaction):
         closed = step.pre_exponential * np.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * TEMPERATURE_K))
-        assert rate_constant(r, TEMPERATURE_K, handles["paper"][0]) == pytest.approx(closed, rel=1e-13)
-        assert rate_constant(r, TEMPERATURE_K, handles["brisk"][0]) == pytest.approx(2.0 * closed, rel=1e-13)
+        assert rate_constant(r, TEMPERATURE_K, paper) == pytest.approx(closed, rel=1e-13)
+        assert rate_constant(r, TEMPERATURE_K, other) == pytest.approx(2.0 * closed, rel=1e-13)
 
 
 def test_the_scenario_says_which(brisk: Scenario) -> None:
