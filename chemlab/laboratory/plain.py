@@ -32,7 +32,7 @@ def plain_infos(env: Environment) -> Environment:
     ``experiment_over``, ``score`` (of the experiment; 0 unless it is over) and ``events`` [kinds, as in
     :attr:`chemlab.scenario.Scenario.safety_events`]; where actions are discrete ``action_mask``, which without the turn
     allows one action only; in the parallel environment ``has_turn``. The manager's has ``costs`` [items, as in
-    :data:`chemlab.laboratory.manager.COST_ITEMS`], and ``submitted_mol`` and ``purity`` (0 until the end).
+    :data:`chemlab.laboratory.state.COST_ITEMS`], and ``submitted_mol`` and ``purity`` (0 until the end).
 
     Args:
         env: :func:`chemlab.laboratory.env`, ``raw_env`` or ``parallel_env``, bare or in PettingZoo's wrappers.
