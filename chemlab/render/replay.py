@@ -95,7 +95,7 @@ def _frame(labs: Laboratories) -> tuple[dict[str, Any], dict[str, Any]]:
     """(what is drawn of a moment, the whole scene)."""
     scene = laboratory_scene(labs).as_dict(_DIGITS)
     frame = {key: value for key, value in scene.items() if key not in _STATIC}
-    rows, chemistry = labs.shelf.vessels[0], labs.shelf.known()
+    rows, chemistry = labs.shelf.vessels[0], labs.shelf.chem()
     # Spectra are drawn from the amounts; per litre of liquid, which the amounts alone do not tell.
     frame["liquid_l"] = [float(f"{liquid_volume(row, chemistry):.4g}") for row in rows]
     return _compact(frame), scene
