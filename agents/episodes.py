@@ -12,7 +12,6 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.state import COST_ITEMS
 from chemlab.laboratory.text import action_words
 from chemlab.record import Play, Recorder
-from chemlab.scenario import SAFETY_EVENTS
 
 from .policies import Policy
 
@@ -120,7 +119,7 @@ def play_episode(
     result.score = float(labs.result(members)[0])
     result.manager_actions, result.ticks = int(labs.desk.actions[0]), int(labs.desk.ticks[0])
     result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.desk.charges[0], strict=True)}
-    totals = zip(SAFETY_EVENTS, labs.safety_totals[0], strict=True)
+    totals = zip(labs.scenario.safety_events, labs.safety_totals[0], strict=True)
     result.safety_events = {kind: float(value) for kind, value in totals if value > 0.0}
     result.terminated = bool(env.terminations[env.possible_agents[0]])
     result.truncated = bool(env.truncations[env.possible_agents[0]])

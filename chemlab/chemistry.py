@@ -56,7 +56,15 @@ WAVELENGTHS_NM: FloatArray = np.linspace(200.0, 800.0, 200)
 
 
 def tier_dimensions(tier: str) -> int:
-    """Number of dimensions that a world's chemistry has in kernels: what they choose a tier's laws by."""
+    """Number of dimensions that a world's chemistry has in kernels: what they choose a tier's laws by.
+
+    Raises:
+        DataError: there is no such tier.
+    """
+    if tier not in TIERS:
+        raise DataError(
+            f"physics: unknown tier {tier!r}; known: {', '.join(TIERS)}; add yours to chemlab.chemistry.TIERS"
+        )
     return 1 + list(TIERS).index(tier)
 
 

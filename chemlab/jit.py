@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
+import importlib.util
+import math
 import pickle
 import sys
 from collections.abc import Callable, Sequence
@@ -11,9 +14,11 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic
+from numba.core.extending import _Intrinsic
 from numba.np import arrayobj
 
 from .arrays import SLOT, Handle, declared
@@ -64,6 +69,8 @@ def kernel(function: F, **options: Any) -> F:
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _fingerprint(function.__code__.co_filename)
         cache_file._load_index = functools.partial(_index_or_nothing, cache_file._load_index)
+        for name in ("load", "save"):
+            setattr(cache_file, name, functools.partial(_keyed, getattr(cache_file, name)))
     return cast(F, compiled)  # numba's dispatcher stands in for the function
 
 
@@ -77,6 +84,25 @@ def _index_or_nothing(load: Callable[[], Any]) -> Any:
         return load()
     except (AttributeError, ImportError, EOFError, TypeError, ValueError, pickle.UnpicklingError):
         return {}
+
+
+def _keyed(access: Callable[..., Any], key: Any, *data: Any) -> Any:
+    """Read or write a kernel's cache under ``key``; with tiers of laws that are not chemlab's under theirs besides."""
+    tiers = _other_tiers(tuple(getattr(sys.modules.get("chemlab.chemistry"), "TIERS", {}).values()))
+    return access((key, tiers) if tiers else key, *data)
+
+
+@functools.cache
+def _other_tiers(modules: tuple[str, ...]) -> str:
+    """Hash of the sources of the tiers that are not chemlab's, in the order that numbers them; empty without any."""
+    others = [(number, name) for number, name in enumerate(modules) if not name.startswith("chemlab.")]
+    digest = hashlib.blake2b(digest_size=16)
+    for number, name in others:
+        spec = importlib.util.find_spec(name)
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+        files = sorted(origin.parent.rglob("*.py")) if origin and origin.name == "__init__.py" else [origin]
+        digest.update(f"{number} {name} ".encode() + b"".join(file.read_bytes() for file in files if file))
+    return digest.hexdigest() if others else ""
 
 
 def helper(function: F) -> F:
@@ -117,10 +143,25 @@ if not COMPILED:
 
 else:
 
-    @intrinsic
-    def opened(context: Any, declaration: Any, handle: Any) -> Any:
-        """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
-        whose fields the table's begin with. Nothing is loaded but what is used."""
+    def _seen(address: int, lengths: Sequence[int], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+        size = dtype.itemsize * math.prod(lengths)
+        if not size:
+            return np.zeros(lengths, dtype)
+        memory: Any = (ctypes.c_byte * size).from_address(address)
+        return np.asarray(np.frombuffer(memory, dtype).reshape(lengths))
+
+    class _Opened(_Intrinsic):  # type: ignore[misc]  # numba has no types
+        def __call__(self, declaration: Any, handle: Handle) -> Any:
+            numbers, values = handle.reshape(-1).tolist(), []
+            for at, field in enumerate(declared(declaration)):
+                address, *lengths = numbers[SLOT * at : SLOT * at + 1 + len(field.axes)]
+                array = _seen(address, lengths if not field.number else [1], field.dtype)
+                values.append(array[0].item() if field.number else array)
+            return declaration(*values)
+
+    def _open(context: Any, declaration: Any, handle: Any) -> Any:
+        """The arrays of a table by its handle: an instance of the table's ``declaration``, or of one whose fields the
+        table's begin with. In a kernel nothing is loaded but what is used; plain functions may call it, too."""
         cls = declaration.instance_class
         fields = declared(cls)
         kinds = [
@@ -165,6 +206,9 @@ else:
             return target.make_tuple(builder, result, values)
 
         return result(declaration, handle), generate
+
+    opened = _Opened("opened", _open)
+    opened._register()
 
 
 def announce_compiling(*kernels: Callable[..., Any]) -> None:

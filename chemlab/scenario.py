@@ -147,15 +147,15 @@ class BenchSpec(Grown):
     _later = ("observe", "reward")
 
     kind: str = Field(min_length=1, max_length=200)
-    """``reaction``, ``extraction``, ``distillation``, or ``package.module:ClassName`` for a bench of your own."""
+    """``reaction``, ``extraction``, ``distillation``, or a bench of your own, ``my_bench.py:Class``."""
     count: int = Field(default=1, ge=1, le=16)
     """How many of this kind, each with an agent of its own."""
     step_limit: int = Field(ge=1, le=10_000)
     """Steps after which an experiment is over."""
     observe: Parts = ()
-    """Observation channels of your own, ``my_parts.py:Name`` each, after the bench's."""
+    """Observation channels of your own, ``my_parts.py:NAME`` each, after the bench's."""
     reward: Parts = ()
-    """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
+    """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
@@ -166,7 +166,7 @@ class InstrumentSpec(BaseModel):
     model_config = _FROZEN
 
     kind: Key
-    """``uv_vis``, ``layer_camera``, ``balance`` or ``gas_chromatograph``."""
+    """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, or one of your own, ``my_parts.py:NAME``."""
     price: Price = 0.0
     """Cost of one use, in units of the score."""
     sample_fraction: float = Field(default=0.0, ge=0.0, lt=1.0)
@@ -265,9 +265,9 @@ class ManagerSpec(BaseModel):
     model_config = _FROZEN
 
     observe: Parts = ()
-    """Observation channels of your own, ``my_parts.py:Name`` each, after the manager's."""
+    """Observation channels of your own, ``my_parts.py:NAME`` each, after the manager's."""
     reward: Parts = ()
-    """Reward terms of your own, ``my_parts.py:Name`` each, added to what every action earns."""
+    """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
 
 
 class Scenario(Grown):

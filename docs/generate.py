@@ -35,6 +35,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.materials import AbsorptionPeak, Material
 from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent
 from chemlab.scenario import (
+    PHYSICS_TIERS,
     BenchSpec,
     Companion,
     CostSpec,
@@ -57,6 +58,8 @@ HERE = Path(__file__).parent
 OUT = "generated"
 EXAMPLE = "wurtz_dodecane"
 _NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.")  # the package itself has all of its names
+_TIERS = tuple(PHYSICS_TIERS.values())
+"""Their laws stand where they are written."""
 Rows = Iterable[Sequence[Any]]
 
 
@@ -551,7 +554,7 @@ def _interface() -> dict[str, str]:
                 "",
                 _markdown(_docstring(name)),
                 "",
-                _autodoc(f".. automodule:: {name}"),
+                _autodoc(f".. automodule:: {name}" + "\n   :no-members:" * (name in _TIERS)),
             ]
         )
     packages = {

@@ -27,7 +27,7 @@ from ..arrays import (
 from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
 from ..jit import helper, kernel, opened
 from ..materials import DataError, validated
-from ..parts import load_part
+from ..parts import Part, PartError, blamed, checked, load_part
 from ..physics.laws import partition, settle_phases
 from ..physics.transfer import place
 from ..scenario import BenchSpec, Scenario
@@ -45,12 +45,15 @@ __all__ = [
     "Channel",
     "ExperimentState",
     "Goals",
+    "Observation",
     "Station",
     "build_bench",
     "channel_slices",
     "check_box",
     "check_discrete",
     "goal_amount",
+    "load_observations",
+    "load_terms",
     "weighted_amount",
 ]
 
@@ -74,6 +77,52 @@ class Channel:
     low: float
     high: float
     meaning: str
+
+
+@dataclass(frozen=True)
+class Observation(Part):
+    """A part of an observation vector that a scenario adds: on a bench, or for the manager.
+
+    Attributes:
+        channel: what it is: ``channel(bench) -> Channel``; the manager's ``channel(laboratories)``.
+        see: its values, in [0, 1]: ``see(bench, shelf, station, members) -> [B, size]``, of experiments that are
+            running; the manager's ``see(laboratories, members)``.
+    """
+
+    channel: Callable[[Any], Channel]
+    see: Callable[..., FloatArray]
+
+    def declared(self, name: str, *owner: Any) -> Channel:
+        """Its channel.
+
+        Raises:
+            PartError: it has none.
+        """
+        with blamed(f"{name}: channel()"):
+            channel = self.channel(*owner)
+        if not isinstance(channel, Channel) or channel.size < 1:
+            raise PartError(f"{name}: channel() must return a Channel of a size of at least 1, given {channel!r}")
+        return channel
+
+    def seen(self, name: str, members: int, size: int, *owner: Any) -> FloatArray:
+        """[members, size] what it shows.
+
+        Raises:
+            PartError: numbers of another shape, or outside [0, 1].
+        """
+        with blamed(f"{name}: see()"):
+            values = self.see(*owner)
+        return checked(values, (members, size), f"{name}: see()", 0.0, 1.0)
+
+
+def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Observation]:
+    """The observation channels that a scenario names under a key, by where they are named."""
+    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Observation) for name in names}
+
+
+def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Callable[..., FloatArray]]:
+    """The reward terms that a scenario names under a key, by where they are named."""
+    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
 
 
 def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
@@ -311,8 +360,8 @@ class Bench(ABC):
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
         self.observation_space: gymnasium.spaces.Box
-        self._added = [load_part(name, scenario, f"benches.{key}.observe") for name in self.spec.observe]
-        self._terms = [load_part(name, scenario, f"benches.{key}.reward") for name in self.spec.reward]
+        self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
+        self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
 
     @property
     def layout(self) -> Layout:
@@ -360,7 +409,7 @@ class Bench(ABC):
         and the action space."""
         goal = Channel("goal", len(self.goals.names), "one-hot", 0.0, 1.0, "goal: " + ", ".join(self.goals.names))
         self._added_from = sum(channel.size for channel in (*channels, goal))
-        self.channels = (*channels, goal, *(part.channel(self) for part in self._added))
+        self.channels = (*channels, goal, *(part.declared(name, self) for name, part in self._added.items()))
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
@@ -429,10 +478,16 @@ class Bench(ABC):
     def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
         """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
         self.see(shelf, station, members, out)
-        at = self._added_from
-        for part, channel in zip(self._added, self.channels[len(self.channels) - len(self._added) :], strict=True):
-            seen = np.clip(part.see(self, shelf, station, members), 0.0, 1.0)
-            out[:, at : at + channel.size] = np.where(station.busy[members][:, None], seen, 0.0)
+        if self._added:
+            self._observe_added(shelf, station, members, out)
+
+    def _observe_added(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+        busy, at = station.busy[members], self._added_from
+        some = members[busy]
+        out[:, at:] = 0.0
+        channels = self.channels[len(self.channels) - len(self._added) :]
+        for (name, part), channel in zip(self._added.items(), channels if len(some) else (), strict=len(some) > 0):
+            out[busy, at : at + channel.size] = part.seen(name, len(some), channel.size, self, shelf, station, some)
             at += channel.size
 
     @abstractmethod
@@ -444,13 +499,23 @@ class Bench(ABC):
         """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
 
     def consequences(
-        self, shelf: Shelf, station: Station, members: IntArray, cost: FloatArray, reward: FloatArray
+        self,
+        shelf: Shelf,
+        station: Station,
+        members: IntArray,
+        cost: FloatArray,
+        reward: FloatArray,
+        begun: bool = False,
     ) -> None:
         """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
-        a lost turn take off, and the scenario's own terms."""
+        a lost turn take off, and the scenario's own terms. ``begun``: the experiments have only begun, no action has
+        been taken yet, and so there are no terms."""
         _consequences(members, station.handle, self.rules.handle, cost, reward)
-        for term in self._terms:
-            reward[members] += term(self, shelf, station, members)
+        if not begun:
+            for name, term in self._terms.items():
+                with blamed(name):
+                    earned = term(self, shelf, station, members)
+                reward[members] += checked(earned, members.shape, name)
 
     def _handles(self, shelf: Shelf, station: Station) -> tuple[Handle, Handle, Handle, Handle]:
         """What most of a bench's kernels take."""

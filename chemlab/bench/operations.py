@@ -20,7 +20,7 @@ from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, Chemi
 from ..jit import helper, inner, kernel, opened
 from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
-from ..parts import load_part
+from ..parts import PartError, blamed, checked, load_part
 from ..physics.constants import SOLIDS
 from ..physics.laws import find_layers, partition, settle_phases, vapor_pressure
 from ..physics.layers import camera, profile
@@ -121,6 +121,7 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
         state.layers[m, vessel],
         state.profile[m, vessel],
         rules.limits,
+        rules.limits[:0],
     )
 
 
@@ -278,7 +279,11 @@ class OperationBench(Bench):
         self.separation_model: SeparationModel | None = None
         """Replaces the built-in layers and partition where set."""
         self._others: list[Operation] = []
-        """Operations that are not chemlab's; numbered after those."""
+        """Operations that are not chemlab's; numbered after those. What is known of each by its number here:"""
+        self._names: list[str] = []
+        self._numbers: list[FloatArray] = []
+        self._own_actions: list[tuple[int, int]] = []
+        """first and last + 1 of the actions of every process that is not chemlab's"""
         self.table, self._meanings = self._build_table(options.process)
         self.gauges = self._gauges()
         shown = tuple(
@@ -319,12 +324,13 @@ class OperationBench(Bench):
                 f"{where}: kind: this bench can {', '.join(self.process_kinds)}, or one of your own, "
                 f"'file.py:NAME'; given {process.kind!r}"
             )
-        operation = load_part(process.kind, self.scenario, f"benches.{self.key}.process")
-        if not isinstance(operation, Operation):
-            raise DataError(f"{where}: kind: {process.kind!r} is no chemlab.operations.Operation, but {operation!r}")
+        operation: Operation = load_part(process.kind, self.scenario, f"benches.{self.key}.process", of=Operation)
         if operation not in self._others:
+            with blamed(f"{where}: {process.kind}: numbers()"):
+                self._numbers.append(np.asarray(operation.numbers(self), dtype=np.float64))
+            self._names.append(f"{self.scenario.origin}: benches.{self.key}.process: {process.kind}")
             self._others.append(operation)
-        return len(OPERATIONS) + self._others.index(operation), operation
+        return _BUILT_IN + self._others.index(operation), operation
 
     def _build_table(self, processes: Sequence[Process]) -> tuple[FloatArray, list[str]]:
         rows: list[tuple[float, ...]] = []
@@ -341,6 +347,8 @@ class OperationBench(Bench):
                     raise DataError(f"{where}: {name}: needed by {takers}, and by no other process")
             if process.target == process.vessel:
                 raise DataError(f"{where}: target: must differ from vessel, given {process.target!r}")
+            if number >= _BUILT_IN:
+                self._own_actions.append((len(rows), len(rows) + len(process.magnitudes)))
             material = -1 if process.material is None else self.material(process.material, f"process.{i}.material")
             for magnitude in process.magnitudes:
                 signed = operation.negative is not None and magnitude != 0.0
@@ -372,21 +380,33 @@ class OperationBench(Bench):
         if self.separation_model is not None:
             self._show(shelf, station, members)
 
-    def _own_turn(self, shelf: Shelf, station: Station, member: int, action: int) -> tuple[Operation, Turn]:
-        """The operation of an action that is not chemlab's, and what it works on."""
-        operation = self._others[int(self.table[action, _KIND]) - _BUILT_IN]
-        turn = _turn.py_func if hasattr(_turn, "py_func") else _turn
-        return operation, turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
+    def _own_turn(self, shelf: Shelf, station: Station, member: int, action: int) -> tuple[str, Operation, Turn]:
+        """The operation of an action that is not chemlab's, its name, and what it works on."""
+        number = int(self.table[action, _KIND]) - _BUILT_IN
+        turn = getattr(_turn, "py_func", _turn)
+        made: Turn = turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
+        return self._names[number], self._others[number], made._replace(numbers=self._numbers[number])
+
+    def _own_legal(self, shelf: Shelf, station: Station, member: int, action: int) -> bool:
+        name, operation, turn = self._own_turn(shelf, station, member, action)
+        with blamed(f"{name}: legal()"):
+            return bool(operation.legal(turn, shelf.chem(member)))
 
     def _perform_others(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
         """Carry out operations that are not chemlab's."""
         others = self.table[actions, _KIND] >= _BUILT_IN
         for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
-            operation, turn = self._own_turn(shelf, station, m, a)
             station.events[m], station.elapsed[m] = 0.0, 0.0
-            station.illegal[m] = not operation.legal(turn, shelf.chem(m))
-            if not station.illegal[m]:
-                station.elapsed[m] = operation.act(turn, shelf.chem(m))
+            station.illegal[m] = not self._own_legal(shelf, station, m, a)
+            if station.illegal[m]:
+                continue
+            name, operation, turn = self._own_turn(shelf, station, m, a)
+            with blamed(f"{name}: act()"):
+                elapsed = operation.act(turn, shelf.chem(m))
+            station.elapsed[m] = checked(elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)")
+            for row in (turn.row, turn.target):
+                if not (np.isfinite(row).all() and row[AMOUNTS:].min() >= -1e-9):
+                    raise PartError(f"{name}: act() has left amounts that are negative or not finite in a vessel")
 
     def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
         """Bring layers and pictures up to date."""
@@ -439,10 +459,9 @@ class OperationBench(Bench):
 
     def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
         _mask(members, *self._handles(shelf, station), out)
-        for a in np.flatnonzero(self.table[:, _KIND] >= _BUILT_IN) if self._others else ():
+        for first, end in self._own_actions:  # a process's magnitudes are legal or not together
             for row, m in zip(out, members.tolist(), strict=True):
-                operation, turn = self._own_turn(shelf, station, m, int(a))
-                row[a] = station.busy[m] and operation.legal(turn, shelf.chem(m))
+                row[first:end] = station.busy[m] and self._own_legal(shelf, station, m, first)
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return np.array([check_discrete(agent, action, len(self.table))])

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
 from ..bench.base import Channel
-from ..chemistry import Chemistry
+from ..chemistry import Chemistry, ChemistryTable
+from ..parts import Part
 
-__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes"]
+__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes", "no_numbers"]
 
 
 class Reading(NamedTuple):
@@ -28,6 +29,8 @@ class Reading(NamedTuple):
     """[C + 1], ``shares`` [C, pixels] and ``work``: scratch of the layer profile"""
     shares: FloatArray
     work: FloatArray
+    numbers: FloatArray
+    """what :attr:`Instrument.numbers` has made of the chemistry"""
     out: FloatArray
     """[size] the reading, to be written: values in [0, 1]"""
 
@@ -37,15 +40,20 @@ def no_analytes(chemistry: Chemistry) -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
 
+def no_numbers(chemistry: ChemistryTable) -> FloatArray:
+    """For instruments that need nothing of the materials."""
+    return np.zeros(0)
+
+
 def in_numbers(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
     """A reading in words: one number with its unit, or how many there are."""
     if channel.size == 1:
-        return f"{values[0] * channel.high:.3f} {channel.unit}"
+        return f"{channel.low + values[0] * (channel.high - channel.low):.3f} {channel.unit}"
     return f"{channel.size} values of {channel.unit}"
 
 
 @dataclass(frozen=True)
-class Instrument:
+class Instrument(Part):
     """A kind of instrument.
 
     Attributes:
@@ -55,6 +63,8 @@ class Instrument:
             taken by whoever calls it.
         analytes: material indices that it tells apart.
         words: the reading in words.
+        numbers: what it needs to know of the materials by their names (``chemistry.layout.materials``), worked out
+            once for a scenario: ``reading.numbers``.
         picture: how it is drawn: as a ``number``, a ``curve``, a ``column`` of grey values, or ``bars``.
     """
 
@@ -64,3 +74,4 @@ class Instrument:
     analytes: Callable[[Chemistry], IntArray] = no_analytes
     words: Callable[[FloatArray, Channel, Sequence[str]], str] = in_numbers
     picture: Literal["number", "curve", "column", "bars"] = "number"
+    numbers: Callable[[ChemistryTable], FloatArray] = no_numbers

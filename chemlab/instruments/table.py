@@ -12,7 +12,7 @@ from ..bench.base import CAMERA_PIXELS, Channel
 from ..chemistry import ChemistryTable
 from ..jit import chained, helper, kernel, opened
 from ..materials import DataError
-from ..parts import load_part
+from ..parts import PartError, blamed, checked, load_part
 from ..physics.transfer import remove_fraction
 from ..rng import normal
 from ..scenario import Scenario
@@ -54,7 +54,7 @@ class InstrumentRules(NamedTuple):
 @helper
 def _reading(i: int, row: FloatArray, stream: StreamArray, out: FloatArray, rules: InstrumentRules) -> Reading:
     analytes = rules.analytes[rules.first_analyte[i] : rules.first_analyte[i + 1]]
-    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, out)
+    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, rules.price[:0], out)
 
 
 @kernel
@@ -102,6 +102,7 @@ class InstrumentTable:
         self.channels: tuple[Channel, ...] = ()
         self.analytes: list[tuple[str, ...]] = []
         known, indices = chemistry.world(), []
+        self._numbers: list[FloatArray] = []
         for name, spec in scenario.instruments.items():
             where = f"{scenario.origin}: instruments.{name}"
             if name in _TAKEN or not re.fullmatch("[a-z][a-z0-9_]*", name):
@@ -109,14 +110,25 @@ class InstrumentTable:
                     f"{where}: must be lower-case letters, digits and _, and none of "
                     f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
                 )
-            kind = self._kind(spec.kind, scenario, where)
-            own = kind.analytes(known)
+            kind = INSTRUMENTS.get(spec.kind) or self._own_kind(spec.kind, scenario, where)
+            with blamed(f"{where}: {spec.kind}"):
+                own = kind.analytes(known)
+                self.analytes.append(tuple(chemistry.layout.materials[i] for i in own))
+                channel = kind.channel(name, self.analytes[-1])
+                self._numbers.append(np.asarray(kind.numbers(chemistry), dtype=np.float64))
+            if not isinstance(channel, Channel) or channel.size < 1 or channel.name != name:
+                raise PartError(
+                    f"{where}: {spec.kind}: channel() must return a Channel called {name!r} of a size of at least 1, "
+                    f"given {channel!r}"
+                )
             self.kinds.append(kind)
             indices.append(own)
-            self.analytes.append(tuple(chemistry.layout.materials[i] for i in own))
-            self.channels += (kind.channel(name, self.analytes[-1]),)
+            self.channels += (channel,)
         builtin, columns = list(INSTRUMENTS.values()), chemistry.layout.fluid_columns
-        self._own = [kind not in builtin for kind in self.kinds]
+        self._own = [
+            "" if kind in builtin else f"{scenario.origin}: instruments.{name}: {spec.kind}: read()"
+            for kind, (name, spec) in zip(self.kinds, scenario.instruments.items(), strict=True)
+        ]
         self.rules = Table(
             InstrumentRules(
                 kind=np.array([builtin.index(k) if k in builtin else len(builtin) for k in self.kinds], dtype=np.int64),
@@ -147,17 +159,15 @@ class InstrumentTable:
         return self.kinds[instrument].words(values, self.channels[instrument], self.analytes[instrument])
 
     @staticmethod
-    def _kind(kind: str, scenario: Scenario, where: str) -> Instrument:
-        if kind in INSTRUMENTS:
-            return INSTRUMENTS[kind]
+    def _own_kind(kind: str, scenario: Scenario, where: str) -> Instrument:
         if ":" not in kind:
             raise DataError(
                 f"{where}.kind: unknown kind {kind!r}; known: {', '.join(INSTRUMENTS)}; or one of your own, "
                 "'file.py:NAME'"
             )
-        part = load_part(kind, scenario, f"{where}.kind")
-        if not isinstance(part, Instrument):
-            raise DataError(f"{where}.kind: {kind!r} is no chemlab.instruments.Instrument, but {part!r}")
+        part: Instrument = load_part(
+            kind, scenario, where.removeprefix(f"{scenario.origin}: ") + ".kind", of=Instrument
+        )
         return part
 
     def read(
@@ -177,6 +187,9 @@ class InstrumentTable:
             for m, slot, i in zip(members.tolist(), slots.tolist(), used.tolist(), strict=True):
                 if self._own[i]:
                     out = readings[m, slot, rules.start[i] : rules.start[i + 1]]
-                    self.kinds[i].read(reading(i, shelf.vessels[m, slot], stream[m], out, rules), shelf.chem(m))
+                    turn = reading(i, shelf.vessels[m, slot], stream[m], out, rules)
+                    with blamed(self._own[i]):
+                        self.kinds[i].read(turn._replace(numbers=self._numbers[i]), shelf.chem(m))
+                    out[:] = checked(out, out.shape, self._own[i], 0.0, 1.0)
         handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
         _take(members, slots, used, readings, stream, *handles)

@@ -43,7 +43,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import SAFETY_EVENTS, Scenario
+from ..scenario import Scenario
 from .arena import BenchArena
 from .batch_env import BatchEnv, State
 from .rendering import RENDER_MODES, Rendered
@@ -153,7 +153,8 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         info: dict[str, Any] = {"cost": cost, "illegal_action": bool(station.illegal[0]), "events": {}}
         if cost > 0.0:
             row = station.events[0]
-            info["events"] = {kind: float(x) for kind, x in zip(SAFETY_EVENTS, row, strict=True) if x > 0.0}
+            kinds = self.arena.scenario.safety_events
+            info["events"] = {kind: float(x) for kind, x in zip(kinds, row, strict=True) if x > 0.0}
         if self.bench.action_count:
             info["action_mask"] = self.arena.mask()[0]
         return info

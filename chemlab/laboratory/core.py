@@ -12,13 +12,22 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
-from ..bench.base import Bench, Channel, Goals, Station, build_bench, check_discrete
+from ..bench.base import (
+    Bench,
+    Channel,
+    Goals,
+    Station,
+    build_bench,
+    check_discrete,
+    load_observations,
+    load_terms,
+)
 from ..bench.models import ReactionModel, SeparationModel
 from ..chemistry import build_chemistry
 from ..instruments.table import InstrumentTable
 from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
-from ..parts import load_part
+from ..parts import blamed, checked
 from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf
@@ -142,13 +151,13 @@ class Laboratories:
             self.stations.append(Station(self.bench_agents[b], bench, places, **self._shared(b)))
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.rules = Table(self._build_rules(positions, first))
-        self._terms = [load_part(name, spec, "manager.reward") for name in spec.manager.reward]
-        self._added = [load_part(name, spec, "manager.observe") for name in spec.manager.observe]
+        self._terms = load_terms(spec.manager.reward, spec, "manager.reward")
+        self._added = load_observations(spec.manager.observe, spec, "manager.observe")
         self.channels: list[Channel] = manager_channels(
             spec, self.instruments, int(positions.max()), self.rules.arrays.largest_capacity
         )
         self._own_channels = sum(channel.size for channel in self.channels)
-        self.channels += [part.channel(self) for part in self._added]
+        self.channels += [part.declared(name, self) for name, part in self._added.items()]
         size = sum(channel.size for channel in self.channels)
         self.manager_observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.manager_action_space = gymnasium.spaces.Discrete(len(self.actions))
@@ -401,15 +410,17 @@ class Laboratories:
                 if len(some):
                     station.goal[some] = self.rules.arrays.table[actions[begun == b], 3]
                     self.benches[b].begin(shelf, station, some)
-                    self._charge(b, some)
+                    self._charge(b, some, begun=True)
         if flags & RECALLED:
             recalled = desk.recalled[members]
             for b in range(len(self.stations)):
                 some = members[recalled == b]
                 if len(some):
                     self._end(b, some)
-        for term in self._terms:
-            desk.rewards[0, members] += term(self, members)
+        for name, term in self._terms.items():
+            with blamed(name):
+                earned = term(self, members)
+            desk.rewards[0, members] += checked(earned, members.shape, name)
         if flags & OVER:
             self._settle_accounts(members)
 
@@ -431,11 +442,11 @@ class Laboratories:
         if advance(members, self.state.handle, self.rules.handle) & OVER:
             self._settle_accounts(members)
 
-    def _charge(self, b: int, members: IntArray) -> int:
-        """Charge what the bench's last action cost: safety events and lost turns; returns how many experiments have
-        ended, the first so many of ``self._ended``."""
+    def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:
+        """Charge what the bench's last action (or the beginning) cost: safety events and lost turns; returns how many
+        experiments have ended, the first so many of ``self._ended``."""
         station, desk = self.stations[b], self.desk
-        self.benches[b].consequences(self.shelf, station, members, desk.cost[b + 1], desk.rewards[b + 1])
+        self.benches[b].consequences(self.shelf, station, members, desk.cost[b + 1], desk.rewards[b + 1], begun)
         return charge_events(members, b, station.handle, self.state.handle, self.rules.handle, self._ended)
 
     def _end(self, b: int, members: IntArray) -> None:
@@ -507,10 +518,10 @@ class Laboratories:
             return out
         manager_observe(members, *self._handles(), out)
         at = self._own_channels
-        for part in self._added:
-            seen = np.clip(part.see(self, members), 0.0, 1.0)
-            out[:, at : at + seen.shape[1]] = seen
-            at += seen.shape[1]
+        channels = self.channels[len(self.channels) - len(self._added) :]
+        for (name, part), channel in zip(self._added.items(), channels, strict=True):
+            out[:, at : at + channel.size] = part.seen(name, len(members), channel.size, self, members)
+            at += channel.size
         return out
 
     @property

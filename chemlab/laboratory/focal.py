@@ -42,7 +42,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import SAFETY_EVENTS, RewardSpec, Scenario, load_scenario
+from ..scenario import RewardSpec, Scenario, load_scenario
 from .batch_env import BatchEnv, State
 from .core import MANAGER_AGENT, Laboratories
 from .policy import Players, as_policy
@@ -123,9 +123,10 @@ class FocalVectorEnv(BatchEnv):
         self._lab_costs = np.zeros(num_envs)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._last_turn = np.zeros(num_envs, dtype=np.int64)
-        self._events = np.zeros((num_envs, len(SAFETY_EVENTS)))
+        kinds = self.scenario.safety_events
+        self._events = np.zeros((num_envs, len(kinds)))
         self._experiment_over = np.zeros(num_envs, dtype=np.bool_)
-        self._event_weights = np.array([self.scenario.safety.weights.get(kind, 0.0) for kind in SAFETY_EVENTS])
+        self._event_weights = np.array([self.scenario.safety.weights.get(kind, 0.0) for kind in kinds])
 
     @property
     def action_meanings(self) -> list[str]:
@@ -252,7 +253,7 @@ class FocalVectorEnv(BatchEnv):
     def events(self, member: int = 0) -> dict[str, float]:
         """The laboratory's safety events in the last step, by kind; only those that happened."""
         row = self._events[member].tolist()
-        return {kind: value for kind, value in zip(SAFETY_EVENTS, row, strict=True) if value}
+        return {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
 
 
 class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper, BaseWrapper
 
-from ..scenario import SAFETY_EVENTS
 from .common import OneLaboratory
 from .core import MANAGER_AGENT
 
@@ -31,9 +30,9 @@ def plain_infos(env: Environment) -> Environment:
 
     Every agent's info has ``cost``, ``illegal_action``, ``elapsed_ticks`` (in AEC 0 without the turn),
     ``experiment_over``, ``score`` (of the experiment; 0 unless it is over) and ``events`` [kinds, as in
-    :data:`chemlab.scenario.SAFETY_EVENTS`]; where actions are discrete ``action_mask``, which without the turn allows
-    one action only; in the parallel environment ``has_turn``. The manager's has ``costs`` [items, as in
-    :data:`chemlab.laboratory.manager.COST_ITEMS`], and ``submitted_mol`` and ``purity`` (0 until the end).
+    :attr:`chemlab.scenario.Scenario.safety_events`]; where actions are discrete ``action_mask``, which without the turn
+    allows one action only; in the parallel environment ``has_turn``. The manager's has ``costs`` [items, as in
+    :data:`chemlab.laboratory.state.COST_ITEMS`], and ``submitted_mol`` and ``purity`` (0 until the end).
 
     Args:
         env: :func:`chemlab.laboratory.env`, ``raw_env`` or ``parallel_env``, bare or in PettingZoo's wrappers.
@@ -66,7 +65,7 @@ class _Plain:
         plain = {"elapsed_ticks": 0, **{name: info[name] for name in _COPIED if name in info}}
         plain["experiment_over"] = "score" in info
         plain["score"] = info.get("score", 0.0)
-        plain["events"] = np.array([info["events"].get(kind, 0.0) for kind in SAFETY_EVENTS])
+        plain["events"] = np.array([info["events"].get(kind, 0.0) for kind in self._labs.scenario.safety_events])
         if agent in self._resting:
             mask = info.get("action_mask")
             plain["action_mask"] = self._resting[agent].copy() if mask is None else mask

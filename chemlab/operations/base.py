@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from ..arrays import FloatArray, Handle, IntArray
 from ..jit import helper
+from ..parts import Part
 from ..physics.transfer import volume
 
-__all__ = ["Operation", "Turn", "always", "not_empty"]
+if TYPE_CHECKING:
+    from ..bench.base import Bench
+
+__all__ = ["Operation", "Turn", "always", "no_numbers", "not_empty"]
 
 
 class Turn(NamedTuple):
@@ -35,10 +41,17 @@ class Turn(NamedTuple):
     profile: FloatArray
     limits: FloatArray
     """[2] K, temperatures of the heating mantle and of the coolant"""
+    numbers: FloatArray
+    """what :attr:`Operation.numbers` has made of the scenario"""
+
+
+def no_numbers(bench: Bench) -> FloatArray:
+    """For operations that need nothing of the scenario."""
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
-class Operation:
+class Operation(Part):
     """A kind of process that a bench's action table may have.
 
     Attributes:
@@ -51,6 +64,8 @@ class Operation:
         top: largest magnitude.
         negative: in words how it begins where the magnitude is below 0; None: it must be above.
         touches: whether it changes the vessels it works on (apart from settling).
+        numbers: what it needs of the scenario, worked out once for a bench: ``turn.numbers``. Of a safety event of
+            its own, say, ``bench.scenario.safety_events.index(NAME)``, where ``turn.events`` counts it.
     """
 
     unit: str
@@ -61,6 +76,7 @@ class Operation:
     top: float = 1e4
     negative: str | None = None
     touches: bool = True
+    numbers: Callable[[Bench], FloatArray] = no_numbers
 
 
 @helper

@@ -2,7 +2,7 @@
 
 Receiving matter stirs: the settling clock's distance from the mixed state shrinks by the share of volume that
 was already there. The dissolved amounts in a row are valid for CLOCK_WAS; after these operations the
-caller runs :func:`chemlab.physics.partition.partition`, which brings them to CLOCK.
+caller runs :func:`chemlab.physics.laws.partition`, which brings them to CLOCK.
 """
 
 from __future__ import annotations

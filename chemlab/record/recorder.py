@@ -22,7 +22,7 @@ from ..laboratory.actions import MEASURE
 from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
 from ..materials import validated
-from ..scenario import SAFETY_EVENTS, dump_scenario
+from ..scenario import dump_scenario
 from .format import FORMAT, Header, digest, seen_hash, to_text
 
 __all__ = ["Play", "Recorder", "Witness", "environment_here"]
@@ -177,7 +177,7 @@ class Witness:
     def closing(self) -> dict[str, Any]:
         """What the episode came to."""
         labs, m = self._labs, self._m
-        totals = zip(SAFETY_EVENTS, labs.safety_totals[m].tolist(), strict=True)
+        totals = zip(labs.scenario.safety_events, labs.safety_totals[m].tolist(), strict=True)
         result = {
             "status": ("running", "submitted", "truncated")[int(labs.desk.status[m])],
             "score": labs.result(self._member).item(),

@@ -28,7 +28,7 @@ from ..laboratory.core import Laboratories
 from ..laboratory.state import COST_ITEMS, RUNNING
 from ..physics.constants import SOLIDS
 from ..physics.layers import profile
-from ..scenario import SAFETY_EVENTS, Scenario
+from ..scenario import Scenario
 from ..shelf import Shelf
 
 __all__ = [
@@ -359,8 +359,8 @@ def _seen(bench: Bench, observation: Any) -> tuple[ChannelPicture, ...]:
     return tuple(pictures)
 
 
-def _events(row: FloatArray) -> tuple[tuple[str, float], ...]:
-    return tuple((kind, float(x)) for kind, x in zip(SAFETY_EVENTS, row, strict=True) if x > 0.0)
+def _events(row: FloatArray, scenario: Scenario) -> tuple[tuple[str, float], ...]:
+    return tuple((kind, float(x)) for kind, x in zip(scenario.safety_events, row, strict=True) if x > 0.0)
 
 
 def _bench(
@@ -385,7 +385,7 @@ def _bench(
         positions=bench.positions,
         vessels=tuple(vessel for vessel in vessels if vessel is not None),
         seen=seen,
-        events=_events(station.events[member]),
+        events=_events(station.events[member], bench.scenario),
     )
 
 
@@ -459,7 +459,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         result=result,
         costs=tuple((item, float(costs[item])) for item in COST_ITEMS),
         budget=scenario.limits.budget,
-        safety=_events(labs.safety_totals[member]),
+        safety=_events(labs.safety_totals[member], labs.scenario),
         stock=_stock(scenario, labs.shelf, member),
         waste_l=_waste_l(labs.shelf, member),
         shelf=tuple(_slot(labs, camera, member, s) for s in range(slots)),

@@ -294,7 +294,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from chemlab.agents.training.learn import train
 
     folder = tmp_path_factory.mktemp("results")
-    train(TrainArguments.of({**SMALL, "background": "pretrained"}), folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0")
+    train(
+        TrainArguments.of({**SMALL, "background": "pretrained"}),
+        folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0",
+    )
     return folder
 
 

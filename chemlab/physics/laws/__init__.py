@@ -5,7 +5,7 @@ is compiled into them follows from the type of the chemistry they are given (its
 :class:`chemlab.chemistry.ChemistryTable`), so a choice costs nothing when they run and nobody else has to know it.
 
 To add a tier: a module with all of these functions (kernels or helpers), and an entry in
-:data:`chemlab.chemistry.TIERS`.
+:data:`chemlab.scenario.PHYSICS_TIERS`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,446 @@
+"""Parts of a user's own, one file and one entry each: they do what they say, everywhere, and mistakes name them.
+
+``my_laboratory.toml`` has one of every kind, from ``my_parts.py`` beside it and from the filtration bench's file.
+"""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import litres
+from pettingzoo.test import api_test, parallel_api_test, seed_test
+
+from chemlab.bench.base import channel_slices
+from chemlab.chemistry import AMOUNTS, CLOCK
+from chemlab.laboratory import env as laboratory_env
+from chemlab.laboratory import parallel_env
+from chemlab.laboratory.actions import SUBMIT
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import DataError
+from chemlab.parts import PartError
+from chemlab.record import Play, Recorder, verify_record
+from chemlab.scenario import load_scenario
+
+HERE = Path(__file__).parent
+FILE = HERE / "my_laboratory.toml"
+A_TENTH, A_QUARTER, EVERYTHING, DRAIN_10, DRAIN_50, WATER, END = range(7)
+"""The extraction bench's actions."""
+
+
+def copied(folder: Path, old: str = "", new: str = "", parts: str = "") -> Path:
+    """The scenario in another folder, with its parts; a text of it replaced, ``parts`` added to ``my_parts.py``."""
+    text = FILE.read_text().replace("../bench/", f"{HERE.parent}/bench/")
+    assert old in text
+    (folder / "my_parts.py").write_text((HERE / "my_parts.py").read_text() + parts)
+    path = folder / "my_laboratory.toml"
+    path.write_text(text.replace(old, new) if old else text)
+    return path
+
+
+def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) -> npt.NDArray[np.float32]:
+    """What an agent sees in one of its channels."""
+    seen = laboratories.observe(agent, np.array([member]))[0]
+    return np.asarray(seen[channel_slices(laboratories.role(agent).channels)[name]])
+
+
+def chosen(laboratories: Laboratories, agent: int, rng: np.random.Generator, member: int = 0) -> Any:
+    """A legal action, seldom one that ends something."""
+    mask = laboratories.mask(agent, np.array([member]))
+    if mask is None:
+        return rng.random(laboratories.action_space(agent).shape)
+    legal = np.flatnonzero(mask[0])
+    if agent == 0:
+        legal = legal[laboratories.actions.table[legal, 0] != SUBMIT]
+    elif rng.random() < 0.8 and len(legal) > 1:
+        legal = legal[legal != laboratories.benches[agent - 1].end_action]
+    return int(rng.choice(legal))
+
+
+# -- what each part says, worked out by hand ----------------------------------------------------------------------
+
+
+def test_the_instrument_reads() -> None:
+    env = raw_env(FILE)
+    env.reset(seed=0)
+    labs, shelf = env.laboratories, env.laboratories.shelf
+    shelf.fill(0, 0, 1.2, {"water": 20.0, "diethyl_ether": 3.0})
+    water, ether = litres(env.scenario, {"water": 20.0}), litres(env.scenario, {"diethyl_ether": 3.0})
+    index = (water * 1.3330 + ether * 1.3526) / (water + ether)
+    assert channel(labs, 0, "slot_0_refractometer_age")[0] == 1.0
+    env.step(labs.actions.encode("measure", 0, "refractometer"))
+    assert channel(labs, 0, "slot_0_refractometer")[0] == pytest.approx((index - 1.3) / 0.2, rel=1e-6)
+    assert channel(labs, 0, "slot_0_refractometer_age")[0] == 0.0
+    assert env.infos["manager_0"]["costs"]["instruments"] == pytest.approx(0.001)
+    # Its sample is in the waste can, which the manager's own channel shows.
+    assert shelf.waste[0, shelf.layout.index("water")] == pytest.approx(0.2)
+    assert channel(labs, 0, "waste_can")[0] == pytest.approx(0.01 * (water + ether) / 5.0, rel=1e-6)
+    number = labs.instruments.names.index("refractometer")
+    start = labs.instruments.start[number]
+    assert labs.instruments.words(number, labs.desk.reading[0, 0, start : start + 1]) == f"{index:.3f} n_D"
+    spread = shelf.fill(0, 1, 1.2, {"Na": 1.0})
+    assert spread.volume_l > 0.0
+    env.step(labs.actions.encode("measure", 1, "refractometer"))
+    assert channel(labs, 0, "slot_1_refractometer")[0] == 0.0
+
+
+def test_the_operation_acts() -> None:
+    env = BenchEnv(FILE, "ext", goals="dodecane")
+    observation, info = env.reset(seed=0)
+    assert env.action_meanings[A_QUARTER] == "blow diethyl_ether off EV, 0.25 fraction"
+    shelf, station, spec = env.arena.shelf, env.arena.station, env.arena.scenario
+    ether, vessel = shelf.layout.index("diethyl_ether"), shelf.vessel(0, 0)
+    before = vessel.amounts()
+    observation, reward, _, _, info = env.step(A_QUARTER)
+    after = vessel.amounts()
+    assert after["diethyl_ether"] == pytest.approx(3.0, rel=1e-12)
+    assert shelf.waste[0, ether] == pytest.approx(1.0, rel=1e-12)
+    # Some salt precipitates; nothing else has left.
+    assert after["NaCl"] > before["NaCl"]
+    assert after["NaCl"] + after["Na+"] == pytest.approx(before["NaCl"] + before["Na+"], rel=1e-12)
+    # The event is counted, weighs 0.5, and costs no reward here; the reward is the bench's own term.
+    assert info["events"] == pytest.approx({"vapour_mol": 1.0})
+    assert info["cost"] == pytest.approx(0.5)
+    filled = litres(spec, after)
+    assert reward == pytest.approx(-0.01 * filled, rel=1e-9)
+    grams = sum(mol * spec.materials[name].molar_mass_g_mol for name, mol in after.items())
+    sees = channel_slices(env.bench.channels)["hydrometer"]
+    assert observation[sees][0] == pytest.approx(grams / 1000.0 / filled / 2.0, rel=1e-6)
+    assert sees.stop == len(observation)
+    env.step(WATER)
+    stirred = vessel.row[CLOCK]
+    env.step(A_TENTH)
+    assert vessel.row[CLOCK] == pytest.approx(stirred + 0.5)
+    assert station.events[0, -1] == pytest.approx(0.3)
+    _, _, _, _, info = env.step(EVERYTHING)
+    assert info["action_mask"].tolist() == [0, 0, 0, 1, 1, 1, 1]
+    left = shelf.rows.copy()
+    _, reward, _, _, info = env.step(A_TENTH)
+    assert info["illegal_action"]
+    assert info["events"] == {}
+    np.testing.assert_array_equal(shelf.rows[:, AMOUNTS:], left[:, AMOUNTS:])
+    assert reward == pytest.approx(-spec.costs.illegal_action - 0.01 * vessel.volume_l, rel=1e-9)
+
+
+def test_rewards_in_the_laboratory() -> None:
+    env = raw_env(FILE)
+    env.reset(seed=0)
+    labs = env.laboratories
+    measure = labs.actions.encode("measure", 1, "refractometer")
+    env.step(measure)
+    assert env.rewards["manager_0"] == 0.0  # the reading is of this tick
+    env.step(labs.actions.encode("start", "ext_0", 0, "dodecane"))
+    assert env.rewards["ext_0"] == 0.0  # no action of its own yet
+    env.step(labs.actions.encode("wait"))
+    assert env.agent_selection == "ext_0"
+    env.step(A_TENTH)
+    filled = litres(env.scenario, {"diethyl_ether": 3.6})
+    assert env.rewards["ext_0"] == pytest.approx(-0.01 * filled, rel=1e-9)
+    assert env.infos["ext_0"]["events"] == pytest.approx({"vapour_mol": 0.4})
+    env.step(END)
+    assert env.agent_selection == "manager_0"
+    env.step(measure)  # of slot 1 again: nothing else has been read
+    assert env.rewards["manager_0"] == 0.0
+    env.step(labs.actions.encode("start", "fil_0", 0, "dodecane"))
+    env.step(labs.actions.encode("wait"))
+    env.step(1)
+    env.step(labs.actions.encode("measure", 0, "balance"))
+    assert env.rewards["manager_0"] == pytest.approx(-0.001)  # one reading is a tick old
+    assert labs.safety_totals[0, -1] == pytest.approx(0.4)
+
+
+def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
+    (tmp_path / "my_kernels.py").write_text((HERE / "my_kernels.py").read_text())
+    plain = BenchEnv(FILE, "ext")
+    compiled = BenchEnv(copied(tmp_path, '"my_parts.py:EVAPORATE"', '"my_kernels.py:EVAPORATE"'), "ext")
+    for env in (plain, compiled):
+        env.reset(seed=3)
+    for action in (A_TENTH, WATER, DRAIN_10, A_QUARTER, EVERYTHING, A_TENTH, DRAIN_50):
+        one, other = plain.step(action), compiled.step(action)
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1] == other[1]
+        assert one[4]["events"] == other[4]["events"]
+        np.testing.assert_array_equal(plain.arena.shelf.rows, compiled.arena.shelf.rows)
+
+
+# -- everywhere the same ------------------------------------------------------------------------------------------
+
+
+def test_interface() -> None:
+    env = laboratory_env(FILE)
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(i)
+    api_test(env, num_cycles=300)
+    seed_test(lambda: laboratory_env(FILE), num_cycles=100)
+    parallel_api_test(parallel_env(FILE), num_cycles=100)
+
+
+@pytest.mark.parametrize(("members", "threads"), [(1, 1), (3, 2), (7, 3)])
+def test_a_batch_of_benches_plays_what_one_plays(members: int, threads: int) -> None:
+    batch = BenchVectorEnv(members, FILE, "ext", autoreset_mode="Disabled", threads=threads)
+    singles = [BenchEnv(FILE, "ext") for _ in range(members)]
+    seen, _ = batch.reset(seed=5)
+    np.testing.assert_array_equal(seen, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        actions = rng.integers(0, END, members)
+        seen, rewards, _, _, infos = batch.step(actions)
+        played = [env.step(action) for env, action in zip(singles, actions, strict=True)]
+        np.testing.assert_array_equal(seen, [step[0] for step in played])
+        np.testing.assert_array_equal(rewards, [step[1] for step in played])
+        np.testing.assert_array_equal(infos["cost"], [step[4]["cost"] for step in played])
+    batch.close()
+
+
+def test_a_batch_of_laboratories_plays_what_one_plays() -> None:
+    batch = BatchedLaboratory(3, FILE)
+    singles = [parallel_env(FILE) for _ in range(3)]
+    batch.reset(seed=11)
+    for i, env in enumerate(singles):
+        env.reset(seed=11 + i)
+    rngs = [np.random.default_rng(i) for i in range(3)]
+    used: set[str] = set()
+    for _ in range(60):
+        labs = [env.unwrapped.laboratories for env in singles]
+        actions: dict[str, Any] = {}
+        for agent in batch.possible_agents:
+            shape = batch.action_space(agent).shape or ()
+            actions[agent] = np.zeros((3, *shape), dtype=np.float64 if shape else np.int64)
+        steps = []
+        for i, env in enumerate(singles):
+            turns = np.flatnonzero(labs[i].turns(np.arange(1))[:, 0]).tolist()
+            mine = {labs[i].agents[n]: chosen(labs[i], n, rngs[i]) for n in turns}
+            used |= set(mine)
+            for agent, action in mine.items():
+                actions[agent][i] = action
+            steps.append(env.step(mine))
+        _, rewards, terminated, truncated, _ = batch.step(actions)
+        assert not terminated.any()
+        assert not truncated.any()
+        for agent in batch.possible_agents:
+            np.testing.assert_array_equal(rewards[agent], [step[1].get(agent, 0.0) for step in steps])
+            for i in range(3):
+                if agent in steps[i][0]:
+                    np.testing.assert_array_equal(labs[i].desk.reading[0], batch.laboratories.desk.reading[i])
+        np.testing.assert_array_equal(
+            batch.laboratories.shelf.vessels, np.concatenate([lab.shelf.vessels for lab in labs])
+        )
+    assert used == set(batch.possible_agents)
+
+
+def test_snapshots() -> None:
+    env = raw_env(FILE)
+    env.reset(seed=2)
+    labs, rng = env.laboratories, np.random.default_rng(2)
+    for _ in range(40):
+        env.step(chosen(labs, labs.turn(), rng))
+    saved, state = labs.snapshot(), rng.bit_generator.state
+
+    def going_on() -> list[Any]:
+        found = []
+        for _ in range(40):
+            agent = labs.turn()
+            labs.act(agent, labs.members, labs.checked(agent, chosen(labs, agent, rng)))
+            found.append((agent, labs.rewards.tolist(), labs.observe(agent, labs.members).tolist()))
+        return found
+
+    first = going_on()
+    labs.restore(saved)
+    rng.bit_generator.state = state
+    assert going_on() == first
+
+
+def test_a_record_replays(tmp_path: Path) -> None:
+    """With the scenario's file beside it, and its code trusted."""
+    scenario = copied(tmp_path)
+    env = raw_env(scenario)
+    labs, path, rng = env.laboratories, tmp_path / "episode.jsonl", np.random.default_rng(4)
+    env.reset(seed=4)
+    played: set[str] = set()
+    with Recorder(path, labs) as recorder:
+        recorder.begin(4)
+        while labs.desk.status[0] == 0:
+            agent = labs.turn()
+            seen, mask = labs.observe(agent, labs.members)[0], labs.mask(agent, labs.members)
+            action = labs.checked(agent, chosen(labs, agent, rng))
+            if agent == 0 and len(played) == len(labs.agents):
+                action = np.array([labs.actions.encode("submit", int(np.argmax(labs.shelf.vessels[0, :8, 5])))])
+            labs.act(agent, labs.members, action)
+            recorder.turn([Play(agent, seen, None if mask is None else mask[0], action[0])])
+            played.add(labs.agents[agent])
+    result = verify_record(path, scenario, trust=True)
+    assert result.status == "ok", result.message
+    assert verify_record(path, scenario).status == "unchecked"
+    assert "vapour_mol" in path.read_text()
+
+
+def test_pictures_and_text() -> None:
+    env = raw_env(FILE, render_mode="ansi")
+    env.reset(seed=0)
+    env.step(env.laboratories.actions.encode("measure", 0, "refractometer"))
+    assert "refractometer" in str(env.render())
+    from chemlab.render.scene import laboratory_scene
+
+    scene = laboratory_scene(env.laboratories)
+    assert "refractometer" in repr(scene)
+
+
+# -- other processes ----------------------------------------------------------------------------------------------
+
+
+def test_copies_and_pickles() -> None:
+    env = BenchEnv(FILE, "ext")
+    env.reset(seed=1)
+    copies = [env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    for action in (A_TENTH, WATER, DRAIN_50):
+        steps = [each.step(action) for each in copies]
+        for step in steps[1:]:
+            np.testing.assert_array_equal(step[0], steps[0][0])
+            assert step[1] == steps[0][1]
+    laboratory = raw_env(FILE)
+    laboratory.reset(seed=1)
+    other = pickle.loads(pickle.dumps(laboratory))
+    for each in (laboratory, other):
+        each.step(each.laboratories.actions.encode("measure", 0, "refractometer"))
+        each.step(each.laboratories.actions.encode("start", "fil_0", 0, "dodecane"))
+    np.testing.assert_array_equal(other.observe("manager_0"), laboratory.observe("manager_0"))
+
+
+def test_another_process_finds_the_files(tmp_path: Path) -> None:
+    """One that has never seen the scenario, and runs elsewhere."""
+    env = BenchEnv(FILE, "fil"), BenchEnv(FILE, "ext")
+    for each in env:
+        each.reset(seed=1)
+    (tmp_path / "envs").write_bytes(pickle.dumps(env))
+    code = "import pickle; print([float(e.step(0)[1]) for e in pickle.load(open('envs', 'rb'))])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str([float(each.step(0)[1]) for each in env])
+
+
+def test_vectors_of_processes() -> None:
+    vectors = pytest.importorskip("stable_baselines3.common.vec_env")
+    made = vectors.SubprocVecEnv([lambda: BenchEnv(FILE, "ext")] * 2, start_method="spawn")
+    try:
+        made.seed(7)
+        seen = made.reset()
+        alone = BenchEnv(FILE, "ext")
+        np.testing.assert_array_equal(seen[1], alone.reset(seed=8)[0])
+        _, rewards, _, _ = made.step(np.array([A_TENTH, A_QUARTER]))
+        assert rewards[1] == alone.step(A_QUARTER)[1]
+    finally:
+        made.close()
+
+
+# -- mistakes -----------------------------------------------------------------------------------------------------
+
+MISTAKES = """
+from dataclasses import replace as _replace
+DARK = _replace(HYDROMETER, see=lambda bench, shelf, station, members: np.zeros(len(members)))
+KELVIN = _replace(HYDROMETER, see=lambda bench, shelf, station, members: np.full((len(members), 1), 298.15))
+NAMELESS = _replace(HYDROMETER, channel=lambda bench: "hydrometer")
+LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(1.5))
+BROKEN_LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(np.nan))
+RENAMED = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel("other", 1, "n_D", 0.0, 1.0, ""))
+SILENT = _replace(EVAPORATE, act=lambda turn, chem: None)
+GREEDY = _replace(EVAPORATE, act=lambda turn, chem: turn.row.__setitem__(AMOUNTS + turn.material, -1.0) or 0.0)
+LAWLESS = _replace(EVAPORATE, legal=lambda turn, chem: turn.no_such_field)
+def nothing(bench, shelf, station, members):
+    return np.full(len(members), np.nan)
+def scalar(bench, shelf, station, members):
+    return [[0.0]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "my_parts.py:REFRACTOMETER",
+            "no_file.py:REFRACTOMETER",
+            "instruments.refractometer.kind: .*no file .*no_file.py",
+        ),
+        ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", "has no 'SPECTROMETER'; it has .*REFRACTOMETER"),
+        ("my_parts.py:REFRACTOMETER", "refractometer", "unknown kind 'refractometer'; known: uv_vis"),
+        ("my_parts.py:REFRACTOMETER", "my_parts.py:EVAPORATE", "must be a chemlab.instruments.base.Instrument"),
+        ("my_parts.py:EVAPORATE", "my_parts.py:REFRACTOMETER", "must be a chemlab.operations.base.Operation"),
+        ("my_parts.py:EVAPORATE", "evaporate", "process.0: kind: this bench can drain"),
+        ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.bench.base.Observation"),
+        ("my_parts.py:HYDROMETER", "my_parts.py", "ext.observe: cannot load 'my_parts.py' .*no colon"),
+        ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
+        ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),
+        ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
+    ],
+)
+def test_what_cannot_be_loaded_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+    path = copied(tmp_path, old, new)
+    with pytest.raises(DataError, match=says) as caught:
+        raw_env(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"cannot load 'my_parts.py:\w+' \(NameError: .*'unheard_of'"):
+        raw_env(copied(tmp_path, parts="\nunheard_of\n"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("HYDROMETER", "DARK", r"ext.observe: my_parts.py:DARK: see\(\): must have shape \(1, 1\), given shape \(1,\)"),
+        ("HYDROMETER", "KELVIN", r"KELVIN: see\(\): must be from 0 to 1: scale it.* given 298.15"),
+        ("HYDROMETER", "NAMELESS", r"NAMELESS: channel\(\) must return a Channel"),
+        ("EVAPORATE", "SILENT", r"ext.process: my_parts.py:SILENT: act\(\), which returns how far"),
+        ("EVAPORATE", "GREEDY", r"GREEDY: act\(\) has left amounts that are negative"),
+        ("EVAPORATE", "LAWLESS", r"LAWLESS: legal\(\): AttributeError: .*no_such_field"),
+        ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),
+        ("concentrate", "scalar", r"ext.reward: my_parts.py:scalar: must have shape \(1,\), given shape \(1, 1\)"),
+    ],
+)
+def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+    path = copied(tmp_path, f"my_parts.py:{old}", f"my_parts.py:{new}", MISTAKES)
+
+    def play() -> None:
+        env = BenchEnv(path, "ext")
+        env.reset(seed=0)
+        env.step(A_TENTH)
+
+    with pytest.raises(PartError, match=says) as caught:
+        play()
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("LAMP", r"refractometer: my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
+        ("BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
+        ("RENAMED", "RENAMED: channel.* must return a Channel called 'refractometer'"),
+    ],
+)
+def test_what_an_instrument_does_wrong_is_named(tmp_path: Path, name: str, says: str) -> None:
+    path = copied(tmp_path, "my_parts.py:REFRACTOMETER", f"my_parts.py:{name}", MISTAKES)
+
+    def play() -> None:
+        env = raw_env(path)
+        env.reset(seed=0)
+        env.step(env.laboratories.actions.encode("measure", 0, "refractometer"))
+
+    with pytest.raises(PartError, match=says) as caught:
+        play()
+    assert str(path) in str(caught.value)
+
+
+def test_an_event_of_ones_own_has_to_be_declared(tmp_path: Path) -> None:
+    text = 'events = { vapour_mol = "mol of solvent blown into the room" }\n'
+    with pytest.raises(DataError, match=r"vapour_mol: unknown safety event; .*declare your own under safety.events"):
+        load_scenario(copied(tmp_path, text))

@@ -1,0 +1,66 @@
+"""A tier of physics from outside: kernels that are given its chemistry follow its laws, and nobody else does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from chemlab.chemistry import AMOUNTS, TIERS, build_chemistry
+from chemlab.materials import DataError
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.physics.kinetics import react, react_work_size
+from chemlab.physics.laws import rate_constant
+from chemlab.scenario import Scenario, dump_scenario, load_scenario, restore_scenario
+from chemlab.shelf import Shelf
+
+START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}
+TEMPERATURE_K = 320.0
+
+
+@pytest.fixture
+def brisk(monkeypatch: pytest.MonkeyPatch) -> Scenario:
+    """The shipped scenario with the physics of ``brisk_laws.py``."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    monkeypatch.setitem(TIERS, "brisk", "brisk_laws")
+    return load_scenario("wurtz_dodecane").model_copy(update={"physics": "brisk"})
+
+
+def reacted(scenario: Scenario, time: float) -> np.ndarray:
+    """[M] mol after some time."""
+    shelf = Shelf(build_chemistry(scenario), 1, 1)
+    row = shelf.fill(0, 0, 1.2, START).row
+    work = np.zeros(react_work_size(shelf.known()))
+    react(row, shelf.chem(), 0.5, TEMPERATURE_K, time, 1e-10, 1e-13, work)
+    return row[AMOUNTS : AMOUNTS + len(shelf.layout.materials)].copy()
+
+
+def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
+    """Twice the rate constants are the same reactions in half the time."""
+    paper = load_scenario("wurtz_dodecane")
+    fast, slow, long = reacted(brisk, 0.01), reacted(paper, 0.01), reacted(paper, 0.02)
+    np.testing.assert_allclose(fast, long, rtol=1e-8, atol=1e-11)
+    assert np.abs(fast - slow).max() > 0.01
+    # The paper's kernels are what they were, before and after.
+    np.testing.assert_array_equal(reacted(paper, 0.01), slow)
+
+
+def test_a_law_can_be_called(brisk: Scenario) -> None:
+    tables = {tier: build_chemistry(brisk.model_copy(update={"physics": tier})) for tier in TIERS}
+    paper, other = tables["paper"].handles[0], tables["brisk"].handles[0]
+    for r, step in enumerate(brisk.family.reaction):
+        closed = step.pre_exponential * np.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * TEMPERATURE_K))
+        assert rate_constant(r, TEMPERATURE_K, paper) == pytest.approx(closed, rel=1e-13)
+        assert rate_constant(r, TEMPERATURE_K, other) == pytest.approx(2.0 * closed, rel=1e-13)
+
+
+def test_the_scenario_says_which(brisk: Scenario) -> None:
+    assert build_chemistry(brisk).tier == "brisk"
+    assert build_chemistry(load_scenario("wurtz_dodecane")).tier == "paper"
+    restored = restore_scenario(dump_scenario(brisk), "a copy")
+    assert restored.physics == "brisk"
+    # What was written down before there were tiers says nothing of them.
+    assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
+    with pytest.raises(DataError, match="unknown tier 'slow'; known: paper, brisk"):
+        build_chemistry(brisk.model_copy(update={"physics": "slow"}))
