@@ -354,8 +354,8 @@ class ReactionBench(Bench):
             if stiff >= 0:
                 raise ArithmeticError(
                     f"{station.agent}: the reactions of laboratory {stiff} at "
-                    f"{shelf.rows[station.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 steps "
-                    f"for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a shorter "
+                    f"{shelf.rows[station.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
+                    f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a shorter "
                     f"benches.{self.key}.tick, or smaller rate constants"
                 )
             return
