@@ -355,8 +355,8 @@ class ReactionBench(Bench):
                 raise ArithmeticError(
                     f"{station.agent}: the reactions of laboratory {stiff} at "
                     f"{shelf.rows[station.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
-                    f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a shorter "
-                    f"benches.{self.key}.tick, or smaller rate constants"
+                    f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a "
+                    f"shorter benches.{self.key}.tick, or smaller rate constants"
                 )
             return
         _load_all(members, actions, *handles)
