@@ -116,6 +116,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         num_envs: N.
         agent: id of the agent that acts, for error messages.
         goals: goals that ``options["goal"]`` may ask for.
+        kinds: number of kinds of safety event.
         observation_space, action_space: of a member.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
@@ -134,6 +135,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         num_envs: int,
         agent: str,
         goals: Sequence[str],
+        kinds: int,
         observation_space: gymnasium.spaces.Box,
         action_space: gymnasium.Space[Any],
         autoreset_mode: str | AutoresetMode,
@@ -158,6 +160,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         self._rewards = np.zeros(num_envs)
         self._costs = np.zeros(num_envs)
         self._scores = np.full(num_envs, np.nan)
+        self._events = np.zeros((num_envs, kinds))
         self._illegal = np.zeros(num_envs, dtype=np.bool_)
         self._terminated = np.zeros(num_envs, dtype=np.bool_)
         self._truncated = np.zeros(num_envs, dtype=np.bool_)
@@ -183,8 +186,9 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
     def _more_arrays(self) -> State:
         """The subclass's own arrays that change."""
 
-    def _more_infos(self, infos: dict[str, Any]) -> None:
-        """Add the subclass's own infos."""
+    def _more_infos(self) -> dict[str, npt.NDArray[Any]]:
+        """The subclass's own infos, by name."""
+        return {}
 
     # -- Gymnasium's interface ----------------------------------------------------------------------------------
 
@@ -207,7 +211,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
             if member_seed is not None:
                 self._seed_member(int(member), member_seed)
         self._pending[mask] = False
-        self._costs[mask], self._illegal[mask] = 0.0, False
+        self._costs[mask], self._events[mask], self._illegal[mask] = 0.0, 0.0, False
         self._scores[mask] = np.nan
         self._begun = False  # until it is done: where a policy or model fails halfway, only a reset helps
         self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal))
@@ -234,9 +238,6 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         self._begun = True
         infos = self._infos()
         ended = self._terminated | self._truncated
-        scored = np.isfinite(self._scores)
-        if scored.any():
-            infos["score"], infos["_score"] = np.where(scored, self._scores, 0.0), scored
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             final = np.zeros_like(self._observations)
             for members, observations in finals:
@@ -255,15 +256,18 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
 
     def _infos(self) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=np.bool_)
+        scored = np.isfinite(self._scores)
         infos: dict[str, Any] = {
             "cost": self._costs.copy(),
-            "_cost": everyone,
+            "events": self._events.copy(),
             "illegal_action": self._illegal.copy(),
-            "_illegal_action": everyone,
+            "experiment_over": scored,
+            "score": np.where(scored, self._scores, 0.0),
+            **self._more_infos(),
         }
         if self.action_count:
-            infos["action_mask"], infos["_action_mask"] = self._returned(self._masks), everyone
-        self._more_infos(infos)
+            infos["action_mask"] = self._returned(self._masks)
+        infos.update({f"_{name}": everyone for name in infos})  # Gymnasium: who has it
         return infos
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
@@ -282,6 +286,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
             self._masks,
             self._rewards,
             self._costs,
+            self._events,
             self._scores,
             self._illegal,
             self._terminated,

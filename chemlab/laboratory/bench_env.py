@@ -16,9 +16,9 @@
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
-truncated here. Infos: `action_mask` (discrete actions), `cost` (weighted safety events of the step), `illegal_action`
-(the step played a masked action: a lost turn), `score` (at the end), `events` (single environments: safety events by
-kind).
+truncated here. Infos, in every step: `action_mask` (discrete actions), `cost` (weighted safety events of the step),
+`events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (the step played a masked
+action: a lost turn), `experiment_over`, and `score` (0 until then).
 
 ### Seeds
 Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
@@ -43,7 +43,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import SAFETY_EVENTS, Scenario
+from ..scenario import Scenario
 from .arena import BenchArena
 from .batch_env import BatchEnv, State
 from .rendering import RENDER_MODES, Rendered
@@ -116,7 +116,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
         self._over = False
         self._show()
-        return self._observe(), self._info()
+        return self._observe(), self._info(stepped=False)
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One action of the experiment.
@@ -138,7 +138,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         observation, info = self._observe(), self._info(float(cost[0]))
         if arena.station.ended[0]:
             score = float(arena.finish(arena.members)[0])
-            info["score"] = score
+            info["experiment_over"], info["score"] = True, score
             total += score
             self._over = True
         self._show()
@@ -148,12 +148,15 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.arena.observe(self._observation)
         return np.array(self._observation[0])
 
-    def _info(self, cost: float = 0.0) -> dict[str, Any]:
+    def _info(self, cost: float = 0.0, stepped: bool = True) -> dict[str, Any]:
         station = self.arena.station
-        info: dict[str, Any] = {"cost": cost, "illegal_action": bool(station.illegal[0]), "events": {}}
-        if cost > 0.0:
-            row = station.events[0]
-            info["events"] = {kind: float(x) for kind, x in zip(SAFETY_EVENTS, row, strict=True) if x > 0.0}
+        info: dict[str, Any] = {
+            "cost": cost,
+            "events": station.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
+            "illegal_action": bool(station.illegal[0]),
+            "experiment_over": False,
+            "score": 0.0,
+        }
         if self.bench.action_count:
             info["action_mask"] = self.arena.mask()[0]
         return info
@@ -243,6 +246,7 @@ class BenchVectorEnv(BatchEnv):
             num_envs,
             self.arena.station.agent,
             self.arena.scenario.goals,
+            len(self.arena.scenario.safety_events),
             self.bench.observation_space,
             self.bench.action_space,
             autoreset_mode,
@@ -290,12 +294,14 @@ class BenchVectorEnv(BatchEnv):
             acting = members[~waiting]
             self._rewards[members[waiting]] = 0.0
             self._costs[members[waiting]], self._illegal[members[waiting]] = 0.0, False
+            self._events[members[waiting]] = 0.0
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
         bench.act(shelf, station, acting, chosen)
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
         bench.consequences(shelf, station, acting, self._costs, self._rewards)
-        self._illegal[acting] = station.illegal[acting]  # a reset in the same step forgets it there
+        # A reset in the same step forgets these there.
+        self._illegal[acting], self._events[acting] = station.illegal[acting], station.events[acting]
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
