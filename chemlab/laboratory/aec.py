@@ -21,14 +21,19 @@ minus all costs; without a submission, minus all costs when the episode is trunc
 
 ### Infos
 Numbers and arrays, of the same keys, types and shapes at every step. Every agent's: `cost` (weighted safety events of
-its last action), `events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (its last
-action was masked and did nothing), `experiment_over` and `score` (whether its last turn has ended its experiment, and
-with which score, else 0; of the manager: the episode), `elapsed_ticks` (on its turn and at the end: since its previous
-turn, or the episode's beginning: the discount of a semi-Markov step; else 0), and where actions are discrete
-`action_mask` (int8; without the turn it allows one action only, `wait` or `end`). The manager's also: `costs` [items, as
-in :data:`~chemlab.laboratory.state.COST_ITEMS`] (what it has been charged so far, in units of the score), and for each
-order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 until a vessel has been submitted).
-:func:`chemlab.laboratory.text.named_events` and :func:`~chemlab.laboratory.text.named_costs` give them by name.
+its last action), `events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (its
+last action was masked and did nothing), `experiment_over` and `score` (whether its last turn has ended its experiment,
+and with which score, else 0; of the manager: the episode), `elapsed_ticks` (on its turn and at the end: since its
+previous turn, or the episode's beginning: the discount of a semi-Markov step; else 0), and where actions are discrete
+`action_mask` (int8; without the turn it allows one action only, `wait` or `end`). The manager's also: `costs` [items,
+as in :data:`~chemlab.laboratory.state.COST_ITEMS`] (what it has been charged so far, in units of the score), and for
+each order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 until a vessel has been
+submitted). :func:`chemlab.laboratory.text.named_events` and :func:`~chemlab.laboratory.text.named_costs` give them by
+name.
+
+### State
+`state()` is everything there is to know, in [0, 1], for critics that may know it in training; `state_channels` names
+its parts (:mod:`chemlab.laboratory.global_state`).
 
 ### Arguments
 `scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or

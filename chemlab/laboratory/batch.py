@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..bench.base import Channel
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .batch_env import checked_actions, parsed_reset
 from .common import manager_accounts
 from .core import Laboratories
+from .global_state import GlobalState
 from .state import RUNNING, TERMINATED
 
 __all__ = ["BatchedLaboratory"]
@@ -61,6 +63,7 @@ class BatchedLaboratory:
             self.scenario = self.scenario.with_rewards(rewards)
         self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
         self.possible_agents = list(labs.agents)
+        self._whole = GlobalState(labs)
         self.idle_observations = idle_observations
         self.copy = copy
         self._random = np.random.default_rng()
@@ -83,6 +86,23 @@ class BatchedLaboratory:
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
         """Action space of one agent in one laboratory."""
         return self.laboratories.action_space(self.possible_agents.index(agent))
+
+    @property
+    def state_space(self) -> gymnasium.spaces.Box:
+        """Space of one laboratory's :meth:`state`."""
+        return self._whole.space
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.laboratory.global_state`."""
+        return self._whole.channels
+
+    def state(self) -> ObservationArray:
+        """[N, size] everything there is to know of each laboratory, which no agent sees, for centralised critics.
+
+        Where an episode has just ended, it is of the one that has begun since.
+        """
+        return self._whole.see(self.laboratories.members)
 
     def reset(
         self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
@@ -9,12 +10,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray, IntArray
 from ..jit import kernel
 
-__all__ = ["BatchEnv", "State", "checked_actions", "parsed_reset"]
+__all__ = ["BatchEnv", "BoundedSpec", "State", "checked_actions", "parsed_reset"]
 
 State = list[npt.NDArray[Any]]
 
@@ -109,7 +111,31 @@ def parsed_reset(
     return mask, seeds, options.get("goal")
 
 
-class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
+class BoundedSpec:
+    """Fills in ``spec.max_episode_steps`` of an environment whose episodes have a bound of their own.
+
+    The bound follows from the scenario, so it cannot stand in Gymnasium's registry. It is one more than an episode can
+    have: where clients put a time limit there, or ``gymnasium.make`` one by the spec, no end becomes a truncation.
+    """
+
+    max_episode_steps: int
+    """One more than the steps of any episode."""
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's specification, of environments that its ``make`` has made."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = copy.copy(spec)
+            spec.max_episode_steps = self.max_episode_steps
+        self._spec = spec
+
+
+class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
     """N members with spaces of their own, in one set of arrays; subclasses say what a step of a member is.
 
     Args:
@@ -117,12 +143,15 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         agent: id of the agent that acts, for error messages.
         goals: goals that ``options["goal"]`` may ask for.
         kinds: number of kinds of safety event.
+        longest: steps of the longest possible episode.
         observation_space, action_space: of a member.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         copy: whether returned arrays are copies; without, the next step overwrites them.
         render_mode: accepted for Gymnasium's sake; batches do not render.
+        max_episode_steps: accepted for Gymnasium's sake; batches do not cut episodes short, so it must be more than
+            ``longest``.
 
     Raises:
         ValueError: a number is out of bounds.
@@ -136,12 +165,20 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         agent: str,
         goals: Sequence[str],
         kinds: int,
+        longest: int,
         observation_space: gymnasium.spaces.Box,
         action_space: gymnasium.Space[Any],
         autoreset_mode: str | AutoresetMode,
         copy: bool,
         render_mode: str | None,
+        max_episode_steps: int | None,
     ) -> None:
+        if max_episode_steps is not None and max_episode_steps <= longest:
+            raise ValueError(
+                f"max_episode_steps: a batch's episodes take up to {longest} steps and are not cut short, given "
+                f"{max_episode_steps}; leave it out, or make single environments (vectorization_mode='sync')"
+            )
+        self.max_episode_steps = longest + 1
         self.num_envs = num_envs
         self.agent = agent
         self.render_mode = render_mode

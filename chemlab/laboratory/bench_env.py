@@ -16,9 +16,10 @@
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
-truncated here. Infos, in every step: `action_mask` (discrete actions), `cost` (weighted safety events of the step),
-`events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (the step played a masked
-action: a lost turn), `experiment_over`, and `score` (0 until then).
+truncated here; `spec.max_episode_steps` is one more than the step limit. Infos, in every step: `action_mask` (discrete
+actions), `cost` (weighted safety events of the step), `events` (the same by kind, [kinds, as in the scenario's
+`safety_events`]), `illegal_action` (the step played a masked action: a lost turn), `experiment_over`, and `score` (0
+until then).
 
 ### Seeds
 Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
@@ -45,7 +46,7 @@ from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import Scenario
 from .arena import BenchArena
-from .batch_env import BatchEnv, State
+from .batch_env import BatchEnv, BoundedSpec, State
 from .rendering import RENDER_MODES, Rendered
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["BenchEnv", "BenchVectorEnv"]
 
 
-class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
+class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """One bench of a scenario as a Gymnasium environment; see this module's documentation for arguments and infos.
 
     Raises:
@@ -82,6 +83,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.bench = self.arena.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
+        self.max_episode_steps = self.bench.step_limit + 1
         self._observation = np.zeros((1, *self.bench.observation_space.shape), dtype=np.float32)
         self._consequences = np.zeros(1), np.zeros(1)
         self._over = True
@@ -214,6 +216,7 @@ class BenchVectorEnv(BatchEnv):
         threads: threads to step with; results do not depend on it.
         copy: whether returned arrays are copies; without, the next step overwrites them.
         render_mode: accepted for Gymnasium's sake; batches do not render.
+        max_episode_steps: accepted for Gymnasium's sake; it must be more than the bench's step limit.
 
     Raises:
         DataError: unknown scenario, bench, goal or starting states.
@@ -236,6 +239,7 @@ class BenchVectorEnv(BatchEnv):
         render_mode: str | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
@@ -247,11 +251,13 @@ class BenchVectorEnv(BatchEnv):
             self.arena.station.agent,
             self.arena.scenario.goals,
             len(self.arena.scenario.safety_events),
+            self.bench.step_limit,
             self.bench.observation_space,
             self.bench.action_space,
             autoreset_mode,
             copy,
             render_mode,
+            max_episode_steps,
         )
         self.threads = min(threads, num_envs)
         bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)

@@ -10,9 +10,11 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from ..bench.base import Channel
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .core import Laboratories
+from .global_state import GlobalState
 from .rendering import Rendered
 from .state import RUNNING
 from .text import describe_laboratory
@@ -65,8 +67,8 @@ class OneLaboratory(Rendered):
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {agent: self.laboratories.observation_space(i) for agent, i in self._number.items()}
         self.action_spaces = {agent: self.laboratories.action_space(i) for agent, i in self._number.items()}
-        size = sum(self.laboratories.observation_sizes)
-        self.state_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+        self._whole = GlobalState(self.laboratories)
+        self.state_space = self._whole.space
         self._members = self.laboratories.members
         self._seeded = False
         pairs = zip(self.laboratories.resting_actions, self.laboratories.action_counts, strict=True)
@@ -95,8 +97,14 @@ class OneLaboratory(Rendered):
         return seen
 
     def state(self) -> npt.NDArray[np.float32]:
-        """All agents' observations in one vector, agents in order."""
-        return np.concatenate([self.observe(agent) for agent in self.possible_agents])
+        """[size] everything there is to know, which no agent sees, in [0, 1]: see :attr:`state_channels`."""
+        whole: npt.NDArray[np.float32] = self._whole.see(self._members)[0]
+        return whole
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.laboratory.global_state`."""
+        return self._whole.channels
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         options = options or {}

@@ -557,14 +557,6 @@ class Laboratories:
             ],
         }
 
-    def info(self, agent: int, member: int = 0) -> dict[str, Any]:
-        """What an agent's last turn led to, by name: ``cost``, ``events`` and ``illegal_action``."""
-        return {
-            "cost": self.desk.cost.item(agent, member),
-            "events": self.events(agent, member),
-            "illegal_action": self.illegal(agent).item(member),
-        }
-
     def events(self, agent: int, member: int = 0) -> dict[str, float]:
         """Safety events of the agent's last action, by kind; only those that happened."""
         if agent == 0:

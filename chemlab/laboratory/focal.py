@@ -8,9 +8,9 @@
 ### Episodes
 An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
 an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
-`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended), for the manager so
-where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the agent's first turn (episodes in which it
-never has one are played over).
+`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the manager
+where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the
+agent's first turn (episodes in which it never has one are played over).
 
 ### Semi-Markov steps
 `info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to
@@ -19,8 +19,8 @@ that power where time matters, by gamma once where decisions do.
 ### Infos
 In every step: `action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost`
 (of all agents'), `events` (the laboratory's in the step by kind, [kinds, as in the scenario's `safety_events`]),
-`illegal_action`, `elapsed_ticks`, `experiment_over`, and `score` (0 where nothing has ended); in single environments the
-manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.laboratory.common.manager_accounts`).
+`illegal_action`, `elapsed_ticks`, `experiment_over`, and `score` (0 where nothing has ended); in single environments
+the manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.laboratory.common.manager_accounts`).
 
 ### Seeds
 Member i of a batch that is reset with seed s plays what a single environment reset with seed s + i plays, as long as
@@ -44,7 +44,7 @@ from gymnasium.vector import AutoresetMode
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
-from .batch_env import BatchEnv, State
+from .batch_env import BatchEnv, BoundedSpec, State
 from .common import manager_accounts
 from .core import MANAGER_AGENT, Laboratories
 from .policy import as_policy, play_on
@@ -77,6 +77,7 @@ class FocalVectorEnv(BatchEnv):
         copy: whether returned arrays are copies; without, the next step overwrites them.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+        max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -96,6 +97,7 @@ class FocalVectorEnv(BatchEnv):
         rewards: str | RewardSpec | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
@@ -114,16 +116,19 @@ class FocalVectorEnv(BatchEnv):
         if missing:
             raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
         self._policies = [as_policy(given[name], name) if name != agent else None for name in labs.agents]
+        limits = self.scenario.limits
         super().__init__(
             num_envs,
             agent,
             self.scenario.lab_goals,
             len(self.scenario.safety_events),
+            limits.manager_actions if self.focal == 0 else limits.ticks,  # a bench has one turn a tick at most
             labs.observation_space(self.focal),
             labs.action_space(self.focal),
             autoreset_mode,
             copy,
             render_mode,
+            max_episode_steps,
         )
         self._lab_costs = np.zeros(num_envs)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
@@ -267,7 +272,7 @@ class FocalVectorEnv(BatchEnv):
         return [*self.laboratories.arrays(), *own]
 
 
-class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
+class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
@@ -296,6 +301,7 @@ class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self._set_render_mode(render_mode)
         self.batch = FocalVectorEnv(1, scenario, agent, policies, AutoresetMode.DISABLED, **arguments)
         self.laboratories = self.batch.laboratories
+        self.max_episode_steps = self.batch.max_episode_steps
         self.agent = agent
         self.observation_space: gymnasium.Space[Any] = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space

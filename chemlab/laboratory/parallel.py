@@ -149,4 +149,3 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
                 if mask is not None:
                     info["action_mask"] = mask[0]
         return observations, dict(zip(names, infos, strict=True))
-
