@@ -307,7 +307,8 @@ class BenchVectorEnv(BatchEnv):
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
         bench.consequences(shelf, station, acting, self._costs, self._rewards)
         # A reset in the same step forgets these there.
-        self._illegal[acting], self._events[acting] = station.illegal[acting], station.events[acting]
+        rows: Any = slice(low, high) if len(acting) == len(members) else acting
+        self._illegal[rows], self._events[rows] = station.illegal[rows], station.events[rows]
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
