@@ -127,7 +127,7 @@ class ChemlabVecEnv(VecEnv):
             if dones[i]:
                 info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
                 info["terminal_observation"] = np.array(found["final_obs"][i])
-                if "_score" in found and found["_score"][i]:
+                if found["experiment_over"][i]:
                     info["score"] = float(found["score"][i])
                 info["episode"] = {
                     "r": round(float(self._returns[i]), 6),

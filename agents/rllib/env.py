@@ -161,16 +161,14 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         return self._of([agent for agent in self.possible_agents if agent in self._had_turn])
 
     def _of(self, agents: list[str]) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
-        """What some agents see, have earned and are told; the mask of one without the turn allows everything."""
+        """What some agents see, have earned and are told; the mask of one without the turn allows one action only."""
         laboratory = self.laboratory
         infos = {agent: dict(laboratory.infos[agent]) for agent in agents}  # RLlib keeps them
         observations: dict[str, Any] = {}
         for agent in agents:
             seen, space = laboratory.observe(agent), self.action_spaces[agent]
             if isinstance(space, gymnasium.spaces.Discrete):
-                mask = infos[agent].get("action_mask")
-                mask = np.ones(int(space.n), dtype=np.int8) if mask is None else mask
-                observations[agent] = {"observations": seen, "action_mask": mask}
+                observations[agent] = {"observations": seen, "action_mask": infos[agent]["action_mask"]}
             else:
                 observations[agent] = seen
         # What PettingZoo's last() returns: all that the agent has earned since its own last turn.

@@ -203,7 +203,7 @@ class _Account:
         self._since = 0
 
     def __call__(self, turn: Turn) -> None:
-        from ..laboratory.text import action_words
+        from ..laboratory.text import action_words, named_events
 
         labs = self._env.laboratories
         said = action_words(labs, labs.agents.index(turn.agent), turn.action)
@@ -213,10 +213,11 @@ class _Account:
             self._flush()
             self._last, self._times, self._since = (turn.agent, said), 1, turn.tick
         notes = []
-        if turn.info.get("illegal_action"):
+        if turn.info["illegal_action"]:
             notes.append("[yellow]not possible now: the turn is lost[/yellow]")
-        notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(turn.info.get("events", {}))]
-        score = turn.info.get("score") if turn.agent != "manager_0" else None
+        events = named_events(labs.scenario, turn.info)
+        notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(events)]
+        score = turn.info["score"] if turn.agent != "manager_0" and turn.info["experiment_over"] else None
         outcome = self._outcome(turn, score)
         if notes or outcome:
             self._flush("; ".join([*notes, *([outcome] if outcome else [])]))

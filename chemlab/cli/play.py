@@ -51,16 +51,18 @@ class _Told:
         self._others: dict[str, int] = {}
 
     def __call__(self, turn: Turn) -> None:
+        from ..laboratory.text import named_events
+
         labs = self._env.laboratories
-        if turn.agent == labs.agents[0] and not turn.info.get("illegal_action"):
+        if turn.agent == labs.agents[0] and not turn.info["illegal_action"]:
             self._decided(turn)
         if turn.agent not in self._people:
             self._others[turn.agent] = self._others.get(turn.agent, 0) + 1
             return
         self.flush()
-        notes = ["not possible: the turn is lost"] if turn.info.get("illegal_action") else []
-        notes += [f"safety: {words}" for words in event_words(turn.info.get("events", {}))]
-        if "score" in turn.info and turn.agent != labs.agents[0]:
+        notes = ["not possible: the turn is lost"] if turn.info["illegal_action"] else []
+        notes += [f"safety: {words}" for words in event_words(named_events(labs.scenario, turn.info))]
+        if turn.info["experiment_over"] and turn.agent != labs.agents[0]:
             notes.append(self._over(turn.agent))
         for note in notes:
             page.print(f"  [bold]{plain(note)}[/bold]")

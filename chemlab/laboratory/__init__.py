@@ -2,6 +2,5 @@
 
 from .aec import env, raw_env
 from .parallel import parallel_env
-from .plain import plain_infos
 
-__all__ = ["env", "parallel_env", "plain_infos", "raw_env"]
+__all__ = ["env", "parallel_env", "raw_env"]

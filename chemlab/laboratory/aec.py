@@ -20,11 +20,20 @@ minus all costs; without a submission, minus all costs when the episode is trunc
 (`[rewards]`).
 
 ### Infos
-`action_mask` (int8, on the agent's turn), `cost` (weighted safety events of its last action), `events` (the same by
-kind), `illegal_action` (its last action was masked and did nothing), `score` (of the experiment its last turn ended,
-else absent), `elapsed_ticks` (since its previous turn, or the episode's beginning: the discount of a semi-Markov
-step); for the manager also `costs` (what it has been charged so far, by item, in units of the score) and, at the end,
-`submitted_mol`, `purity` and `orders`.
+Numbers and arrays, of the same keys, types and shapes at every step. Every agent's: `cost` (weighted safety events of
+its last action), `events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (its
+last action was masked and did nothing), `experiment_over` and `score` (whether its last turn has ended its experiment,
+and with which score, else 0; of the manager: the episode), `elapsed_ticks` (on its turn and at the end: since its
+previous turn, or the episode's beginning: the discount of a semi-Markov step; else 0), and where actions are discrete
+`action_mask` (int8; without the turn it allows one action only, `wait` or `end`). The manager's also: `costs` [items,
+as in :data:`~chemlab.laboratory.state.COST_ITEMS`] (what it has been charged so far, in units of the score), and for
+each order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 until a vessel has been
+submitted). :func:`chemlab.laboratory.text.named_events` and :func:`~chemlab.laboratory.text.named_costs` give them by
+name.
+
+### State
+`state()` is everything there is to know, in [0, 1], for critics that may know it in training; `state_channels` names
+its parts (:mod:`chemlab.laboratory.global_state`).
 
 ### Arguments
 `scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
@@ -113,9 +122,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
-        self.infos = {
-            agent: {"cost": 0.0, "events": {}, "illegal_action": False, "elapsed_ticks": 0} for agent in self.agents
-        }
+        self.infos = {agent: self._info(number) for number, agent in enumerate(self.agents)}
         self._last_turn = dict.fromkeys(self.agents, 0)
         self._skip_agent_selection = None
         self._give_turn()
@@ -129,8 +136,6 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         mask = labs.mask(number, self._members)
         if mask is not None:
             info["action_mask"] = mask[0]
-        if number == 0:
-            info["costs"] = labs.costs()
         ticks = labs.desk.ticks.item(0)
         info["elapsed_ticks"] = ticks - self._last_turn[agent]
         self._last_turn[agent] = ticks
@@ -155,25 +160,25 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._cumulative_rewards[agent] = 0.0
         labs.act(number, self._members, checked)
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
-        self.infos[agent] = labs.info(number)
+        infos = self.infos
+        infos[agent] = self._info(number)
         if number == 0 and labs.desk.begun.item(0) >= 0:  # an experiment may begin with an accident
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
-                    self.infos[self.possible_agents[other]] = labs.info(other)
-        if labs.experiment_ended:
-            for name, score in zip(self.possible_agents, labs.scores[0].tolist(), strict=True):
-                if score == score:  # NaN where none of its own has ended
-                    self.infos[name]["score"] = score
+                    infos[self.possible_agents[other]] = self._info(other)
         status = labs.desk.status.item(0)
+        if labs.experiment_ended or status != RUNNING:
+            self._add_scores(list(infos.values()))
         if status == RUNNING:
             self._give_turn()
         else:
             over = self.terminations if status == TERMINATED else self.truncations
             for name in self.agents:
                 over[name] = True
-                self.infos[name]["elapsed_ticks"] = labs.desk.ticks.item(0) - self._last_turn[name]
+                infos[name]["elapsed_ticks"] = labs.desk.ticks.item(0) - self._last_turn[name]
             self.agent_selection = self.possible_agents[0]
-            self.infos[self.agent_selection].update(labs.outcome(), costs=labs.costs())
+        if number and self.agent_selection == self.possible_agents[0]:
+            infos[self.agent_selection]["costs"] = labs.charges(self._members)[0]
         self._accumulate_rewards()
         self._show()
 

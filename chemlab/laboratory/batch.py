@@ -11,10 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..bench.base import Channel
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .batch_env import checked_actions, parsed_reset
+from .common import manager_accounts
 from .core import Laboratories
+from .global_state import GlobalState
 from .state import RUNNING, TERMINATED
 
 __all__ = ["BatchedLaboratory"]
@@ -60,6 +63,7 @@ class BatchedLaboratory:
             self.scenario = self.scenario.with_rewards(rewards)
         self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
         self.possible_agents = list(labs.agents)
+        self._whole = GlobalState(labs)
         self.idle_observations = idle_observations
         self.copy = copy
         self._random = np.random.default_rng()
@@ -82,6 +86,23 @@ class BatchedLaboratory:
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
         """Action space of one agent in one laboratory."""
         return self.laboratories.action_space(self.possible_agents.index(agent))
+
+    @property
+    def state_space(self) -> gymnasium.spaces.Box:
+        """Space of one laboratory's :meth:`state`."""
+        return self._whole.space
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.laboratory.global_state`."""
+        return self._whole.channels
+
+    def state(self) -> ObservationArray:
+        """[N, size] everything there is to know of each laboratory, which no agent sees, for centralised critics.
+
+        Where an episode has just ended, it is of the one that has begun since.
+        """
+        return self._whole.see(self.laboratories.members)
 
     def reset(
         self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -109,7 +130,7 @@ class BatchedLaboratory:
         self._restart(np.flatnonzero(mask), goal)
         self._begun = True
         self._look()
-        return self._seen(), self._infos()
+        return self._seen(), self._infos(begun=True)
 
     def _restart(self, members: IntArray, goal: str | None = None) -> None:
         self.laboratories.reset(members, goal)
@@ -132,12 +153,14 @@ class BatchedLaboratory:
 
         Returns:
             Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
-            and been truncated [N]; infos by agent: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions]
-            (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the turn, or its episode began; where an
-            episode has ended, until then), ``cost`` [N], ``illegal_action`` [N], ``score`` [N]
-            (NaN where no experiment of its ended), and where episodes have ended ``final_obs`` [K, size] of the K
-            laboratories, in order; for the manager also ``result`` [N] (the score of an episode that has ended, else
-            NaN).
+            and been truncated [N]; infos by agent, those of :class:`~chemlab.laboratory.parallel.parallel_env` with an
+            axis of N in front: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions] (discrete actions),
+            ``elapsed_ticks`` [N] (since the agent last had the turn, or its episode began; where an episode has ended,
+            until then), ``cost`` [N], ``events`` [N, kinds], ``illegal_action`` [N], ``experiment_over`` [N] and
+            ``score`` [N] (of its experiment, for the manager of the episode; 0 where none has ended), and for the
+            manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and ``purity`` [N, orders] (of an episode that
+            has ended, not of the one that follows). Where episodes have ended also ``final_obs`` [K, size] of the K
+            laboratories, in order.
 
         Raises:
             ValueError: actions are missing or outside their space (nothing has changed), or :meth:`reset` was never
@@ -159,27 +182,25 @@ class BatchedLaboratory:
         acted = self._turns.copy()
         labs.act_round(members, checked)
         rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
-        cost, scores = labs.cost.copy(), labs.scores.copy()
+        scores = labs.scores.copy()
         status = labs.desk.status.copy()
         over = members[status != RUNNING]
-        illegal = [labs.illegal(number).copy() for number in range(len(self.possible_agents))]
+        told = [self._told(number, acted[number]) for number in range(len(self.possible_agents))]
         elapsed = labs.desk.ticks - self._last_turn
-        result = np.full(self.num_envs, np.nan)
         finals: list[ObservationArray] = []
         if len(over):
-            result[over] = labs.result(over)
+            scores[over, 0] = labs.result(over)
             for number in range(len(self.possible_agents)):
                 finals.append(labs.observe(number, over))
             self._restart(over)
         self._look()
         infos = self._infos()
         for number, agent in enumerate(self.possible_agents):
-            infos[agent].update(cost=cost[:, number], score=scores[:, number])
-            infos[agent]["elapsed_ticks"] = elapsed[number]
-            infos[agent]["illegal_action"] = illegal[number] & acted[number]
+            ended = np.isfinite(scores[:, number])
+            infos[agent].update(told[number], elapsed_ticks=elapsed[number], experiment_over=ended)
+            infos[agent]["score"] = np.where(ended, scores[:, number], 0.0)
             if finals:
                 infos[agent]["final_obs"] = finals[number]
-        infos[self.possible_agents[0]]["result"] = result
         return self._seen(), rewards, status == TERMINATED, (status != RUNNING) & (status != TERMINATED), infos
 
     def _look(self) -> None:
@@ -208,12 +229,27 @@ class BatchedLaboratory:
         pairs = zip(self.possible_agents, self._observations, strict=True)
         return {agent: array.copy() if self.copy else array for agent, array in pairs}
 
-    def _infos(self) -> dict[str, Arrays]:
+    def _told(self, number: int, acted: npt.NDArray[np.bool_]) -> Arrays:
+        """What the agent is told of the round, before episodes that it ended begin anew."""
+        labs = self.laboratories
+        cost = labs.cost[:, number].copy()
+        info: Arrays = {"cost": cost, "illegal_action": labs.illegal(number) & acted}
+        if number == 0:
+            kinds = len(self.scenario.safety_events)
+            return {**info, "events": np.zeros((self.num_envs, kinds)), **manager_accounts(labs, slice(None))}
+        # An experiment may begin with an accident, in a round in which its agent has not acted.
+        info["events"] = labs.stations[number - 1].events * (acted | (cost > 0.0))[:, None]
+        return info
+
+    def _infos(self, begun: bool = False) -> dict[str, Arrays]:
         ticks = self.laboratories.desk.ticks
         infos: dict[str, Arrays] = {}
         for number, agent in enumerate(self.possible_agents):
             turn = self._turns[number].copy()
             info: Arrays = {"has_turn": turn, "elapsed_ticks": ticks - self._last_turn[number]}
+            if begun:
+                nothing = np.zeros(self.num_envs)
+                info.update(self._told(number, turn & False), experiment_over=turn & False, score=nothing)
             self._last_turn[number][turn] = ticks[turn]
             if self.laboratories.action_counts[number]:
                 info["action_mask"] = self._masks[number].copy() if self.copy else self._masks[number]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
@@ -9,12 +10,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray, IntArray
 from ..jit import kernel
 
-__all__ = ["BatchEnv", "State", "checked_actions", "parsed_reset"]
+__all__ = ["BatchEnv", "BoundedSpec", "State", "checked_actions", "parsed_reset"]
 
 State = list[npt.NDArray[Any]]
 
@@ -109,19 +111,47 @@ def parsed_reset(
     return mask, seeds, options.get("goal")
 
 
-class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
+class BoundedSpec:
+    """Fills in ``spec.max_episode_steps`` of an environment whose episodes have a bound of their own.
+
+    The bound follows from the scenario, so it cannot stand in Gymnasium's registry. It is one more than an episode can
+    have: where clients put a time limit there, or ``gymnasium.make`` one by the spec, no end becomes a truncation.
+    """
+
+    max_episode_steps: int
+    """One more than the steps of any episode."""
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's specification, of environments that its ``make`` has made."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = copy.copy(spec)
+            spec.max_episode_steps = self.max_episode_steps
+        self._spec = spec
+
+
+class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
     """N members with spaces of their own, in one set of arrays; subclasses say what a step of a member is.
 
     Args:
         num_envs: N.
         agent: id of the agent that acts, for error messages.
         goals: goals that ``options["goal"]`` may ask for.
+        kinds: number of kinds of safety event.
+        longest: steps of the longest possible episode.
         observation_space, action_space: of a member.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         copy: whether returned arrays are copies; without, the next step overwrites them.
         render_mode: accepted for Gymnasium's sake; batches do not render.
+        max_episode_steps: accepted for Gymnasium's sake; batches do not cut episodes short, so it must be more than
+            ``longest``.
 
     Raises:
         ValueError: a number is out of bounds.
@@ -134,12 +164,21 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         num_envs: int,
         agent: str,
         goals: Sequence[str],
+        kinds: int,
+        longest: int,
         observation_space: gymnasium.spaces.Box,
         action_space: gymnasium.Space[Any],
         autoreset_mode: str | AutoresetMode,
         copy: bool,
         render_mode: str | None,
+        max_episode_steps: int | None,
     ) -> None:
+        if max_episode_steps is not None and max_episode_steps <= longest:
+            raise ValueError(
+                f"max_episode_steps: a batch's episodes take up to {longest} steps and are not cut short, given "
+                f"{max_episode_steps}; leave it out, or make single environments (vectorization_mode='sync')"
+            )
+        self.max_episode_steps = longest + 1
         self.num_envs = num_envs
         self.agent = agent
         self.render_mode = render_mode
@@ -158,6 +197,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         self._rewards = np.zeros(num_envs)
         self._costs = np.zeros(num_envs)
         self._scores = np.full(num_envs, np.nan)
+        self._events = np.zeros((num_envs, kinds))
         self._illegal = np.zeros(num_envs, dtype=np.bool_)
         self._terminated = np.zeros(num_envs, dtype=np.bool_)
         self._truncated = np.zeros(num_envs, dtype=np.bool_)
@@ -183,8 +223,9 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
     def _more_arrays(self) -> State:
         """The subclass's own arrays that change."""
 
-    def _more_infos(self, infos: dict[str, Any]) -> None:
-        """Add the subclass's own infos."""
+    def _more_infos(self) -> dict[str, npt.NDArray[Any]]:
+        """The subclass's own infos, by name."""
+        return {}
 
     # -- Gymnasium's interface ----------------------------------------------------------------------------------
 
@@ -207,7 +248,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
             if member_seed is not None:
                 self._seed_member(int(member), member_seed)
         self._pending[mask] = False
-        self._costs[mask], self._illegal[mask] = 0.0, False
+        self._costs[mask], self._events[mask], self._illegal[mask] = 0.0, 0.0, False
         self._scores[mask] = np.nan
         self._begun = False  # until it is done: where a policy or model fails halfway, only a reset helps
         self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal))
@@ -234,9 +275,6 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
         self._begun = True
         infos = self._infos()
         ended = self._terminated | self._truncated
-        scored = np.isfinite(self._scores)
-        if scored.any():
-            infos["score"], infos["_score"] = np.where(scored, self._scores, 0.0), scored
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             final = np.zeros_like(self._observations)
             for members, observations in finals:
@@ -255,15 +293,18 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
 
     def _infos(self) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=np.bool_)
+        scored = np.isfinite(self._scores)
         infos: dict[str, Any] = {
             "cost": self._costs.copy(),
-            "_cost": everyone,
+            "events": self._events.copy(),
             "illegal_action": self._illegal.copy(),
-            "_illegal_action": everyone,
+            "experiment_over": scored,
+            "score": np.where(scored, self._scores, 0.0),
+            **self._more_infos(),
         }
         if self.action_count:
-            infos["action_mask"], infos["_action_mask"] = self._returned(self._masks), everyone
-        self._more_infos(infos)
+            infos["action_mask"] = self._returned(self._masks)
+        infos.update({f"_{name}": everyone for name in infos})  # Gymnasium: who has it
         return infos
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
@@ -282,6 +323,7 @@ class BatchEnv(gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
             self._masks,
             self._rewards,
             self._costs,
+            self._events,
             self._scores,
             self._illegal,
             self._terminated,

@@ -16,9 +16,10 @@
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
-truncated here. Infos: `action_mask` (discrete actions), `cost` (weighted safety events of the step), `illegal_action`
-(the step played a masked action: a lost turn), `score` (at the end), `events` (single environments: safety events by
-kind).
+truncated here; `spec.max_episode_steps` is one more than the step limit. Infos, in every step: `action_mask` (discrete
+actions), `cost` (weighted safety events of the step), `events` (the same by kind, [kinds, as in the scenario's
+`safety_events`]), `illegal_action` (the step played a masked action: a lost turn), `experiment_over`, and `score` (0
+until then).
 
 ### Seeds
 Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
@@ -45,7 +46,7 @@ from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import Scenario
 from .arena import BenchArena
-from .batch_env import BatchEnv, State
+from .batch_env import BatchEnv, BoundedSpec, State
 from .rendering import RENDER_MODES, Rendered
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["BenchEnv", "BenchVectorEnv"]
 
 
-class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
+class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """One bench of a scenario as a Gymnasium environment; see this module's documentation for arguments and infos.
 
     Raises:
@@ -82,6 +83,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.bench = self.arena.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
+        self.max_episode_steps = self.bench.step_limit + 1
         self._observation = np.zeros((1, *self.bench.observation_space.shape), dtype=np.float32)
         self._consequences = np.zeros(1), np.zeros(1)
         self._over = True
@@ -116,7 +118,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
         self._over = False
         self._show()
-        return self._observe(), self._info()
+        return self._observe(), self._info(stepped=False)
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One action of the experiment.
@@ -138,7 +140,7 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         observation, info = self._observe(), self._info(float(cost[0]))
         if arena.station.ended[0]:
             score = float(arena.finish(arena.members)[0])
-            info["score"] = score
+            info["experiment_over"], info["score"] = True, score
             total += score
             self._over = True
         self._show()
@@ -148,13 +150,15 @@ class BenchEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self.arena.observe(self._observation)
         return np.array(self._observation[0])
 
-    def _info(self, cost: float = 0.0) -> dict[str, Any]:
+    def _info(self, cost: float = 0.0, stepped: bool = True) -> dict[str, Any]:
         station = self.arena.station
-        info: dict[str, Any] = {"cost": cost, "illegal_action": bool(station.illegal[0]), "events": {}}
-        if cost > 0.0:
-            row = station.events[0]
-            kinds = self.arena.scenario.safety_events
-            info["events"] = {kind: float(x) for kind, x in zip(kinds, row, strict=True) if x > 0.0}
+        info: dict[str, Any] = {
+            "cost": cost,
+            "events": station.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
+            "illegal_action": bool(station.illegal[0]),
+            "experiment_over": False,
+            "score": 0.0,
+        }
         if self.bench.action_count:
             info["action_mask"] = self.arena.mask()[0]
         return info
@@ -212,6 +216,7 @@ class BenchVectorEnv(BatchEnv):
         threads: threads to step with; results do not depend on it.
         copy: whether returned arrays are copies; without, the next step overwrites them.
         render_mode: accepted for Gymnasium's sake; batches do not render.
+        max_episode_steps: accepted for Gymnasium's sake; it must be more than the bench's step limit.
 
     Raises:
         DataError: unknown scenario, bench, goal or starting states.
@@ -234,6 +239,7 @@ class BenchVectorEnv(BatchEnv):
         render_mode: str | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
@@ -244,11 +250,14 @@ class BenchVectorEnv(BatchEnv):
             num_envs,
             self.arena.station.agent,
             self.arena.scenario.goals,
+            len(self.arena.scenario.safety_events),
+            self.bench.step_limit,
             self.bench.observation_space,
             self.bench.action_space,
             autoreset_mode,
             copy,
             render_mode,
+            max_episode_steps,
         )
         self.threads = min(threads, num_envs)
         bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)
@@ -291,12 +300,15 @@ class BenchVectorEnv(BatchEnv):
             acting = members[~waiting]
             self._rewards[members[waiting]] = 0.0
             self._costs[members[waiting]], self._illegal[members[waiting]] = 0.0, False
+            self._events[members[waiting]] = 0.0
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
         bench.act(shelf, station, acting, chosen)
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
         bench.consequences(shelf, station, acting, self._costs, self._rewards)
-        self._illegal[acting] = station.illegal[acting]  # a reset in the same step forgets it there
+        # A reset in the same step forgets these there.
+        rows: Any = slice(low, high) if len(acting) == len(members) else acting
+        self._illegal[rows], self._events[rows] = station.illegal[rows], station.events[rows]
         ended = acting[station.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):

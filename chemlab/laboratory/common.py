@@ -10,16 +10,39 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from ..bench.base import Channel
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .core import Laboratories
+from .global_state import GlobalState
 from .rendering import Rendered
+from .state import RUNNING
 from .text import describe_laboratory
 
 if TYPE_CHECKING:
     from ..render.scene import Scene
 
-__all__ = ["OneLaboratory"]
+__all__ = ["OneLaboratory", "manager_accounts"]
+
+
+def manager_accounts(laboratories: Laboratories, which: int | slice = 0) -> dict[str, npt.NDArray[Any]]:
+    """What the manager's infos have besides everybody's: of one laboratory, or, with one more axis, of several.
+
+    ``costs`` [items, as in :data:`~chemlab.laboratory.state.COST_ITEMS`] so far, in units of the score; and by order
+    ``goals`` [orders] (index into the scenario's), ``submitted_mol`` [orders] and ``purity`` [orders] of the vessel
+    submitted for it (0 until then).
+    """
+    desk = laboratories.desk
+    if isinstance(which, int):
+        costs = laboratories.charges(laboratories.members[which : which + 1])[0]
+    else:
+        costs = laboratories.charges(laboratories.members[which])
+    return {
+        "costs": costs,
+        "goals": desk.goal[which].copy(),
+        "submitted_mol": desk.submitted[which, :, 0].copy(),
+        "purity": desk.submitted[which, :, 1].copy(),
+    }
 
 
 class OneLaboratory(Rendered):
@@ -44,10 +67,13 @@ class OneLaboratory(Rendered):
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {agent: self.laboratories.observation_space(i) for agent, i in self._number.items()}
         self.action_spaces = {agent: self.laboratories.action_space(i) for agent, i in self._number.items()}
-        size = sum(self.laboratories.observation_sizes)
-        self.state_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+        self._whole = GlobalState(self.laboratories)
+        self.state_space = self._whole.space
         self._members = self.laboratories.members
         self._seeded = False
+        pairs = zip(self.laboratories.resting_actions, self.laboratories.action_counts, strict=True)
+        self._resting = [(np.arange(count) == action).astype(np.int8) if count else None for action, count in pairs]
+        self._no_events = np.zeros(len(self.scenario.safety_events))
         self._allocate()
 
     @abstractmethod
@@ -71,8 +97,14 @@ class OneLaboratory(Rendered):
         return seen
 
     def state(self) -> npt.NDArray[np.float32]:
-        """All agents' observations in one vector, agents in order."""
-        return np.concatenate([self.observe(agent) for agent in self.possible_agents])
+        """[size] everything there is to know, which no agent sees, in [0, 1]: see :attr:`state_channels`."""
+        whole: npt.NDArray[np.float32] = self._whole.see(self._members)[0]
+        return whole
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.laboratory.global_state`."""
+        return self._whole.channels
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         options = options or {}
@@ -88,6 +120,37 @@ class OneLaboratory(Rendered):
             self._seeded = True
         self.laboratories.reset(self._members, goal)
         self.agents = self.possible_agents[:]
+
+    def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:
+        """An agent's info, always of the same keys, types and shapes: what its last turn led to, if it has just
+        ``acted``, and the mask of one that does not have the turn."""
+        labs = self.laboratories
+        desk = labs.desk
+        own: Any = labs.stations[agent - 1].table.arrays if agent else desk
+        info = {
+            "cost": desk.cost.item(agent, 0),
+            "illegal_action": acted and own.illegal.item(0),
+            "events": (own.events[0] if acted and agent else self._no_events).copy(),
+            "experiment_over": False,
+            "score": 0.0,
+            "elapsed_ticks": 0,
+        }
+        resting = self._resting[agent]
+        if resting is not None:
+            info["action_mask"] = resting.copy()
+        if agent == 0:
+            info.update(manager_accounts(labs))
+        return info
+
+    def _add_scores(self, infos: list[dict[str, Any]]) -> None:
+        """Tell whose experiment has ended in the last turn or round, and the manager whose episode has."""
+        labs = self.laboratories
+        if labs.experiment_ended:
+            for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
+                if score == score:  # NaN where none of its own has ended
+                    info["experiment_over"], info["score"] = True, score
+        if labs.desk.status.item(0) != RUNNING:
+            infos[0]["experiment_over"], infos[0]["score"] = True, labs.result(self._members).item()
 
     def _text(self) -> str:
         return describe_laboratory(self.laboratories, 0)

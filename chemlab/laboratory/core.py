@@ -463,7 +463,7 @@ class Laboratories:
         """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
         over = members[self.desk.status[members] != RUNNING]
         mix = self.scenario.rewards
-        self.desk.charges[over] = self._charges(over)
+        self.desk.charges[over] = self.charges(over)
         self.desk.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
         self.desk.rewards[1:, over] += mix.bench_team * self.result(over)
 
@@ -476,10 +476,11 @@ class Laboratories:
             * desk.submitted[members, :, 1]
             / self.rules.arrays.maximum[desk.goal[members]]
         )
-        return np.asarray(shares.mean(axis=1) - self._charges(members).sum(axis=1))
+        return np.asarray(shares.mean(axis=1) - self.charges(members).sum(axis=1))
 
-    def _charges(self, members: IntArray) -> FloatArray:
-        """[B, items] all costs so far."""
+    def charges(self, members: IntArray) -> FloatArray:
+        """[B, items] what the managers have been charged so far, in units of the score; items as in
+        :data:`~chemlab.laboratory.state.COST_ITEMS`."""
         out = np.empty((len(members), len(COST_ITEMS)))
         itemize(members, *self._handles(), out)
         return out
@@ -549,7 +550,7 @@ class Laboratories:
 
     def costs(self, member: int = 0) -> dict[str, float]:
         """What the manager has been charged so far, by item, in units of the score."""
-        charges = self._charges(self.members[member : member + 1])
+        charges = self.charges(self.members[member : member + 1])
         return dict(zip(COST_ITEMS, charges[0].tolist(), strict=True))
 
     def outcome(self, member: int = 0) -> dict[str, Any]:
@@ -565,14 +566,6 @@ class Laboratories:
                 {"goal": self.scenario.goals[goal], "submitted_mol": amount, "purity": purity}
                 for goal, (amount, purity) in zip(goals, pairs, strict=True)
             ],
-        }
-
-    def info(self, agent: int, member: int = 0) -> dict[str, Any]:
-        """What an agent's last turn led to: ``cost``, ``events`` and ``illegal_action``."""
-        return {
-            "cost": self.desk.cost.item(agent, member),
-            "events": self.events(agent, member),
-            "illegal_action": self.illegal(agent).item(member),
         }
 
     def events(self, agent: int, member: int = 0) -> dict[str, float]:

@@ -8,18 +8,19 @@
 ### Episodes
 An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
 an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
-`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended). The reward is
-everything the agent has earned since its last turn. `reset` plays on to the agent's first turn (episodes in which it
-never has one are played over).
+`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the manager
+where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the
+agent's first turn (episodes in which it never has one are played over).
 
 ### Semi-Markov steps
 `info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to
 that power where time matters, by gamma once where decisions do.
 
 ### Infos
-`action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost` (of all
-agents'), `illegal_action`, `elapsed_ticks`, `experiment_over`, `score` (of an experiment; for the manager at the
-episode's end, of the episode); single environments: `events` (the laboratory's safety events in the step, by kind).
+In every step: `action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost`
+(of all agents'), `events` (the laboratory's in the step by kind, [kinds, as in the scenario's `safety_events`]),
+`illegal_action`, `elapsed_ticks`, `experiment_over`, and `score` (0 where nothing has ended); in single environments
+the manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.laboratory.common.manager_accounts`).
 
 ### Seeds
 Member i of a batch that is reset with seed s plays what a single environment reset with seed s + i plays, as long as
@@ -43,7 +44,8 @@ from gymnasium.vector import AutoresetMode
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario, load_scenario
-from .batch_env import BatchEnv, State
+from .batch_env import BatchEnv, BoundedSpec, State
+from .common import manager_accounts
 from .core import MANAGER_AGENT, Laboratories
 from .policy import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
@@ -73,6 +75,7 @@ class FocalVectorEnv(BatchEnv):
         copy: whether returned arrays are copies; without, the next step overwrites them.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+        max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -92,6 +95,7 @@ class FocalVectorEnv(BatchEnv):
         rewards: str | RewardSpec | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
@@ -110,23 +114,25 @@ class FocalVectorEnv(BatchEnv):
         if missing:
             raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
         self._players = Players(labs, [as_policy(given[name], name) if name != agent else None for name in labs.agents])
+        limits = self.scenario.limits
         super().__init__(
             num_envs,
             agent,
             self.scenario.lab_goals,
+            len(self.scenario.safety_events),
+            limits.manager_actions if self.focal == 0 else limits.ticks,  # a bench has one turn a tick at most
             labs.observation_space(self.focal),
             labs.action_space(self.focal),
             autoreset_mode,
             copy,
             render_mode,
+            max_episode_steps,
         )
         self._lab_costs = np.zeros(num_envs)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._last_turn = np.zeros(num_envs, dtype=np.int64)
-        kinds = self.scenario.safety_events
-        self._events = np.zeros((num_envs, len(kinds)))
-        self._experiment_over = np.zeros(num_envs, dtype=np.bool_)
-        self._event_weights = np.array([self.scenario.safety.weights.get(kind, 0.0) for kind in kinds])
+        weights = self.scenario.safety.weights
+        self._event_weights = np.array([weights.get(kind, 0.0) for kind in self.scenario.safety_events])
 
     @property
     def action_meanings(self) -> list[str]:
@@ -151,8 +157,7 @@ class FocalVectorEnv(BatchEnv):
     def _clear(self, members: IntArray) -> None:
         self._rewards[members], self._costs[members], self._lab_costs[members] = 0.0, 0.0, 0.0
         self._events[members], self._elapsed[members] = 0.0, 0
-        self._illegal[members], self._experiment_over[members] = False, False
-        self._scores[members] = np.nan
+        self._illegal[members], self._scores[members] = False, np.nan
 
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
         labs, members = self.laboratories, self.laboratories.members
@@ -203,7 +208,6 @@ class FocalVectorEnv(BatchEnv):
             self._events,
             self._elapsed,
             self._illegal,
-            self._experiment_over,
             self._scores,
         ]
 
@@ -218,7 +222,6 @@ class FocalVectorEnv(BatchEnv):
             if ended.any():
                 before = self._scores[members[ended]]
                 self._scores[members[ended]] = np.where(np.isnan(before), 0.0, before) + scores[ended]
-                self._experiment_over[members[ended]] = True
 
     def _look(self) -> None:
         labs, members = self.laboratories, self.laboratories.members
@@ -226,14 +229,8 @@ class FocalVectorEnv(BatchEnv):
         if self.action_count:
             labs.mask(self.focal, members, self._masks)
 
-    def _more_infos(self, infos: dict[str, Any]) -> None:
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        for name, array in (
-            ("lab_cost", self._lab_costs),
-            ("elapsed_ticks", self._elapsed),
-            ("experiment_over", self._experiment_over),
-        ):
-            infos[name], infos[f"_{name}"] = array.copy(), everyone
+    def _more_infos(self) -> dict[str, npt.NDArray[Any]]:
+        return {"lab_cost": self._lab_costs.copy(), "elapsed_ticks": self._elapsed.copy()}
 
     def get_state(self) -> State:
         """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
@@ -247,16 +244,11 @@ class FocalVectorEnv(BatchEnv):
         return super().set_state(state[:-1])
 
     def _more_arrays(self) -> State:
-        own = [self._lab_costs, self._elapsed, self._last_turn, self._events, self._experiment_over]
+        own = [self._lab_costs, self._elapsed, self._last_turn]
         return [*self.laboratories.arrays(), *own]
 
-    def events(self, member: int = 0) -> dict[str, float]:
-        """The laboratory's safety events in the last step, by kind; only those that happened."""
-        row = self._events[member].tolist()
-        return {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
 
-
-class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
+class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
@@ -285,6 +277,7 @@ class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         self._set_render_mode(render_mode)
         self.batch = FocalVectorEnv(1, scenario, agent, policies, AutoresetMode.DISABLED, **arguments)
         self.laboratories = self.batch.laboratories
+        self.max_episode_steps = self.batch.max_episode_steps
         self.agent = agent
         self.observation_space: gymnasium.Space[Any] = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
@@ -323,17 +316,15 @@ class FocalEnv(Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
         """
         checked = self.laboratories.checked(self.batch.focal, action)
         observations, rewards, terminated, truncated, infos = self.batch.step(checked)
-        over = bool(terminated[0] or truncated[0])
-        info = self._info(infos)
-        if over and self.batch.focal == 0:
-            info.update(self.laboratories.outcome(), costs=self.laboratories.costs())
         self._show()
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info(infos)
 
     def _info(self, infos: dict[str, Any]) -> dict[str, Any]:
-        found = {name: values[0] for name, values in infos.items() if not name.startswith("_")}
-        plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in found.items()}
-        return {**plain, "events": self.batch.events()}
+        own = {name: values for name, values in infos.items() if not name.startswith("_")}
+        info = {name: values.item() if values.ndim == 1 else values[0] for name, values in own.items()}
+        if self.batch.focal == 0:
+            info.update(manager_accounts(self.laboratories))
+        return info
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Legal actions, as sb3-contrib's MaskablePPO asks for them.

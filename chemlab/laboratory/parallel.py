@@ -14,9 +14,8 @@ actions give the same rewards and states. Masks are of the tick's beginning: an 
 impossible in the same tick (it took the last of a bottle) is a lost turn, as any other.
 
 ### Infos
-`action_mask`, `has_turn` (in the next step), `cost`, `events`, `illegal_action` (of the step), `score` (of an
-experiment that ended in it, else absent), `elapsed_ticks` (since the agent last had the turn, or since the
-episode's beginning); for the manager also `costs`, and at the end `submitted_mol`, `purity` and `orders`.
+As in AEC, of the step, and `has_turn` (in the next one). `elapsed_ticks` is the time since the agent last had the turn,
+or since the episode's beginning.
 
 ### Version history
 - v0: first version.
@@ -65,9 +64,6 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
             np.zeros(1, dtype=np.int64) if count else np.zeros((1, *(space.shape or ())))
             for count, space in zip(labs.action_counts, self.action_spaces.values(), strict=True)
         ]
-        self._resting = [
-            _only(action, count) for action, count in zip(labs.resting_actions, labs.action_counts, strict=True)
-        ]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -83,9 +79,8 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         """
         self._begin(seed, options)
         self._last_turn = [0] * len(self.agents)
-        infos: list[dict[str, Any]] = [{"cost": 0.0, "events": {}, "illegal_action": False} for _ in self.agents]
         self._show()
-        return self._seen(infos)
+        return self._seen([self._info(number) for number in range(len(self.agents))])
 
     def step(
         self, actions: Mapping[str, Any]
@@ -118,18 +113,13 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
             self._actions[number][0] = action
         labs.act_round(self._members, self._actions)
         infos = [
-            labs.info(number) if number in acting or cost else {"cost": 0.0, "events": {}, "illegal_action": False}
-            for number, cost in enumerate(labs.cost[0].tolist())
+            self._info(number, number in acting or cost > 0.0) for number, cost in enumerate(labs.cost[0].tolist())
         ]
-        if labs.experiment_ended:
-            for number, score in enumerate(labs.scores[0].tolist()):
-                if score == score:  # NaN where none of its own has ended
-                    infos[number]["score"] = score
+        self._add_scores(infos)
         rewards = dict(zip(names, labs.rewards[0].tolist(), strict=True))
         status = labs.desk.status.item(0)
         observations, found = self._seen(infos)
         if status != RUNNING:
-            found[names[0]].update(labs.outcome())
             self.agents = []
         self._show()
         return (
@@ -158,14 +148,4 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
                 mask = labs.mask(number, members)
                 if mask is not None:
                     info["action_mask"] = mask[0]
-            elif labs.action_counts[number]:
-                info["action_mask"] = self._resting[number].copy()
-        infos[0]["costs"] = labs.costs()
         return observations, dict(zip(names, infos, strict=True))
-
-
-def _only(action: int, count: int) -> npt.NDArray[np.int8]:
-    """A mask that allows one action."""
-    mask = np.zeros(count, dtype=np.int8)
-    mask[action : action + 1] = 1
-    return mask

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+from ..scenario import Scenario
 from .core import Laboratories
-from .state import RUNNING
+from .state import COST_ITEMS, RUNNING
 
-__all__ = ["action_words", "describe_laboratory", "measured_words", "reading_words"]
+__all__ = ["action_words", "describe_laboratory", "measured_words", "named_costs", "named_events", "reading_words"]
 
 _BAR = 20
+
+
+def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:
+    """The safety events of an agent's info by kind; only those that happened."""
+    amounts = info["events"].tolist()
+    return {kind: amount for kind, amount in zip(scenario.safety_events, amounts, strict=True) if amount}
+
+
+def named_costs(info: Mapping[str, Any]) -> dict[str, float]:
+    """The costs of the manager's info by item, in units of the score."""
+    return dict(zip(COST_ITEMS, info["costs"].tolist(), strict=True))
 
 
 def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:

@@ -210,8 +210,8 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordC
     def step(self, action: Any) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
         """One action of the experiment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        achieved = self._measures() - self._baseline if "score" in info else np.zeros(self._goals)
-        info = {**info, "penalty": info.get("score", 0.0) - float(reward)}
+        achieved = self._measures() - self._baseline if info["experiment_over"] else np.zeros(self._goals)
+        info = {**info, "penalty": info["score"] - float(reward)}
         view = self._view(observation, achieved)
         paid = float(self.compute_reward(view["achieved_goal"], view["desired_goal"], info))
         return view, paid, terminated, truncated, info

@@ -103,11 +103,10 @@ class Witness:
             # Of the action as the simulator takes it: a policy's float32 is what it is as float64.
             recorded = action.astype(np.float64).tolist() if action.dtype.kind == "f" else action.tolist()
             line["play"][agent] = [seen_hash(play.observation, play.mask), recorded]
-            info = labs.info(play.agent, m)
-            if info["illegal_action"]:
+            if labs.illegal(play.agent)[m]:
                 lost.append(agent)
-            if info["events"]:
-                events[agent] = info["events"]
+            if happened := labs.events(play.agent, m):
+                events[agent] = happened
         for key, values in (("rewards", labs.rewards[m]), ("cost", labs.cost[m])):
             found = {agent: value for agent, value in zip(labs.agents, values.tolist(), strict=True) if value}
             if found:

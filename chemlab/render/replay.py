@@ -215,9 +215,8 @@ def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
         }
         if entries:
             found[key] = entries
-    infos = {labs.agents[play.agent]: labs.info(play.agent) for play in plays}
-    lost = [agent for agent, info in infos.items() if info["illegal_action"]]
-    events = {agent: info["events"] for agent, info in infos.items() if info["events"]}
+    lost = [labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0]]
+    events = {labs.agents[play.agent]: found for play in plays if (found := labs.events(play.agent))}
     if lost:
         found["lost"] = lost
     if events:

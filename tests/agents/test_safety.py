@@ -18,6 +18,7 @@ from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.text import named_costs, named_events
 from chemlab.scenario import SAFETY_EVENTS, load_scenario
 
 SAFE = "wurtz_safe"
@@ -49,7 +50,7 @@ def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[Turn, ...]], ...]:
 def test_the_careful_have_no_accident() -> None:
     for result, turns in episodes("heuristic"):
         assert result.safety_events == {}, f"seed {result.seed}"
-        assert all(turn.info["cost"] == 0.0 and turn.info["events"] == {} for turn in turns)
+        assert all(turn.info["cost"] == 0.0 and not turn.info["events"].any() for turn in turns)
         assert result.costs["safety"] == 0.0
         # Not by doing nothing: the product is made.
         assert result.terminated
@@ -79,9 +80,9 @@ def test_the_score_is_charged(policy: str) -> None:
     price = scenario.safety.reward_price
     assert price > 0.0
     for result, turns in episodes(policy):
-        by_turn = {kind: sum(turn.info["events"].get(kind, 0.0) for turn in turns) for kind in SAFETY_EVENTS}
+        by_turn = named_events(scenario, {"events": sum(turn.info["events"] for turn in turns)})
         for kind in SAFETY_EVENTS:
-            assert result.safety_events.get(kind, 0.0) == pytest.approx(by_turn[kind], rel=1e-12, abs=1e-15)
+            assert result.safety_events.get(kind, 0.0) == pytest.approx(by_turn.get(kind, 0.0), rel=1e-12, abs=1e-15)
         assert result.costs["safety"] == pytest.approx(price * weighted(by_turn), rel=1e-12, abs=1e-15)
         worth = result.submitted_mol * result.purity / scenario.theoretical_maximum_mol[result.goal]
         assert result.score == pytest.approx(worth - sum(result.costs.values()), rel=1e-12)
@@ -89,7 +90,7 @@ def test_the_score_is_charged(policy: str) -> None:
         # A bench pays for its own accidents as well.
         for agent in ("rxn_0", "ext_0", "dit_0"):
             own = [turn for turn in turns if turn.agent == agent]
-            paid = sum(turn.info.get("score", 0.0) for turn in own) - price * sum(turn.info["cost"] for turn in own)
+            paid = sum(turn.info["score"] for turn in own) - price * sum(turn.info["cost"] for turn in own)
             assert result.rewards[agent] == pytest.approx(paid, rel=1e-9, abs=1e-12)
 
 
@@ -123,7 +124,7 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
     for seed in range(6):
         aec.reset(seed=seed)
         _, infos = parallel.reset(seed=seed)
-        assert all(info["cost"] == 0.0 and info["events"] == {} for info in infos.values())
+        assert all(info["cost"] == 0.0 and not info["events"].any() for info in infos.values())
         totals = {side: dict.fromkeys(SAFETY_EVENTS, 0.0) for side in ("aec", "parallel")}
         while parallel.agents:
             actions = {}
@@ -134,20 +135,24 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
                 actions[agent] = wild(mask, space, rng, submits if agent == "manager_0" else ())
                 aec.step(actions[agent])
                 info = aec.infos[agent]
-                assert info["cost"] == pytest.approx(weighted(info["events"]), rel=1e-12)
-                assert all(value > 0.0 for value in info["events"].values())
-                for kind, value in info["events"].items():
+                events = named_events(aec.scenario, info)
+                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
+                assert all(value > 0.0 for value in events.values())
+                for kind, value in events.items():
                     totals["aec"][kind] += value
             *_, infos = parallel.step(actions)
             for agent, info in infos.items():
-                assert info["cost"] == pytest.approx(weighted(info["events"]), rel=1e-12)
+                events = named_events(parallel.scenario, info)
+                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
                 assert agent in actions or info["cost"] == 0.0
-                for kind, value in info["events"].items():
+                for kind, value in events.items():
                     totals["parallel"][kind] += value
         for side in totals.values():
             assert list(side.values()) == pytest.approx(labs.safety_totals[0].tolist(), rel=1e-9, abs=1e-12)
         price = labs.scenario.safety.reward_price
-        assert infos["manager_0"]["costs"]["safety"] == pytest.approx(price * weighted(totals["parallel"]), rel=1e-9)
+        assert named_costs(infos["manager_0"])["safety"] == pytest.approx(
+            price * weighted(totals["parallel"]), rel=1e-9
+        )
         for kind, value in totals["aec"].items():
             happened[kind] += value
     assert all(value > 0.0 for value in happened.values()), happened
@@ -165,12 +170,12 @@ def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
         if over:
             _, info = env.reset(seed=step)
             assert info["cost"] == info["lab_cost"] == 0.0
-            assert info["events"] == {}
+            assert not info["events"].any()
         mask = labs.mask(env.batch.focal, labs.members)
         action = wild(None if mask is None else mask[0], env.action_space.shape or (), rng, submits)
         *_, terminated, truncated, info = env.step(action)
         over = terminated or truncated
-        assert info["lab_cost"] == pytest.approx(weighted(info["events"]), rel=1e-9, abs=1e-12)
+        assert info["lab_cost"] == pytest.approx(weighted(named_events(labs.scenario, info)), rel=1e-9, abs=1e-12)
         assert 0.0 <= info["cost"] <= info["lab_cost"] + 1e-9
         assert agent != "manager_0" or info["cost"] == 0.0
         own += info["cost"]

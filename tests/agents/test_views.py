@@ -14,6 +14,7 @@ from chemlab.agents.background import background_policies, focal_env, focal_vect
 from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, policy_names
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.laboratory.text import named_costs
 from chemlab.scenario import scenario_names
 
 assert chemlab.__version__, "importing chemlab registers the ids"
@@ -171,7 +172,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
     whole = raw_env("wurtz_any")
     result = play_episode(whole, make_policies("heuristic", whole.laboratories), 3)
     assert info["score"] == result.score
-    assert info["costs"] == result.costs
+    assert named_costs(info) == result.costs
 
 
 @pytest.mark.parametrize("background", policy_names())

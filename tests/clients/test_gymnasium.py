@@ -149,3 +149,57 @@ def test_vector_wrappers() -> None:
         assert ("episode" in infos) == bool(over.any())
         episodes += int(over.sum())
     assert episodes > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("chemlab/WurtzReaction-v0", {}),
+        ("chemlab/WurtzExtraction-v0", {}),
+        ("chemlab/Bench-v0", {"scenario": "salt_from_oil", "bench": "ext"}),
+        (MANAGER, {"scenario": "wurtz_scarce"}),
+        ("chemlab/LabAgent-v0", {"agent": "ext_0"}),
+    ],
+)
+def test_episodes_are_shorter_than_the_spec_says(name: str, arguments: dict[str, Any]) -> None:
+    """The longest episode there can be ends as it does without a time limit, also where clients put one by the spec."""
+    env = gymnasium.make(name, **arguments)
+    assert env.spec is not None
+    bound = env.spec.max_episode_steps
+    assert bound is not None
+    limited = gymnasium.make(env.spec)
+    found: Any = env
+    while found is not env.unwrapped:
+        assert not isinstance(found, gymnasium.wrappers.TimeLimit)
+        found = found.env
+    steps = []
+    for one in (env, limited):
+        one.reset(seed=0)
+        count, over = 0, (False, False)
+        while not any(over):
+            actions: Any = one.action_space
+            if isinstance(actions, gymnasium.spaces.Discrete):
+                # A masked action is a lost turn: nothing but the limit ends the episode (`settle` where all are legal).
+                illegal = np.flatnonzero(~one.unwrapped.action_masks())  # type: ignore[attr-defined]
+                action = int(illegal[0]) if len(illegal) else 0
+            else:
+                action = np.full(actions.shape, 0.5)
+            _, _, terminated, truncated, _ = one.step(action)
+            over = bool(terminated), bool(truncated)
+            count += 1
+        steps.append((count, over))
+    assert steps[0] == steps[1]
+    assert steps[0][1] in ((True, False), (False, True))
+    assert steps[0][0] <= bound - 1
+    if name != "chemlab/LabAgent-v0":  # others end its episodes sooner
+        assert steps[0][0] == bound - 1
+
+
+def test_batches_are_not_cut_short() -> None:
+    single = gymnasium.make("chemlab/WurtzReaction-v0")
+    batch = gymnasium.make_vec(single.spec, num_envs=2)
+    assert batch.spec is not None
+    assert single.spec is not None
+    assert batch.spec.max_episode_steps == single.spec.max_episode_steps == 21
+    with pytest.raises(ValueError, match=r"max_episode_steps.*up to 20 steps.*given 7"):
+        gymnasium.make_vec("chemlab/WurtzReaction-v0", num_envs=2, max_episode_steps=7)

@@ -33,9 +33,9 @@ from pettingzoo.utils.random_demo import random_demo
 from pettingzoo.utils.wrappers import MultiEpisodeEnv, MultiEpisodeParallelEnv
 
 from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory import parallel_env, plain_infos, raw_env
-from chemlab.laboratory.state import COST_ITEMS
-from chemlab.scenario import SAFETY_EVENTS, scenario_names
+from chemlab.laboratory import parallel_env, raw_env
+from chemlab.laboratory.text import named_costs, named_events
+from chemlab.scenario import scenario_names
 
 SCENARIOS = scenario_names()
 DISCRETE = "salt_from_oil"
@@ -62,16 +62,16 @@ def seed_spaces(env: Any) -> None:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_api(name: str) -> None:
-    for env in (laboratory_env(name), plain_infos(laboratory_env(name))):
-        seed_spaces(env)
-        api_test(env, num_cycles=200)
+    env = laboratory_env(name)
+    seed_spaces(env)
+    api_test(env, num_cycles=200)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_parallel_api(name: str) -> None:
-    for env in (parallel_env(name), plain_infos(parallel_env(name))):
-        seed_spaces(env)
-        parallel_api_test(env, num_cycles=200)
+    env = parallel_env(name)
+    seed_spaces(env)
+    parallel_api_test(env, num_cycles=200)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -186,57 +186,53 @@ def test_several_episodes_in_one() -> None:
     while parallel.agents:
         actions = {agent: int(rng.choice(np.flatnonzero(infos[agent]["action_mask"]))) for agent in parallel.agents}
         _, _, _, _, infos = parallel.step(actions)
-        ends += "submitted_mol" in infos["manager_0"]
+        ends += infos["manager_0"]["experiment_over"]
     assert ends >= 1
 
 
-# -- plain infos ------------------------------------------------------------------------------------------------------
+# -- infos ------------------------------------------------------------------------------------------------------------
 
 
-def assert_plain(plain: dict[str, Any], full: dict[str, Any], shapes: dict[str, Any]) -> None:
-    """The same facts, in arrays whose shapes and types never change."""
-    assert {key: (np.shape(value), np.asarray(value).dtype) for key, value in plain.items()} == shapes
-    for key in plain.keys() & full.keys() - {"events", "costs"}:
-        np.testing.assert_array_equal(plain[key], full[key])
-    assert plain["experiment_over"] == ("score" in full)
-    found = dict(zip(SAFETY_EVENTS, plain["events"], strict=True))
-    assert {kind: value for kind, value in found.items() if value} == full["events"]
-    if "costs" in full:
-        assert dict(zip(COST_ITEMS, plain["costs"], strict=True)) == full["costs"]
+def assert_flat(infos: dict[str, dict[str, Any]], shapes: dict[str, dict[str, Any]]) -> None:
+    """Numbers and arrays of the same keys, shapes and types as at the beginning."""
+    for agent, info in infos.items():
+        found = {key: (np.shape(value), np.asarray(value).dtype) for key, value in info.items()}
+        assert all(dtype.kind in "biuf" for _, dtype in found.values())
+        assert shapes.setdefault(agent, found) == found
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_plain_infos_say_the_same_in_numbers(name: str) -> None:
+def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
     rng = np.random.default_rng(0)
-    inner = raw_env(name)
-    env = plain_infos(inner)
-    shapes: dict[str, Any] = {}
-
-    def compare() -> None:
-        for agent in env.agents:
-            info = env.infos[agent]
-            if not shapes.get(agent):
-                shapes[agent] = {key: (np.shape(value), np.asarray(value).dtype) for key, value in info.items()}
-            assert_plain(info, inner.infos[agent], shapes[agent])
-            if agent != env.agent_selection and "action_mask" in info and "action_mask" not in inner.infos[agent]:
-                assert info["action_mask"].sum() == 1
-
+    env = raw_env(name)
+    labs = env.laboratories
+    shapes: dict[str, dict[str, Any]] = {}
     for seed in range(4):
         env.reset(seed=seed)
-        compare()
+        assert_flat(env.infos, shapes)
         for _ in range(150):
-            mask = env.infos[env.agent_selection].get("action_mask")
-            space = env.action_space(env.agent_selection)
-            legal = None if mask is None else np.flatnonzero(mask)
-            env.step(rng.random(space.shape) if legal is None else int(rng.choice(legal)))
-            compare()
+            agent = env.agent_selection
+            number, mask = env.possible_agents.index(agent), env.infos[agent].get("action_mask")
+            kept = {name: {key: np.copy(value) for key, value in info.items()} for name, info in env.infos.items()}
+            seen = {name: dict(info) for name, info in env.infos.items()}
+            space = env.action_space(agent)
+            env.step(rng.random(space.shape) if mask is None else int(rng.choice(len(mask))))
+            assert_flat(env.infos, shapes)
+            # What was given before stays what it was, but for what an experiment's end adds to it.
+            for name, info in seen.items():
+                for key, value in info.items():
+                    np.testing.assert_array_equal(value, kept[name][key])
+            info = env.infos[agent]
+            assert named_events(env.scenario, info) == labs.events(number)
+            assert info["illegal_action"] == labs.illegal(number)[0]
+            assert named_costs(env.infos["manager_0"]) == labs.costs() or env.agent_selection != "manager_0"
+            for other in env.possible_agents:
+                if other != env.agent_selection and "action_mask" in env.infos[other]:
+                    resting = labs.resting_actions[env.possible_agents.index(other)]
+                    assert np.flatnonzero(env.infos[other]["action_mask"]).tolist() == [resting]
             if any(env.terminations.values()) or any(env.truncations.values()):
+                assert env.infos["manager_0"]["score"] == labs.result(labs.members)[0]
+                outcome = labs.outcome()
+                assert env.infos["manager_0"]["submitted_mol"].sum() == pytest.approx(outcome["submitted_mol"])
                 break
-    assert {"costs", "submitted_mol", "purity"} <= shapes["manager_0"].keys()
-
-
-def test_plain_infos_are_the_laboratorys() -> None:
-    from pettingzoo.test.example_envs import generated_agents_env_v0
-
-    with pytest.raises(TypeError, match="chemlab's laboratory"):
-        plain_infos(generated_agents_env_v0.env())
+    assert {"costs", "goals", "submitted_mol", "purity"} <= shapes["manager_0"].keys()

@@ -29,11 +29,7 @@ from chemlab.laboratory import env as laboratory_env
 
 
 class MaskInObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Observations {"obs", "mask"}, as Tianshou reads them.
-
-    Infos are without their dictionaries: Tianshou stacks the infos of a vector, and wants equal keys in nested ones,
-    while ``events`` names only what has happened.
-    """
+    """Observations {"obs", "mask"}, as Tianshou reads them."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
@@ -42,16 +38,11 @@ class MaskInObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, **arguments: Any) -> Any:
         seen, info = self.env.reset(**arguments)
-        return {"obs": seen, "mask": info["action_mask"]}, self.flat(info)
+        return {"obs": seen, "mask": info["action_mask"]}, info
 
     def step(self, action: Any) -> Any:
         seen, *rest, info = self.env.step(action)
-        return {"obs": seen, "mask": info["action_mask"]}, *rest, self.flat(info)
-
-    @staticmethod
-    def flat(info: dict[str, Any]) -> dict[str, Any]:
-        """What is no dictionary or list."""
-        return {key: value for key, value in info.items() if not isinstance(value, (dict, list))}
+        return {"obs": seen, "mask": info["action_mask"]}, *rest, info
 
 
 def learner(env: gymnasium.Env[Any, Any], exploration: float) -> DQN[Any]:

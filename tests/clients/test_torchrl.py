@@ -1,7 +1,4 @@
-"""TorchRL's ``PettingZooWrapper`` around the laboratory, AEC and parallel: specs, masks, rollouts, a training step.
-
-TorchRL makes tensors of infos, so it gets :func:`chemlab.laboratory.plain_infos`.
-"""
+"""TorchRL's ``PettingZooWrapper`` around the laboratory, AEC and parallel: specs, masks, rollouts, a training step."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory import parallel_env, plain_infos
+from chemlab.laboratory import parallel_env
 from chemlab.scenario import scenario_names
 
 SCENARIOS = scenario_names()
@@ -36,7 +33,7 @@ pytestmark = pytest.mark.filterwarnings(
 
 def wrapped(api: str, name: str = "wurtz_dodecane", **arguments: Any) -> PettingZooWrapper:
     """A laboratory in TorchRL's wrapper."""
-    return PettingZooWrapper(env=plain_infos(FACTORIES[api](name)), use_mask=True, **arguments)
+    return PettingZooWrapper(env=FACTORIES[api](name), use_mask=True, **arguments)
 
 
 def played(api: str, rollout: TensorDictBase, env: PettingZooWrapper) -> dict[str, int]:

@@ -26,6 +26,7 @@ from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.laboratory.text import named_costs, named_events
 
 WURTZ = "wurtz_dodecane"
 CASES = [
@@ -101,7 +102,7 @@ class ByHand:
         self.env.step(action)
         found["rewards"] += self.env.rewards[self.agent]
         found["lab_cost"] += self.env.infos[mover]["cost"]
-        for kind, value in self.env.infos[mover]["events"].items():
+        for kind, value in named_events(self.env.scenario, self.env.infos[mover]).items():
             found["events"][kind] = found["events"].get(kind, 0.0) + value
         if mover == self.agent:
             found["cost"], found["illegal"] = self.env.infos[mover]["cost"], self.env.infos[mover]["illegal_action"]
@@ -129,9 +130,10 @@ class ByHand:
         ticks, status = int(self.labs.desk.ticks[0]), int(self.labs.desk.status[0])
         found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
         found["terminated"], found["truncated"] = status == 1, status == 2
-        found["experiment_over"] = "score" in found
         if status != 0 and self.number == 0:
             found["score"] = float(self.labs.result(self.labs.members)[0])
+        found["experiment_over"] = "score" in found
+        found["kinds"] = self.env.scenario.safety_events
         found["observation"] = self.env.observe(self.agent)
         mask = self.labs.mask(self.number, self.labs.members)
         found["mask"] = None if mask is None else mask[0]
@@ -146,13 +148,13 @@ def check_step(found: dict[str, Any], step: Any) -> None:
     assert (terminated, truncated) == (found["terminated"], found["truncated"])
     assert info["elapsed_ticks"] == found["elapsed"]
     assert info["experiment_over"] is found["experiment_over"]
-    assert info.get("score") == found.get("score")
+    assert info["score"] == found.get("score", 0.0)
     assert info["illegal_action"] == found["illegal"]
     assert info["cost"] == pytest.approx(found["cost"], rel=1e-12)
     # Sums over a step are differences of sums over the episode, hence the last digits.
     assert info["lab_cost"] == pytest.approx(found["lab_cost"], rel=1e-9, abs=1e-9)
-    for kind in info["events"].keys() | found["events"].keys():
-        assert info["events"].get(kind, 0.0) == pytest.approx(found["events"].get(kind, 0.0), rel=1e-9, abs=1e-9)
+    events = [found["events"].get(kind, 0.0) for kind in found["kinds"]]
+    assert info["events"] == pytest.approx(events, rel=1e-9, abs=1e-9)
     if found["mask"] is None:
         assert "action_mask" not in info
     else:
@@ -221,14 +223,14 @@ def test_the_managers_return_is_the_score(name: str) -> None:
         assert terminated
         labs = env.laboratories
         worth = [
-            order["submitted_mol"] * order["purity"] / env.batch.scenario.theoretical_maximum_mol[order["goal"]]
-            for order in info["orders"]
+            mol * purity / env.batch.scenario.theoretical_maximum_mol[labs.scenario.goals[goal]]
+            for goal, mol, purity in zip(info["goals"], info["submitted_mol"], info["purity"], strict=True)
         ]
-        expected = sum(worth) / len(worth) - sum(info["costs"].values())
+        expected = sum(worth) / len(worth) - info["costs"].sum()
         assert info["score"] == pytest.approx(expected, rel=1e-12)
         assert total == pytest.approx(expected, rel=1e-12)
         assert expected > 0.0
-        assert info["costs"] == labs.costs()
+        assert named_costs(info) == labs.costs()
 
 
 @pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
@@ -292,15 +294,14 @@ def test_members_are_single_environments(name: str, agent: str, background: str,
                 if over[i]:  # NEXT_STEP: this step has been the reset
                     own, info = single.reset()
                     assert (rewards[i], terminated[i], truncated[i]) == (0.0, False, False)
-                    assert not infos.get("_score", np.zeros(count))[i]
+                    assert not infos["experiment_over"][i]
                     over[i] = False
                 else:
                     own, reward, ended, cut, info = single.step(chosen[i])
                     assert rewards[i] == reward
                     assert (terminated[i], truncated[i]) == (ended, cut)
-                    assert bool(infos.get("_score", np.zeros(count))[i]) == ("score" in info)
-                    if "score" in info:
-                        assert infos["score"][i] == info["score"]
+                    for key in ("experiment_over", "score", "events"):
+                        np.testing.assert_array_equal(infos[key][i], info[key], key)
                     if ended or cut:
                         ends += 1
                         if mode is AutoresetMode.SAME_STEP:

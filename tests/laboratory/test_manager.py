@@ -19,6 +19,7 @@ from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.state import COST_ITEMS
+from chemlab.laboratory.text import named_costs, named_events
 from chemlab.scenario import load_scenario, scenario_names
 from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
@@ -190,7 +191,7 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
     do(env, "pour EV -> B2, 1 fraction")  # 0.64 L into 0.2 L
     filled = litres(env.scenario, {"diethyl_ether": 4.0, "dodecane": 1.0})
-    assert env.infos["ext_0"]["events"] == pytest.approx({"spill_l": filled - 0.2}, rel=1e-9)
+    assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"spill_l": filled - 0.2}, rel=1e-9)
     assert env.infos["ext_0"]["cost"] == pytest.approx(
         values["safety"]["weights"]["spill_l"] * (filled - 0.2), rel=1e-9
     )
@@ -427,7 +428,7 @@ def test_costs_are_itemized_and_add_up() -> None:
         "safety": 0.0,
     }
     assert tuple(expected) == COST_ITEMS
-    assert env.infos["manager_0"]["costs"] == pytest.approx(expected, rel=1e-9)
+    assert named_costs(env.infos["manager_0"]) == pytest.approx(expected, rel=1e-9)
     assert all(value > 0.0 for key, value in expected.items() if key != "safety")
     # 1 mol of dodecane in 4 mol, of at most 0.5.
     assert env.rewards["manager_0"] == pytest.approx(1.0 * 0.25 / 0.5 - sum(expected.values()), rel=1e-9)
@@ -438,7 +439,7 @@ def test_a_submission_of_nothing_is_worth_nothing() -> None:
     env.laboratories.shelf.fill(0, 0, 1.2, {})
     manager(env, "submit", 0)
     assert env.rewards["manager_0"] == 0.0
-    assert env.infos["manager_0"]["purity"] == 0.0
+    assert env.infos["manager_0"]["purity"] == [0.0]
 
 
 def test_dissolved_salt_counts_as_salt() -> None:

@@ -75,12 +75,16 @@ def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
     assert all(env.terminations.values())
     np.testing.assert_allclose(atoms(env), begun, rtol=1e-12, atol=1e-12)
     info = env.infos["manager_0"]
-    assert info["orders"] == [
+    assert [scenario.goals[goal] for goal in info["goals"]] == [first, second]
+    assert info["submitted_mol"] == pytest.approx([0.5, 0.25])
+    assert info["purity"] == pytest.approx([0.5 / 3.5, 0.2])
+    outcome = labs.outcome()
+    assert outcome["orders"] == [
         {"goal": first, "submitted_mol": pytest.approx(0.5), "purity": pytest.approx(0.5 / 3.5)},
         {"goal": second, "submitted_mol": pytest.approx(0.25), "purity": pytest.approx(0.2)},
     ]
-    assert info["submitted_mol"] == pytest.approx(0.75)
-    assert info["purity"] == pytest.approx((0.5 * 0.5 / 3.5 + 0.25 * 0.2) / 0.75)
+    assert outcome["submitted_mol"] == pytest.approx(0.75)
+    assert outcome["purity"] == pytest.approx((0.5 * 0.5 / 3.5 + 0.25 * 0.2) / 0.75)
 
 
 def test_a_filled_order_is_closed() -> None:
@@ -114,7 +118,7 @@ def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
     manager(env, "discard", 1)
     manager(env, "submit", 0, 1)
     assert all(env.terminations.values())
-    assert [order["submitted_mol"] for order in env.infos["manager_0"]["orders"]] == [0.0, 0.0]
+    assert env.infos["manager_0"]["submitted_mol"].tolist() == [0.0, 0.0]
     busy = laboratory(LINES)
     manager(busy, "start", "rxn_1", 0, goals(busy)[0])
     manager(busy, "submit", 1, 0)
@@ -378,11 +382,11 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
             for agent in agents:
                 paid[agent] += rewarded[agent]
                 in_batch[agent] += others[agent][0]
-                scores[agent] += infos[agent].get("score", 0.0)
+                scores[agent] += infos[agent]["score"] if agent != "manager_0" else 0.0
                 lost[agent] += scenario.safety.reward_price * infos[agent]["cost"]
                 lost[agent] += scenario.costs.illegal_action * infos[agent]["illegal_action"]
         result = float(env.laboratories.result(env.laboratories.members)[0])
-        assert batch_infos["manager_0"]["result"][0] == result
+        assert batch_infos["manager_0"]["score"][0] == result
         paid_as_mixed(mix, scenario.safety.reward_price, paid, scores, lost, result)
         assert in_turns == pytest.approx(paid, rel=1e-12, abs=1e-15)
         assert in_batch == pytest.approx(paid, rel=1e-12, abs=1e-15)
@@ -407,7 +411,7 @@ def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
         _, rewarded, *_ = batch.step(np.array([action]))
         assert rewarded[0] == reward
         total += reward
-        scores += info["score"] if info["experiment_over"] else 0.0
+        scores += info["score"] if agent != "manager_0" else 0.0
         over = terminated or truncated
     result = float(labs.result(labs.members)[0])
     assert result > 0.5

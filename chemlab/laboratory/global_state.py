@@ -1,0 +1,192 @@
+"""The whole laboratory as one vector, for critics that may know what no agent sees: ``state()`` of the environments.
+
+It is everything that what happens next depends on, but for the random streams: true contents of every vessel, bottle
+and waste can, and what the manager and the benches remember. Every part is in [0, 1]; those that have no bound of
+their own are clipped at one that is far off. A channel is one kind of quantity, its numbers in the order of the axes
+that its meaning names; ``vessels`` are the slots and then every bench's positions, ``materials`` those of the
+scenario.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import IntArray, ObservationArray
+from ..bench.base import Channel
+from ..chemistry import AIR, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
+from ..physics.constants import GAS_CONSTANT
+from ..shelf import CLOCK_SETTLED, T_MIX
+from .core import Laboratories
+from .state import INSTRUMENTS, RUNNING
+
+__all__ = ["GlobalState"]
+
+_COLDEST_K, _HOTTEST_K = 200.0, 800.0
+
+
+class _Part(NamedTuple):
+    name: str
+    unit: str
+    low: float
+    high: float
+    meaning: str
+    values: npt.NDArray[Any]
+    """[B, ...] in ``unit``"""
+
+
+class GlobalState:
+    """What there is to know of some laboratories.
+
+    Attributes:
+        channels: what the vector holds, in order.
+        space: what it is an element of.
+    """
+
+    def __init__(self, laboratories: Laboratories) -> None:
+        self._laboratories = laboratories
+        self._known = laboratories.shelf.chemistry.world()  # as the data files have it: one scale for all worlds
+        self._litres = self._known.molar_volume
+        self.channels = [
+            Channel(part.name, part.values[0].size, part.unit, part.low, part.high, part.meaning)
+            for part in self._parts(laboratories.members[:1])
+            if part.values[0].size
+        ]
+        size = sum(channel.size for channel in self.channels)
+        self._low = np.concatenate([np.full(channel.size, channel.low) for channel in self.channels])
+        self._per_unit = np.concatenate(
+            [np.full(channel.size, 1.0 / (channel.high - channel.low)) for channel in self.channels]
+        )
+        self.space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+
+    def see(self, members: IntArray) -> ObservationArray:
+        """[B, size] the state of the laboratories ``members``."""
+        values = np.concatenate([part.values.reshape(len(members), -1) for part in self._parts(members)], axis=1)
+        values -= self._low
+        values *= self._per_unit
+        return np.clip(values, 0.0, 1.0, out=values).astype(np.float32)
+
+    def _parts(self, members: IntArray) -> list[_Part]:
+        parts = (self._vessel_parts, self._shelf_parts, self._bench_parts, self._order_parts, self._turn_parts)
+        return [part for some in parts for part in some(members)]
+
+    def _vessel_parts(self, members: IntArray) -> list[_Part]:
+        labs, shelf = self._laboratories, self._laboratories.shelf
+        largest = labs.rules.arrays.largest_capacity
+        known = self._known
+        rows = shelf.vessels[members]
+        air = rows[..., AIR] * GAS_CONSTANT * known.ambient_temperature / known.ambient_pressure
+        dissolved = shelf.dissolved[members] * self._litres[known.dissolved][:, None]
+        amounts = shelf.amounts[members] * self._litres
+        return [
+            _Part("present", "0 or 1", 0.0, 1.0, "whether there is a vessel, by vessel", rows[..., PRESENT]),
+            _Part("capacity", "L", 0.0, largest, "by vessel", rows[..., CAPACITY]),
+            _Part("temperature", "K", _COLDEST_K, _HOTTEST_K, "by vessel", rows[..., TEMPERATURE]),
+            _Part("clock", "clock", T_MIX, CLOCK_SETTLED, "how far layers have settled, by vessel", rows[..., CLOCK]),
+            _Part("clock_was", "clock", T_MIX, CLOCK_SETTLED, "when solutes were last spread", rows[..., CLOCK_WAS]),
+            _Part("air", "L", 0.0, largest, "air in the vessel, as at ambient conditions, by vessel", air),
+            _Part("amounts", "L", 0.0, largest, "mol x molar volume, by vessel, material", amounts),
+            _Part("dissolved", "L", 0.0, largest, "the same in each solvent, by vessel, solute, solvent", dissolved),
+        ]
+
+    def _shelf_parts(self, members: IntArray) -> list[_Part]:
+        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.desk
+        first = np.where(rules.first_stock > 0.0, rules.first_stock, 1.0)[rules.stocked]
+        stock = labs.shelf.stock[members][:, rules.stocked] / first
+        # Where a slot is empty, its history is none.
+        age = np.where(state.age[members] < 0, rules.tick_limit, state.age[members])
+        standing = sum(sum(vessel.contents.values()) for vessel in labs.scenario.shelf.vessel)
+        everything = float(rules.first_stock.sum()) + standing
+        return [
+            _Part(
+                "reserved",
+                "one-hot",
+                0.0,
+                1.0,
+                "for nobody or a bench, by slot",
+                _hot(state.reserved[members] + 1, len(labs.benches) + 1),
+            ),
+            _Part(
+                "last_bench",
+                "one-hot",
+                0.0,
+                1.0,
+                "none or its kind, by slot",
+                _hot(state.last_bench[members], rules.kinds + 1),
+            ),
+            _Part(
+                "last_role",
+                "one-hot",
+                0.0,
+                1.0,
+                "position it had there, by slot",
+                _hot(state.last_role[members], rules.most_positions),
+            ),
+            _Part("reading", "scaled", 0.0, 1.0, "last readings of instruments, by slot", state.reading[members]),
+            _Part(
+                "age", "ticks", 0.0, rules.tick_limit, "age of readings (never: the limit), by slot, instrument", age
+            ),
+            _Part("stock", "fraction", 0.0, 1.0, "left, by bottle", stock),
+            _Part("waste", "mol", 0.0, everything, "of all there was, by material", labs.shelf.waste[members]),
+            _Part("delivered", "mol", 0.0, everything, "with submitted vessels", state.delivered[members]),
+        ]
+
+    def _bench_parts(self, members: IntArray) -> list[_Part]:
+        labs, rules = self._laboratories, self._laboratories.rules.arrays
+        parts, goals = [], len(labs.scenario.goals)
+        for b, (bench, station) in enumerate(zip(labs.benches, labs.stations, strict=True)):
+            own = station.table.arrays
+            busy, name = own.busy[members], station.agent
+            most = rules.largest_capacity / float(self._litres[rules.parts[:, 0]].min())
+            supply = np.zeros((len(members), 0))
+            if bench.reagents:
+                supply = own.supply[members] / np.maximum(bench.rules.arrays.full, 1e-12) * busy[:, None]
+            goal = _hot(own.goal[members], goals) * busy[:, None]
+            origin = _hot(labs.desk.origin[members, b], rules.slots) * busy[:, None]
+            parts += [
+                _Part(f"{name}_busy", "0 or 1", 0.0, 1.0, "whether an experiment is running", busy),
+                _Part(f"{name}_goal", "one-hot", 0.0, 1.0, "its goal", goal),
+                _Part(f"{name}_steps", "steps", 0.0, bench.spec.step_limit, "taken", own.steps[members] * busy),
+                _Part(f"{name}_origin", "one-hot", 0.0, 1.0, "slot its vessel came from", origin),
+                _Part(
+                    f"{name}_baseline", "mol", -most, most, "the score is the change from", own.baseline[members] * busy
+                ),
+                _Part(f"{name}_supply", "fraction", 0.0, 1.0, "left of the supply, by reagent", supply),
+            ]
+        return parts
+
+    def _order_parts(self, members: IntArray) -> list[_Part]:
+        labs, state = self._laboratories, self._laboratories.desk
+        goal, submitted = state.goal[members], state.submitted[members]
+        worth = submitted[..., 0] / labs.rules.arrays.maximum[goal]
+        return [
+            _Part("goal", "one-hot", 0.0, 1.0, "by order", _hot(goal, len(labs.scenario.goals))),
+            _Part("filled", "0 or 1", 0.0, 1.0, "by order", state.filled[members]),
+            _Part("submitted", "fraction", 0.0, 1.0, "mol of the theoretical maximum, by order", worth),
+            _Part("purity", "fraction", 0.0, 1.0, "of what has been submitted, by order", submitted[..., 1]),
+        ]
+
+    def _turn_parts(self, members: IntArray) -> list[_Part]:
+        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.desk
+        budget = state.charges[members, INSTRUMENTS] / rules.budget
+        return [
+            _Part(
+                "turn", "one-hot", 0.0, 1.0, "who has it, by agent", _hot(state.cursor[members] + 1, len(labs.agents))
+            ),
+            _Part(
+                "finished", "0 or 1", 0.0, 1.0, "whether an experiment has ended in this tick", state.finished[members]
+            ),
+            _Part("over", "0 or 1", 0.0, 1.0, "whether the episode is", state.status[members] != RUNNING),
+            _Part("actions", "actions", 0.0, rules.action_limit, "of the manager so far", state.actions[members]),
+            _Part("ticks", "ticks", 0.0, rules.tick_limit, "so far", state.ticks[members]),
+            _Part("budget", "fraction", 0.0, 1.0, "of the budget for measurements spent", budget),
+            _Part("charges", "score", 0.0, 1.0, "to the manager so far, by item", labs.charges(members)),
+        ]
+
+
+def _hot(indices: IntArray, size: int) -> npt.NDArray[np.float64]:
+    """[..., size] one-hot."""
+    return np.asarray((indices[..., None] == np.arange(size)).astype(np.float64))

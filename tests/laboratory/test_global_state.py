@@ -1,0 +1,175 @@
+"""``state()``: the true state of a laboratory, by name, in [0, 1], the same for the same laboratory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory import parallel_env, raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.global_state import GlobalState
+from chemlab.scenario import scenario_names
+
+SCENARIOS = scenario_names()
+
+ELSEWHERE = {
+    "stream",
+    "rewards",
+    "cost",
+    "scores",
+    "safety_totals",
+    "illegal",
+    "begun",
+    "recalled",
+    "measured",
+    "variant",
+}
+"""Random streams, what the last turn led to, and totals for people: nothing else depends on them."""
+PASSING = {"ended", "illegal", "events", "stream", "places", "changed", "layers", "profile", "image", "elapsed"}
+"""The same of experiments; pictures of vessels are worked out anew from them."""
+
+
+def parts(env: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """The state by channel."""
+    state = env.state()
+    assert env.state_space.contains(state)
+    return {name: state[where] for name, where in channel_slices(env.state_channels).items()}
+
+
+def played(name: str, seed: int, turns: int) -> raw_env:
+    """A laboratory after some random turns, with a bench at work."""
+    env, rng = raw_env(name), np.random.default_rng(seed)
+    env.reset(seed=seed)
+    labs = env.laboratories
+    agent = labs.bench_agents[0]
+    goal = labs.scenario.goals[labs.desk.goal[0, 0]]
+    env.step(labs.actions.encode("start", agent, 0, goal))
+    env.step(labs.actions.encode("wait"))
+    for _ in range(turns):
+        if env.agent_selection == "manager_0":
+            break
+        mask = env.infos[env.agent_selection].get("action_mask")
+        space = env.action_space(env.agent_selection)
+        env.step(rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask)[:-1])))
+    return env
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_it_is_true_by_name(name: str) -> None:
+    env = played(name, 0, 4)
+    labs, scenario, found = env.laboratories, env.scenario, parts(env)
+    litres = np.array([m.molar_mass_g_mol / m.density_kg_l / 1000.0 for m in scenario.materials.values()])
+    largest = labs.rules.largest_capacity
+    amounts = found["amounts"].reshape(-1, len(litres)) * largest / litres
+    np.testing.assert_allclose(amounts, labs.shelf.amounts[0], rtol=1e-6)
+    assert amounts.sum() > 0.0
+    dissolved = [list(scenario.materials).index(material) for material in labs.shelf.layout.dissolved]
+    spread = found["dissolved"].reshape(labs.shelf.dissolved[0].shape) * largest / litres[dissolved][:, None]
+    np.testing.assert_allclose(spread, labs.shelf.dissolved[0], rtol=1e-6)
+    for v, kelvin in enumerate(found["temperature"] * 600.0 + 200.0):
+        if found["present"][v]:
+            assert kelvin == pytest.approx(labs.shelf.vessel(0, v).temperature_k, rel=1e-6)
+            assert found["capacity"][v] * largest == pytest.approx(labs.shelf.vessel(0, v).capacity_l, rel=1e-6)
+            assert found["clock"][v] == pytest.approx(labs.shelf.vessel(0, v).settling, rel=1e-6, abs=1e-7)
+    for k, (bottle, full) in enumerate(scenario.stock.items()):
+        left = labs.shelf.stock[0, list(scenario.materials).index(bottle)]
+        assert found["stock"][k] == pytest.approx(left / full, rel=1e-6)
+    bench = labs.bench_agents[0]
+    assert found[f"{bench}_busy"] == 1.0
+    assert found[f"{bench}_origin"].tolist() == [1.0] + [0.0] * (scenario.shelf.slots - 1)
+    assert found[f"{bench}_steps"] == pytest.approx(4 / labs.benches[0].spec.step_limit)
+    assert [scenario.goals[g] for g in np.flatnonzero(found[f"{bench}_goal"])] == [scenario.goals[labs.desk.goal[0, 0]]]
+    assert np.flatnonzero(found["turn"]).tolist() == [1]
+    assert found["actions"] == pytest.approx(2 / scenario.limits.manager_actions)
+    assert found["ticks"] == pytest.approx(4 / scenario.limits.ticks)
+    goals = found["goal"].reshape(scenario.orders, -1).argmax(axis=1)
+    np.testing.assert_array_equal(goals, labs.desk.goal[0])
+    assert not found["over"].any()
+    np.testing.assert_allclose(found["charges"], labs.charges(labs.members)[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_two_lines"])
+def test_nothing_is_missing(name: str) -> None:
+    """Whatever array of a running laboratory changes, the state changes with it."""
+    env = played(name, 1, 3)
+    labs = env.laboratories
+    tables: list[tuple[Any, set[str]]] = [(labs.shelf.table, ELSEWHERE), (labs.state, ELSEWHERE)]
+    tables += [(station.table, PASSING) for station in labs.stations if station.busy[0]]
+    assert len(tables) > 2
+    before = labs.snapshot()
+    whole = env.state()
+    checked = 0
+    for table, without in tables:
+        for field, array in table.arrays._asdict().items():
+            if field in without or not isinstance(array, np.ndarray) or not array.size:
+                continue
+            kept = array.copy()
+            if array.dtype == np.bool_:
+                array[...] = ~array
+            elif array.dtype.kind == "i":  # at another of the values it may have
+                array[...] = np.where(array > 0, array - 1, array + 1)
+            else:
+                array[...] = 0.9 * array + 0.01
+            assert (env.state() != whole).any(), field
+            array[...] = kept
+            checked += 1
+    assert checked > 20
+    np.testing.assert_array_equal(env.state(), whole)
+    env.step(0 if labs.action_counts[1] else np.full(env.action_space(env.agent_selection).shape, 0.5))
+    assert (env.state() != whole).any()
+    labs.restore(before)
+    np.testing.assert_array_equal(env.state(), whole)
+
+
+def test_it_knows_what_nobody_sees() -> None:
+    """Water for ether in a closed vessel on the shelf: to every agent the same, to the state not."""
+    env = raw_env("wurtz_dodecane")
+    env.reset(seed=0)
+    labs = env.laboratories
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 1.0})
+    seen, state = [env.observe(agent) for agent in env.agents], env.state()
+    litres = labs.shelf.vessel(0, 0).volume_l
+    water = env.scenario.materials["water"]
+    labs.shelf.fill(0, 0, 1.2, {"water": litres * 1000.0 * water.density_kg_l / water.molar_mass_g_mol})
+    for agent, before in zip(env.agents, seen, strict=True):
+        np.testing.assert_allclose(env.observe(agent), before, atol=1e-6)
+    assert np.abs(env.state() - state).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["wurtz_any", "wurtz_two_lines"])
+def test_a_batch_has_the_state_of_each(name: str) -> None:
+    batch, singles = BatchedLaboratory(3, name), [parallel_env(name) for _ in range(3)]
+    assert batch.state_space == singles[0].state_space
+    assert batch.state_channels == singles[0].state_channels
+    _, infos = batch.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for i, single in enumerate(singles):
+        single.reset(seed=5 + i)
+    for _ in range(60):
+        assert batch.state().shape == (3, *batch.state_space.shape)
+        assert batch.state().dtype == np.float32
+        for i, single in enumerate(singles):
+            np.testing.assert_array_equal(batch.state()[i], single.state())
+        actions: dict[str, npt.NDArray[Any]] = {}
+        for agent in batch.possible_agents:
+            mask = infos[agent].get("action_mask")
+            shape = batch.action_space(agent).shape or ()
+            actions[agent] = (
+                rng.random((3, *shape)) if mask is None else np.array([rng.choice(np.flatnonzero(row)) for row in mask])
+            )
+        *_, infos = batch.step(actions)
+        for i, single in enumerate(singles):
+            single.step({agent: rows[i] for agent, rows in actions.items()})
+            if not single.agents:
+                single.reset()
+
+
+def test_of_some_members_it_is_theirs() -> None:
+    batch = BatchedLaboratory(4, "wurtz_any")
+    batch.reset(seed=1)
+    state = GlobalState(batch.laboratories)
+    np.testing.assert_array_equal(state.see(np.array([3, 1])), batch.state()[[3, 1]])
