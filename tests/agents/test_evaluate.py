@@ -181,7 +181,7 @@ def test_command_for_people_and_programs(tmp_path: Path) -> None:
     file = tmp_path / "sub" / "out.json"
     shown = runner.invoke(app, [*arguments, "-o", str(file)], env={"COLUMNS": "160"})
     assert shown.exit_code == 0, shown.output
-    for part in ("heuristic", "random", "interquartile mean", "P(improvement)", "without NaCl"):
+    for part in ("heuristic", "random", "interquartile", "P(improvement)", "without NaCl"):
         assert part in shown.output
     stored = json.loads(file.read_text())
     assert [len(row["returns"]["dodecane"]) for row in stored["policies"]] == [4, 4]
