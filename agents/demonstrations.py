@@ -94,10 +94,10 @@ class _Teller:
         """The episodes of every agent, in order."""
         for move in self._replay.moves():
             self._enter(move)
-        desk = self._labs.desk
+        state = self._labs.state
         for agent, demonstration in list(self._open.items()):
             self._close(agent, self._replay.look(self._labs.agents.index(agent)))
-            over = agent == MANAGER_AGENT and desk.status[0] == TERMINATED
+            over = agent == MANAGER_AGENT and state.status[0] == TERMINATED
             demonstration.terminated, demonstration.truncated = over, not over
         return self.found
 
@@ -125,7 +125,7 @@ class _Teller:
 
     def _begin(self, agent: str, number: int, tick: int) -> None:
         labs = self._labs
-        goal = labs.scenario.goals[int(labs.stations[number - 1].goal[0])] if number else ""
+        goal = labs.scenario.goals[int(labs.experiments[number - 1].goal[0])] if number else ""
         self._open[agent] = self._latest[agent] = Demonstration(agent, goal, tick)
         self.found[agent].append(self._open[agent])
         self._turn_at.pop(agent, None)
@@ -133,7 +133,7 @@ class _Teller:
 
     def _close(self, agent: str, look: Look) -> None:
         demonstration = self._open.pop(agent)
-        elapsed = int(self._labs.desk.ticks[0]) - self._turn_at[agent]
+        elapsed = int(self._labs.state.ticks[0]) - self._turn_at[agent]
         # An experiment's last step takes its tick, too, though that is not over while other benches have their turns.
         demonstration.see(look, elapsed if agent == MANAGER_AGENT else max(elapsed, 1))
         demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)

@@ -94,14 +94,14 @@ def play_episode(
         recorder.begin(seed, options)
     labs, members = env.laboratories, env.laboratories.members
     result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
-    result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.desk.goal[0])
-    while labs.desk.status[0] == 0:
+    result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.state.goal[0])
+    while labs.state.status[0] == 0:
         agent = env.agent_selection
         number = env.possible_agents.index(agent)
         observation, _, _, _, info = env.last()
         assert observation is not None
         mask = info.get("action_mask")
-        tick = int(labs.desk.ticks[0])
+        tick = int(labs.state.ticks[0])
         step = int(labs.turns_had(number)[0])
         action = policies[agent].act(
             observation[None], None if mask is None else mask[None], np.array([step]), members
@@ -117,8 +117,8 @@ def play_episode(
     outcome = labs.outcome()
     result.submitted_mol, result.purity = outcome["submitted_mol"], outcome["purity"]
     result.score = float(labs.result(members)[0])
-    result.manager_actions, result.ticks = int(labs.desk.actions[0]), int(labs.desk.ticks[0])
-    result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.desk.charges[0], strict=True)}
+    result.manager_actions, result.ticks = int(labs.state.actions[0]), int(labs.state.ticks[0])
+    result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.state.charges[0], strict=True)}
     totals = zip(labs.scenario.safety_events, labs.safety_totals[0], strict=True)
     result.safety_events = {kind: float(value) for kind, value in totals if value > 0.0}
     result.terminated = bool(env.terminations[env.possible_agents[0]])

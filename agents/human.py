@@ -439,7 +439,7 @@ class HumanPolicy:
             fill = seen.number(f"slot_{s}_fill")
             key = seen.choice(f"slot_{s}_last_bench", ["", *scenario.benches])
             bench = next((b for b in self._labs.benches if b.key == key), None)
-            role = seen.choice(f"slot_{s}_last_role", bench.positions) if bench and len(bench.positions) > 1 else ""
+            role = seen.choice(f"slot_{s}_last_position", bench.positions) if bench and len(bench.positions) > 1 else ""
             contents = f"[{_bar(fill, 12, self._full)}] {fill * capacity:.2f} of {capacity:.2f} L"
             table.add_row(str(s), Text(contents), f"{kelvin:.1f} K", f"{key} {role}".strip() or "(start)")
         if empty:

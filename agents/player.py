@@ -66,9 +66,9 @@ def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
     other = companion.if_goal if goal == companion.material else companion.material
     forms = {other}
     forms |= {
-        ion for salt in env.arena.scenario.family.salt if salt.solid == other for ion in (salt.cation, salt.anion)
+        ion for salt in env.batch.scenario.family.salt if salt.solid == other for ion in (salt.cation, salt.anion)
     }
-    present = bool(forms & env.arena.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys())
+    present = bool(forms & env.batch.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys())
     return f"{'with' if present else 'without'} {other}"
 
 
@@ -150,12 +150,12 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
 
     Players(labs, [policies[agent] for agent in labs.agents]).play_on(labs.members, count)
     scores = labs.result(labs.members)
-    submitted = labs.desk.submitted
+    submitted = labs.state.submitted
     measures = {
         "submitted_mol": submitted[:, :, 0].sum(axis=1),
         "purity": submitted[:, :, 1].mean(axis=1),
-        "instruments": labs.desk.charges[:, COST_ITEMS.index("instruments")].copy(),
-        "manager_actions": labs.desk.actions.astype(np.float64),
+        "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
+        "manager_actions": labs.state.actions.astype(np.float64),
     }
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
-    return Played(scores, labs.desk.ticks.copy(), cost, illegal, [""] * n, measures)
+    return Played(scores, labs.state.ticks.copy(), cost, illegal, [""] * n, measures)

@@ -35,20 +35,20 @@ class _Recording:
         actions = self._policy.act(observation, mask, step, members)
         kind, *arguments = self._labs.actions.decode(int(actions[0]))
         if kind == "start":
-            station = self._labs.bench_agents.index(str(arguments[0]))
-            self._keep(self._labs.benches[station].key, int(arguments[1]), str(arguments[2]))
+            experiments = self._labs.bench_agents.index(str(arguments[0]))
+            self._keep(self._labs.benches[experiments].key, int(arguments[1]), str(arguments[2]))
         elif kind == "submit":
             order = int(arguments[1]) if len(arguments) > 1 else 0
-            goal = self._labs.scenario.goals[self._labs.desk.goal[0, order]]
+            goal = self._labs.scenario.goals[self._labs.state.goal[0, order]]
             self._keep(SUBMIT, int(arguments[0]), goal)
         return actions
 
     def _keep(self, stage: str, slot: int, goal: str) -> None:
         labs = self._labs
-        vessel, last = labs.shelf.vessel(0, slot), int(labs.desk.last_bench[0, slot])
+        vessel, last = labs.shelf.vessel(0, slot), int(labs.state.last_bench[0, slot])
         contents = {n: mol for n, mol in vessel.amounts(_LEAST_MOL).items() if n in labs.shelf.layout.materials}
         bench = list(labs.scenario.benches)[last - 1] if last else None
-        start = Start(goal, 1.0, vessel.capacity_l, contents, bench, int(labs.desk.last_role[0, slot]))
+        start = Start(goal, 1.0, vessel.capacity_l, contents, bench, int(labs.state.last_position[0, slot]))
         self._found[stage].append(start)
 
 

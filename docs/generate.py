@@ -30,8 +30,8 @@ from chemlab.bench import operations, reaction
 from chemlab.bench.base import Bench
 from chemlab.cli import app as command
 from chemlab.laboratory import describe as facts
-from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import AbsorptionPeak, Material
 from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent
 from chemlab.scenario import (
@@ -158,7 +158,7 @@ def _bench_ids() -> str:
     parts = []
     for name, spec in gymnasium.registry.items():
         if spec.entry_point == "chemlab.laboratory.bench_env:BenchEnv" and "bench" in spec.kwargs:
-            bench = BenchArena(spec.kwargs["scenario"], spec.kwargs["bench"]).bench
+            bench = ExperimentBatch(spec.kwargs["scenario"], spec.kwargs["bench"]).bench
             scored = f"Score: {bench.score_meaning}. Step limit: {bench.spec.step_limit}."
             doc = _markdown(inspect.getdoc(type(bench)) or "")
             parts += [f"## {name}", "", doc, "", scored, "", _bench_tables(bench, "###")]

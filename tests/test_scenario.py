@@ -435,7 +435,7 @@ def test_the_laboratory_itself_comes_to_the_maximum_of_a_mixed_product() -> None
     env = BenchEnv(load_scenario(slow), "rxn")
     env.reset(seed=0, options={"goal": "5-methylundecane"})
     made = sum(float(env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0], dtype=np.float32))[1]) for _ in range(3))
-    assert made == pytest.approx(env.arena.scenario.theoretical_maximum_mol["5-methylundecane"], rel=1e-3)
+    assert made == pytest.approx(env.batch.scenario.theoretical_maximum_mol["5-methylundecane"], rel=1e-3)
 
 
 def test_the_shipped_scenarios_are_those_of_the_folder() -> None:
@@ -468,8 +468,8 @@ def test_lint(name: str) -> None:
             assert bench.action_space == gymnasium.spaces.Box(0.0, 1.0, (len(bench.options.reagents) + 2,), np.float32)
         else:
             assert bench.action_space == gymnasium.spaces.Discrete({"ext": 41, "dit": 31}[bench.key])
-    starts = len(labs.stations) * slots * goals
-    others = slots * len(scenario.instruments) + slots + slots * scenario.orders + len(labs.stations) + 1
+    starts = len(labs.experiments) * slots * goals
+    others = slots * len(scenario.instruments) + slots + slots * scenario.orders + len(labs.experiments) + 1
     assert labs.manager_action_space == gymnasium.spaces.Discrete(starts + others)
     # Goals can be made, and no more of them than the file says.
     for goal in scenario.goals:
@@ -651,7 +651,7 @@ def test_a_users_scenario_plays_and_conserves(slime: Path, seed: int) -> None:
     names = list(env.scenario.materials)
     submits = {labs.actions.encode("submit", slot) for slot in range(4)}
     turns = 0
-    while labs.desk.status[0] == 0:
+    while labs.state.status[0] == 0:
         mask = env.infos[env.agent_selection].get("action_mask")
         if mask is None:
             action: Any = rng.random(3)

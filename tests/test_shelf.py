@@ -108,7 +108,7 @@ def test_a_played_episode_conserves_every_element_and_the_charge(name: str) -> N
     env.reset(seed=3)
     start = labs.shelf.total()[0] @ atoms
     turns = 0
-    while labs.desk.status[0] == 0:
+    while labs.state.status[0] == 0:
         mask = env.infos[env.agent_selection].get("action_mask")
         if mask is None:
             env.step(rng.random(env.action_space(env.agent_selection).shape))

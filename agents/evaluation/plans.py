@@ -143,7 +143,7 @@ class _Trials:
             self.labs.seed(member, np.random.SeedSequence(seed))
         self.labs.reset(members, context[0])
         # A reset by name asks for the same in every order; it draws what any other draws.
-        self.labs.desk.goal[members] = [scenario.goals.index(goal) for goal in context]
+        self.labs.state.goal[members] = [scenario.goals.index(goal) for goal in context]
         self._begun = self.labs.snapshot()
 
     def seed_policies(self, policies: Iterable[Policy]) -> None:
@@ -665,7 +665,7 @@ def replay_actions(
     told = watch or (lambda _: None)
     labs = Laboratories(spec, episodes)
     seeing = play_laboratory(labs, make_policies(policy, labs, seed), None, seed).returns
-    contexts = [tuple(spec.goals[goal] for goal in row) for row in labs.desk.goal.tolist()]
+    contexts = [tuple(spec.goals[goal] for goal in row) for row in labs.state.goal.tolist()]
     told(episodes)
     blind, best = np.empty(episodes), {}
     for context in dict.fromkeys(contexts):

@@ -128,7 +128,7 @@ class ManagerHeuristic:
     def _history(self, observation: ObservationArray, slot: int) -> tuple[str | None, int]:
         """(bench the vessel was at last, its role there)."""
         last = int(observation[self._slices[f"slot_{slot}_last_bench"]].argmax())
-        role = int(observation[self._slices[f"slot_{slot}_last_role"]].argmax())
+        role = int(observation[self._slices[f"slot_{slot}_last_position"]].argmax())
         return (self._keys[last - 1] if last > 0 else None), role
 
     def _begin(self, observation: ObservationArray) -> list[_Line]:

@@ -125,7 +125,7 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         return observations, infos
 
     def _running(self) -> bool:
-        return bool(self.laboratory.laboratories.desk.status[0] == RUNNING)
+        return bool(self.laboratory.laboratories.state.status[0] == RUNNING)
 
     def step(
         self, action_dict: dict[str, Any]

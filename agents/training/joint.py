@@ -205,7 +205,7 @@ class _Team(LaboratoryTrainee):
     def _player(self, number: int) -> Policy:
         role = role_of(self.labs.agents[number])
         if role in self.learners:
-            return _Acting(self.learners[role], self._stream(number), self.labs.desk.ticks)
+            return _Acting(self.learners[role], self._stream(number), self.labs.state.ticks)
         return agent_policy(self.arguments.background, self.labs, number, self.arguments.seed)
 
     def collect(self) -> None:
@@ -213,7 +213,7 @@ class _Team(LaboratoryTrainee):
         labs = self.labs
         for _ in range(self.arguments.rollout):
             self._players.play_pass(labs.members, self._after)
-            over = labs.members[labs.desk.status != RUNNING]
+            over = labs.members[labs.state.status != RUNNING]
             if len(over):
                 self.returns += labs.result(over).tolist()
                 labs.reset(over)
@@ -221,7 +221,7 @@ class _Team(LaboratoryTrainee):
     def _after(self, number: int, members: IntArray) -> None:
         """Everybody's share of a turn; experiments and episodes that it ended."""
         labs = self.labs
-        status = labs.desk.status[members]
+        status = labs.state.status[members]
         for other, agent in enumerate(labs.agents):
             learner = self.learners.get(role_of(agent))
             if learner is None:
@@ -232,7 +232,7 @@ class _Team(LaboratoryTrainee):
             if other > 0 and not self._shared:
                 ended |= np.isfinite(labs.scores[members, other])
             if ended.any():
-                experience.end(streams[ended], labs.desk.ticks[members[ended]])
+                experience.end(streams[ended], labs.state.ticks[members[ended]])
 
     def update(self, learning: list[str], remaining: float) -> int:
         """Let some roles learn from the rollout; the others' experience of it is forgotten."""

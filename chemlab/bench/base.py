@@ -44,9 +44,9 @@ __all__ = [
     "BenchRules",
     "Channel",
     "ExperimentState",
+    "Experiments",
     "Goals",
     "Observation",
-    "Station",
     "build_bench",
     "channel_slices",
     "check_box",
@@ -85,7 +85,7 @@ class Observation(Part):
 
     Attributes:
         channel: what it is: ``channel(bench) -> Channel``; the manager's ``channel(laboratories)``.
-        see: its values, in [0, 1]: ``see(bench, shelf, station, members) -> [B, size]``, of experiments that are
+        see: its values, in [0, 1]: ``see(bench, shelf, experiments, members) -> [B, size]``, of experiments that are
             running; the manager's ``see(laboratories, members)``.
     """
 
@@ -284,7 +284,7 @@ def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, 
             place(arrays.rows[state.places[m, p]], rules.auxiliary_capacity, chem)
 
 
-class Station:
+class Experiments:
     """One bench of N laboratories: the arrays of its running experiments (:class:`ExperimentState` and the bench's own,
     as attributes).
 
@@ -322,7 +322,7 @@ class Station:
 class Bench(ABC):
     """A kind of bench of one scenario: what its agent sees and may do, and what an experiment is worth.
 
-    A bench holds no experiment: its methods work on a :class:`Shelf` and a :class:`Station`, for the laboratories
+    A bench holds no experiment: its methods work on a :class:`Shelf` and a :class:`Experiments`, for the laboratories
     ``members`` [B] of them. The same object therefore serves single environments, batches and laboratories. To add a
     bench, subclass this in a file of your own and name it in the scenario (``kind = "my_bench.py:Class"``, or
     ``package.module:Class``).
@@ -444,54 +444,54 @@ class Bench(ABC):
             )
         return self.layout.index(name)
 
-    def begin(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        """Start experiments: the first position's vessel is there, ``station.goal`` is set."""
-        _begin(members, *self._handles(shelf, station))
-        self.prepare(shelf, station, members)
-        station.baseline[members] = self.measure(shelf, station, members)
+    def begin(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        """Start experiments: the first position's vessel is there, ``experiments.goal`` is set."""
+        _begin(members, *self._handles(shelf, experiments))
+        self.prepare(shelf, experiments, members)
+        experiments.baseline[members] = self.measure(shelf, experiments, members)
 
-    def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:  # noqa: B027 - may stay empty
+    def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
         """Bench-specific part of :meth:`begin`."""
 
-    def finish(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+    def finish(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         """End experiments and return their scores [B]."""
-        score: FloatArray = self.measure(shelf, station, members) - station.baseline[members]
-        station.busy[members] = False
-        self.release(shelf, station, members)
+        score: FloatArray = self.measure(shelf, experiments, members) - experiments.baseline[members]
+        experiments.busy[members] = False
+        self.release(shelf, experiments, members)
         return score
 
-    def release(self, shelf: Shelf, station: Station, members: IntArray) -> None:  # noqa: B027 - may stay empty
+    def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
         """Bench-specific part of :meth:`finish`: leave the vessels as the shelf may have them."""
 
     @abstractmethod
-    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         """What the experiment's score is the change of, [B]."""
 
     @abstractmethod
-    def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        """One step of the experiments of ``members``; fills the station's steps, ended, illegal and events."""
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        """One step of the experiments of ``members``; fills the experiments' steps, ended, illegal and events."""
 
     @abstractmethod
-    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         """Write the bench's own channels and the goal's into ``out`` [B, size]; an idle bench sees zeros."""
 
-    def observe(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+    def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
-        self.see(shelf, station, members, out)
+        self.see(shelf, experiments, members, out)
         if self._added:
-            self._observe_added(shelf, station, members, out)
+            self._observe_added(shelf, experiments, members, out)
 
-    def _observe_added(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
-        busy, at = station.busy[members], self._added_from
+    def _observe_added(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        busy, at = experiments.busy[members], self._added_from
         some = members[busy]
         out[:, at:] = 0.0
         channels = self.channels[len(self.channels) - len(self._added) :]
         for (name, part), channel in zip(self._added.items(), channels if len(some) else (), strict=len(some) > 0):
-            out[busy, at : at + channel.size] = part.seen(name, len(some), channel.size, self, shelf, station, some)
+            out[busy, at : at + channel.size] = part.seen(name, len(some), channel.size, self, shelf, experiments, some)
             at += channel.size
 
     @abstractmethod
-    def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
         """Write the legal actions into ``out`` [B, actions] (1 = legal); benches with continuous actions have none."""
 
     @abstractmethod
@@ -501,7 +501,7 @@ class Bench(ABC):
     def consequences(
         self,
         shelf: Shelf,
-        station: Station,
+        experiments: Experiments,
         members: IntArray,
         cost: FloatArray,
         reward: FloatArray,
@@ -510,16 +510,16 @@ class Bench(ABC):
         """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
         a lost turn take off, and the scenario's own terms. ``begun``: the experiments have only begun, no action has
         been taken yet, and so there are no terms."""
-        _consequences(members, station.handle, self.rules.handle, cost, reward)
+        _consequences(members, experiments.handle, self.rules.handle, cost, reward)
         if not begun:
             for name, term in self._terms.items():
                 with blamed(name):
-                    earned = term(self, shelf, station, members)
+                    earned = term(self, shelf, experiments, members)
                 reward[members] += checked(earned, members.shape, name)
 
-    def _handles(self, shelf: Shelf, station: Station) -> tuple[Handle, Handle, Handle, Handle]:
+    def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:
         """What most of a bench's kernels take."""
-        return station.handle, self.rules.handle, shelf.handle, shelf.chemistry.handles
+        return experiments.handle, self.rules.handle, shelf.handle, shelf.chemistry.handles
 
     def separate_scratch(self) -> Bench:
         """The same bench with scratch arrays of its own, for use in another thread."""
@@ -527,10 +527,12 @@ class Bench(ABC):
         other.rules = self.rules.copy()
         return other
 
-    def purity_measure(self, shelf: Shelf, station: Station, members: IntArray, counts: FloatArray) -> FloatArray:
+    def purity_measure(
+        self, shelf: Shelf, experiments: Experiments, members: IntArray, counts: FloatArray
+    ) -> FloatArray:
         """[B] sum over the positions of (mol of the goal x its purity there)."""
         out = np.empty(len(members))
-        _purity_scores(members, station.handle, shelf.handle, self.goals.parts, counts, out)
+        _purity_scores(members, experiments.handle, shelf.handle, self.goals.parts, counts, out)
         return out
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..shelf import Shelf
-from .base import Station
+from .base import Experiments
 from .operations import OperationBench
 
 __all__ = ["DistillationBench"]
@@ -40,5 +40,5 @@ class DistillationBench(OperationBench):
             [[self.options.coolest_k, self.options.hottest_k], [0.0, self.auxiliary_capacity_l], [0.0, ambient]]
         )
 
-    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
-        return self.purity_measure(shelf, station, members, self.goals.absolute_counts)
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        return self.purity_measure(shelf, experiments, members, self.goals.absolute_counts)

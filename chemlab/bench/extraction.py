@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ..arrays import FloatArray, IntArray
 from ..shelf import Shelf
-from .base import Station
+from .base import Experiments
 from .operations import OperationBench
 
 __all__ = ["ExtractionBench"]
@@ -33,5 +33,5 @@ class ExtractionBench(OperationBench):
     score_meaning = "gain of mol x solute purity of the goal"
     process_kinds = ("drain", "mix", "pour", "add", "settle")
 
-    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
-        return self.purity_measure(shelf, station, members, self.goals.solute_counts)
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        return self.purity_measure(shelf, experiments, members, self.goals.solute_counts)

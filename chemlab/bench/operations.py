@@ -27,7 +27,7 @@ from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
-from .base import CAMERA_PIXELS, Bench, BenchRules, Channel, ExperimentState, Station, check_discrete
+from .base import CAMERA_PIXELS, Bench, BenchRules, Channel, Experiments, ExperimentState, check_discrete
 from .models import SeparationModel
 
 __all__ = ["OperationBench", "OperationOptions", "Process"]
@@ -369,53 +369,61 @@ class OperationBench(Bench):
     def action_meanings(self) -> list[str]:
         return list(self._meanings)
 
-    def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        station.changed[members] = True
-        self._show(shelf, station, members)
+    def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        experiments.changed[members] = True
+        self._show(shelf, experiments, members)
 
-    def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
         if self._others:
-            self._perform_others(shelf, station, members, actions)
-        _step(members, actions, self.separation_model is None, *self._handles(shelf, station))
+            self._perform_others(shelf, experiments, members, actions)
+        _step(members, actions, self.separation_model is None, *self._handles(shelf, experiments))
         if self.separation_model is not None:
-            self._show(shelf, station, members)
+            self._show(shelf, experiments, members)
 
-    def _own_turn(self, shelf: Shelf, station: Station, member: int, action: int) -> tuple[str, Operation, Turn]:
+    def _own_turn(
+        self, shelf: Shelf, experiments: Experiments, member: int, action: int
+    ) -> tuple[str, Operation, Turn]:
         """The operation of an action that is not chemlab's, its name, and what it works on."""
         number = int(self.table[action, _KIND]) - _BUILT_IN
         turn = getattr(_turn, "py_func", _turn)
-        made: Turn = turn(member, action, station.table.arrays, self.rules.arrays, shelf.table.arrays)
+        made: Turn = turn(member, action, experiments.table.arrays, self.rules.arrays, shelf.table.arrays)
         return self._names[number], self._others[number], made._replace(numbers=self._numbers[number])
 
-    def _own_legal(self, shelf: Shelf, station: Station, member: int, action: int) -> bool:
-        name, operation, turn = self._own_turn(shelf, station, member, action)
+    def _own_legal(self, shelf: Shelf, experiments: Experiments, member: int, action: int) -> bool:
+        name, operation, turn = self._own_turn(shelf, experiments, member, action)
         with blamed(f"{name}: legal()"):
             return bool(operation.legal(turn, shelf.chem(member)))
 
-    def _perform_others(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
+    def _perform_others(
+        self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]
+    ) -> None:
         """Carry out operations that are not chemlab's."""
         others = self.table[actions, _KIND] >= _BUILT_IN
         for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
-            station.events[m], station.elapsed[m] = 0.0, 0.0
-            station.illegal[m] = not self._own_legal(shelf, station, m, a)
-            if station.illegal[m]:
+            experiments.events[m], experiments.elapsed[m] = 0.0, 0.0
+            experiments.illegal[m] = not self._own_legal(shelf, experiments, m, a)
+            if experiments.illegal[m]:
                 continue
-            name, operation, turn = self._own_turn(shelf, station, m, a)
+            name, operation, turn = self._own_turn(shelf, experiments, m, a)
             with blamed(f"{name}: act()"):
                 elapsed = operation.act(turn, shelf.chem(m))
-            station.elapsed[m] = checked(elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)")
+            experiments.elapsed[m] = checked(
+                elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)"
+            )
             for row in (turn.row, turn.target):
                 if not (np.isfinite(row).all() and row[AMOUNTS:].min() >= -1e-9):
                     raise PartError(f"{name}: act() has left amounts that are negative or not finite in a vessel")
 
-    def _show(self, shelf: Shelf, station: Station, members: IntArray) -> None:
+    def _show(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         """Bring layers and pictures up to date."""
         if self.separation_model is not None:
             for m in members.tolist():
-                for place, layers, shares in zip(station.places[m], station.layers[m], station.profile[m], strict=True):
+                for place, layers, shares in zip(
+                    experiments.places[m], experiments.layers[m], experiments.profile[m], strict=True
+                ):
                     self._separate_by_model(shelf.rows[place], shelf.known(m), shelf.chem(m), layers, shares)
-            station.changed[members] = False
-        _step(members, np.full(len(members), -1), True, *self._handles(shelf, station))
+            experiments.changed[members] = False
+        _step(members, np.full(len(members), -1), True, *self._handles(shelf, experiments))
 
     def _separate_by_model(
         self, row: FloatArray, known: Chemistry, chem: Handle, layers: IntArray, shares: FloatArray
@@ -454,14 +462,14 @@ class OperationBench(Bench):
             )
         shares[:count] = picture
 
-    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
-        _observe(members, *self._handles(shelf, station), out)
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        _observe(members, *self._handles(shelf, experiments), out)
 
-    def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
-        _mask(members, *self._handles(shelf, station), out)
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
+        _mask(members, *self._handles(shelf, experiments), out)
         for first, end in self._own_actions:  # a process's magnitudes are legal or not together
             for row, m in zip(out, members.tolist(), strict=True):
-                row[first:end] = station.busy[m] and self._own_legal(shelf, station, m, first)
+                row[first:end] = experiments.busy[m] and self._own_legal(shelf, experiments, m, first)
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return np.array([check_discrete(agent, action, len(self.table))])

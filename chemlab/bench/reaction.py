@@ -39,8 +39,8 @@ from .base import (
     Bench,
     BenchRules,
     Channel,
+    Experiments,
     ExperimentState,
-    Station,
     check_box,
     goal_amount,
     weighted_amount,
@@ -331,37 +331,37 @@ class ReactionBench(Bench):
             "scratch": np.zeros(react_work_size(self.known)),
         }
 
-    def prepare(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        station.supply[members] = self._full
-        _seal(members, *self._handles(shelf, station))
+    def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        experiments.supply[members] = self._full
+        _seal(members, *self._handles(shelf, experiments))
 
-    def release(self, shelf: Shelf, station: Station, members: IntArray) -> None:
-        _seal(members, *self._handles(shelf, station))
-        shelf.rows[station.places[members, 0], AIR] = 0.0
+    def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        _seal(members, *self._handles(shelf, experiments))
+        shelf.rows[experiments.places[members, 0], AIR] = 0.0
 
-    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         out = np.empty(len(members))
-        _measure(members, station.handle, self.rules.handle, shelf.handle, out)
+        _measure(members, experiments.handle, self.rules.handle, shelf.handle, out)
         return out
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         return check_box(agent, action, self.reagents + 2)[None]
 
-    def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        handles = self._handles(shelf, station)
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        handles = self._handles(shelf, experiments)
         if self.reaction_model is None:
             stiff = _step(members, actions, *handles)
             if stiff >= 0:
                 raise ArithmeticError(
-                    f"{station.agent}: the reactions of laboratory {stiff} at "
-                    f"{shelf.rows[station.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
+                    f"{experiments.agent}: the reactions of laboratory {stiff} at "
+                    f"{shelf.rows[experiments.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
                     f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a "
                     f"shorter benches.{self.key}.tick, or smaller rate constants"
                 )
             return
         _load_all(members, actions, *handles)
         for m in members.tolist():
-            row = shelf.rows[station.places[m, 0]]
+            row = shelf.rows[experiments.places[m, 0]]
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
             amounts[:] = checked_reaction(
                 self.reaction_model,
@@ -373,8 +373,8 @@ class ReactionBench(Bench):
             )
         _conclude_all(members, *handles)
 
-    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
-        _observe(members, *self._handles(shelf, station), out)
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        _observe(members, *self._handles(shelf, experiments), out)
 
-    def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
         """Continuous actions have no mask."""

@@ -234,9 +234,11 @@ class _Account:
         kind, *arguments = labs.actions.decode(int(turn.action))
         if kind == "start":
             labs = self._env.laboratories
-            station = labs.bench_agents.index(str(arguments[0]))
-            vessel = labs.shelf.vessel(0, int(labs.rules.first[station]))
-            return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {plain(labs.benches[station].score_meaning)}"
+            experiments = labs.bench_agents.index(str(arguments[0]))
+            vessel = labs.shelf.vessel(0, int(labs.rules.first[experiments]))
+            return (
+                f"a vessel with {vessel.volume_l:.2f} L in it; reward: {plain(labs.benches[experiments].score_meaning)}"
+            )
         if kind == "measure":
             return plain(reading_words(labs, int(arguments[0]), str(arguments[1])))
         return ""

@@ -23,7 +23,7 @@ from .base import Instrument, Reading
 
 __all__ = ["InstrumentRules", "InstrumentTable"]
 
-_TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_role"})
+_TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
 
 _read = chained([instrument.read for instrument in INSTRUMENTS.values()], 0.0)
 

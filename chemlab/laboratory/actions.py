@@ -21,11 +21,11 @@ class ManagerActions:
     """The manager's actions, enumerated from the scenario: every legal move has one number.
 
     Attributes:
-        table: [A, 4] kind, then its arguments (start: station, slot, goal; measure: slot, instrument; submit: slot,
-            order; discard: slot; recall: station; wait: none), -1 where there is none.
+        table: [A, 4] kind, then its arguments (start: bench, slot, goal; measure: slot, instrument; submit: slot,
+            order; discard: slot; recall: bench; wait: none), -1 where there is none.
     """
 
-    stations: tuple[str, ...]
+    bench_agents: tuple[str, ...]
     slots: int
     orders: int
     goals: tuple[str, ...]
@@ -35,17 +35,17 @@ class ManagerActions:
     @classmethod
     def of(cls, scenario: Scenario) -> ManagerActions:
         """The table for a scenario."""
-        stations, slots = scenario.bench_agents(), scenario.shelf.slots
+        bench_agents, slots = scenario.bench_agents(), scenario.shelf.slots
         rows = [
-            (START, b, s, g) for b in range(len(stations)) for s in range(slots) for g in range(len(scenario.goals))
+            (START, b, s, g) for b in range(len(bench_agents)) for s in range(slots) for g in range(len(scenario.goals))
         ]
         rows += [(MEASURE, s, i, -1) for s in range(slots) for i in range(len(scenario.instruments))]
         rows += [(DISCARD, s, -1, -1) for s in range(slots)]
         rows += [(SUBMIT, s, o, -1) for s in range(slots) for o in range(scenario.orders)]
-        rows += [(RECALL, b, -1, -1) for b in range(len(stations))]
+        rows += [(RECALL, b, -1, -1) for b in range(len(bench_agents))]
         rows += [(WAIT, -1, -1, -1)]
         table = np.array(rows, dtype=np.int64)
-        return cls(tuple(stations), slots, scenario.orders, scenario.goals, tuple(scenario.instruments), table)
+        return cls(tuple(bench_agents), slots, scenario.orders, scenario.goals, tuple(scenario.instruments), table)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -62,11 +62,11 @@ class ManagerActions:
             ValueError: no such action; the message names what there is.
         """
         spaces = {
-            "start": (self.stations, range(self.slots), self.goals),
+            "start": (self.bench_agents, range(self.slots), self.goals),
             "measure": (range(self.slots), self.instruments),
             "discard": (range(self.slots),),
             "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
-            "recall": (self.stations,),
+            "recall": (self.bench_agents,),
             "wait": (),
         }
         if kind not in spaces:
@@ -87,11 +87,11 @@ class ManagerActions:
         """(kind, arguments...) of an action: the inverse of :meth:`encode`."""
         kind, *arguments = (int(value) for value in self.table[action])
         if kind == START:
-            return "start", self.stations[arguments[0]], arguments[1], self.goals[arguments[2]]
+            return "start", self.bench_agents[arguments[0]], arguments[1], self.goals[arguments[2]]
         if kind == MEASURE:
             return "measure", arguments[0], self.instruments[arguments[1]]
         if kind == RECALL:
-            return "recall", self.stations[arguments[0]]
+            return "recall", self.bench_agents[arguments[0]]
         if kind == SUBMIT and self.orders > 1:
             return "submit", arguments[0], arguments[1]
         return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)

@@ -136,7 +136,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         mask = labs.mask(number, self._members)
         if mask is not None:
             info["action_mask"] = mask[0]
-        ticks = labs.desk.ticks.item(0)
+        ticks = labs.state.ticks.item(0)
         info["elapsed_ticks"] = ticks - self._last_turn[agent]
         self._last_turn[agent] = ticks
 
@@ -162,11 +162,11 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
         infos = self.infos
         infos[agent] = self._info(number)
-        if number == 0 and labs.desk.begun.item(0) >= 0:  # an experiment may begin with an accident
+        if number == 0 and labs.state.begun.item(0) >= 0:  # an experiment may begin with an accident
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
                     infos[self.possible_agents[other]] = self._info(other)
-        status = labs.desk.status.item(0)
+        status = labs.state.status.item(0)
         if labs.experiment_ended or status != RUNNING:
             self._add_scores(list(infos.values()))
         if status == RUNNING:
@@ -175,7 +175,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             over = self.terminations if status == TERMINATED else self.truncations
             for name in self.agents:
                 over[name] = True
-                infos[name]["elapsed_ticks"] = labs.desk.ticks.item(0) - self._last_turn[name]
+                infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
             self.agent_selection = self.possible_agents[0]
         if number and self.agent_selection == self.possible_agents[0]:
             infos[self.agent_selection]["costs"] = labs.charges(self._members)[0]

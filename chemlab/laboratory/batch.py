@@ -183,10 +183,10 @@ class BatchedLaboratory:
         labs.act_round(members, checked)
         rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
         scores = labs.scores.copy()
-        status = labs.desk.status.copy()
+        status = labs.state.status.copy()
         over = members[status != RUNNING]
         told = [self._told(number, acted[number]) for number in range(len(self.possible_agents))]
-        elapsed = labs.desk.ticks - self._last_turn
+        elapsed = labs.state.ticks - self._last_turn
         finals: list[ObservationArray] = []
         if len(over):
             scores[over, 0] = labs.result(over)
@@ -238,11 +238,11 @@ class BatchedLaboratory:
             kinds = len(self.scenario.safety_events)
             return {**info, "events": np.zeros((self.num_envs, kinds)), **manager_accounts(labs, slice(None))}
         # An experiment may begin with an accident, in a round in which its agent has not acted.
-        info["events"] = labs.stations[number - 1].events * (acted | (cost > 0.0))[:, None]
+        info["events"] = labs.experiments[number - 1].events * (acted | (cost > 0.0))[:, None]
         return info
 
     def _infos(self, begun: bool = False) -> dict[str, Arrays]:
-        ticks = self.laboratories.desk.ticks
+        ticks = self.laboratories.state.ticks
         infos: dict[str, Arrays] = {}
         for number, agent in enumerate(self.possible_agents):
             turn = self._turns[number].copy()

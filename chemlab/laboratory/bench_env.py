@@ -45,8 +45,8 @@ from gymnasium.vector import AutoresetMode
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import Scenario
-from .arena import BenchArena
 from .batch_env import BatchEnv, BoundedSpec, State
+from .experiments import ExperimentBatch
 from .rendering import RENDER_MODES, Rendered
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         separation_model: SeparationModel | None = None,
     ) -> None:
         self._set_render_mode(render_mode)
-        self.arena = BenchArena(scenario, bench, 1, goals, starts, reaction_model, separation_model)
-        self.bench = self.arena.bench
+        self.batch = ExperimentBatch(scenario, bench, 1, goals, starts, reaction_model, separation_model)
+        self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
         self.max_episode_steps = self.bench.step_limit + 1
@@ -108,14 +108,14 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         """
         super().reset(seed=seed)
         options = options or {}
-        goals = self.arena.scenario.goals
+        goals = self.batch.scenario.goals
         if set(options) - {"goal"} or options.get("goal", goals[0]) not in goals:
             raise ValueError(f"reset options: known: goal, one of {', '.join(goals)}; given {options!r}")
         if seed is not None or not self._seeded:
-            self.arena.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
+            self.batch.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
             self._seeded = True
         goal = options.get("goal")
-        self.arena.reset(self.arena.members, None if goal is None else goals.index(goal))
+        self.batch.reset(self.batch.members, None if goal is None else goals.index(goal))
         self._over = False
         self._show()
         return self._observe(), self._info(stepped=False)
@@ -127,19 +127,19 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
             ValueError: the action is outside the action space (nothing has changed).
             gymnasium.error.ResetNeeded: the experiment is over or has not begun.
         """
-        arena = self.arena
-        checked = self.bench.checked(arena.station.agent, action)
+        batch = self.batch
+        checked = self.bench.checked(batch.experiments.agent, action)
         if self._over:
             raise gymnasium.error.ResetNeeded("the experiment is over (or has not begun): call reset()")
-        arena.act(checked)
+        batch.act(checked)
         cost, reward = self._consequences
         cost[0], reward[0] = 0.0, 0.0
-        self.bench.consequences(arena.shelf, arena.station, arena.members, cost, reward)
+        self.bench.consequences(batch.shelf, batch.experiments, batch.members, cost, reward)
         total = float(reward[0])
         # The last observation and mask are still of the running experiment: look first.
         observation, info = self._observe(), self._info(float(cost[0]))
-        if arena.station.ended[0]:
-            score = float(arena.finish(arena.members)[0])
+        if batch.experiments.ended[0]:
+            score = float(batch.finish(batch.members)[0])
             info["experiment_over"], info["score"] = True, score
             total += score
             self._over = True
@@ -147,20 +147,20 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return observation, total, self._over, False, info
 
     def _observe(self) -> npt.NDArray[np.float32]:
-        self.arena.observe(self._observation)
+        self.batch.observe(self._observation)
         return np.array(self._observation[0])
 
     def _info(self, cost: float = 0.0, stepped: bool = True) -> dict[str, Any]:
-        station = self.arena.station
+        experiments = self.batch.experiments
         info: dict[str, Any] = {
             "cost": cost,
-            "events": station.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
-            "illegal_action": bool(station.illegal[0]),
+            "events": experiments.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
+            "illegal_action": bool(experiments.illegal[0]),
             "experiment_over": False,
             "score": 0.0,
         }
         if self.bench.action_count:
-            info["action_mask"] = self.arena.mask()[0]
+            info["action_mask"] = self.batch.mask()[0]
         return info
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
@@ -170,17 +170,17 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
             ValueError: the bench's actions are continuous.
         """
         if not self.bench.action_count:
-            raise ValueError(f"{self.arena.station.agent}: continuous actions have no mask")
-        return np.asarray(self.arena.mask()[0], dtype=np.bool_)
+            raise ValueError(f"{self.batch.experiments.agent}: continuous actions have no mask")
+        return np.asarray(self.batch.mask()[0], dtype=np.bool_)
 
     def get_state(self) -> State:
         """Copies of everything that changes, for :meth:`set_state` (planning, debugging)."""
         flags = np.array([self._over, self._seeded])
-        return [*(array.copy() for array in self.arena.arrays()), flags]
+        return [*(array.copy() for array in self.batch.arrays()), flags]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
         """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation."""
-        for array, saved in zip(self.arena.arrays(), state[:-1], strict=True):
+        for array, saved in zip(self.batch.arrays(), state[:-1], strict=True):
             array[...] = saved
         self._over, self._seeded = bool(state[-1][0]), bool(state[-1][1])
         return self._observe()
@@ -188,16 +188,16 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     def _scene(self) -> Scene:
         from ..render.scene import bench_scene
 
-        return bench_scene(self.arena)
+        return bench_scene(self.batch)
 
     def _text(self) -> str:
-        station, bench = self.arena.station, self.bench
+        experiments, bench = self.batch.experiments, self.bench
         lines = [
-            f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[station.goal[0]]}, "
-            f"step {station.steps[0]}/{bench.spec.step_limit}"
+            f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[experiments.goal[0]]}, "
+            f"step {experiments.steps[0]}/{bench.spec.step_limit}"
         ]
         for p, position in enumerate(bench.positions):
-            vessel = self.arena.shelf.vessel(0, p)
+            vessel = self.batch.shelf.vessel(0, p)
             lines.append(
                 f"  {position:<6} {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L, {vessel.temperature_k:.1f} K"
             )
@@ -244,13 +244,13 @@ class BenchVectorEnv(BatchEnv):
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
-        self.arena = BenchArena(scenario, bench, num_envs, goals, starts, reaction_model, separation_model)
-        self.bench = self.arena.bench
+        self.batch = ExperimentBatch(scenario, bench, num_envs, goals, starts, reaction_model, separation_model)
+        self.bench = self.batch.bench
         super().__init__(
             num_envs,
-            self.arena.station.agent,
-            self.arena.scenario.goals,
-            len(self.arena.scenario.safety_events),
+            self.batch.experiments.agent,
+            self.batch.scenario.goals,
+            len(self.batch.scenario.safety_events),
             self.bench.step_limit,
             self.bench.observation_space,
             self.bench.action_space,
@@ -268,10 +268,10 @@ class BenchVectorEnv(BatchEnv):
         ]
 
     def _seed_member(self, member: int, seed: int) -> None:
-        self.arena.seed(member, seed)
+        self.batch.seed(member, seed)
 
     def _begin(self, members: IntArray, goal: int | None) -> None:
-        self.arena.reset(members, goal)
+        self.batch.reset(members, goal)
         for chunk, bench in self._chunks:
             self._look(chunk, bench)
 
@@ -288,36 +288,36 @@ class BenchVectorEnv(BatchEnv):
         self, members: npt.NDArray[np.int64], bench: Any, actions: npt.NDArray[Any]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
         """Step one thread's members; returns those that ended and, with SAME_STEP, their last observations."""
-        arena = self.arena
-        shelf, station = arena.shelf, arena.station
+        batch = self.batch
+        shelf, experiments = batch.shelf, batch.experiments
         low, high = int(members[0]), int(members[-1]) + 1
         self._terminated[low:high] = False
         self._scores[low:high] = np.nan
         acting, waiting = members, self._pending[low:high]
         if waiting.any():
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                arena.reset(members[waiting], None, bench)
+                batch.reset(members[waiting], None, bench)
             acting = members[~waiting]
             self._rewards[members[waiting]] = 0.0
             self._costs[members[waiting]], self._illegal[members[waiting]] = 0.0, False
             self._events[members[waiting]] = 0.0
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
-        bench.act(shelf, station, acting, chosen)
+        bench.act(shelf, experiments, acting, chosen)
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
-        bench.consequences(shelf, station, acting, self._costs, self._rewards)
+        bench.consequences(shelf, experiments, acting, self._costs, self._rewards)
         # A reset in the same step forgets these there.
         rows: Any = slice(low, high) if len(acting) == len(members) else acting
-        self._illegal[rows], self._events[rows] = station.illegal[rows], station.events[rows]
-        ended = acting[station.ended[acting]]
+        self._illegal[rows], self._events[rows] = experiments.illegal[rows], experiments.events[rows]
+        ended = acting[experiments.ended[acting]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
             self._terminated[ended] = True
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 last = np.empty((len(ended), self._observations.shape[1]), dtype=np.float32)
-                bench.observe(shelf, station, ended, last)
+                bench.observe(shelf, experiments, ended, last)
                 self._score(bench, ended)
-                arena.reset(ended, None, bench)
+                batch.reset(ended, None, bench)
             else:
                 # The last observation is still of the running experiment: look first.
                 self._look(members, bench)
@@ -328,16 +328,16 @@ class BenchVectorEnv(BatchEnv):
         return ended, last
 
     def _score(self, bench: Any, ended: npt.NDArray[np.int64]) -> None:
-        score = bench.finish(self.arena.shelf, self.arena.station, ended)
+        score = bench.finish(self.batch.shelf, self.batch.experiments, ended)
         self._scores[ended] = score
         self._rewards[ended] += score
 
     def _look(self, members: npt.NDArray[np.int64], bench: Any) -> None:
         low, high = int(members[0]), int(members[-1]) + 1
-        shelf, station = self.arena.shelf, self.arena.station
-        bench.observe(shelf, station, members, self._observations[low:high])
+        shelf, experiments = self.batch.shelf, self.batch.experiments
+        bench.observe(shelf, experiments, members, self._observations[low:high])
         if bench.action_count:
-            bench.mask(shelf, station, members, self._masks[low:high])
+            bench.mask(shelf, experiments, members, self._masks[low:high])
 
     @property
     def action_meanings(self) -> list[str]:
@@ -345,7 +345,7 @@ class BenchVectorEnv(BatchEnv):
         return self.bench.action_meanings
 
     def _more_arrays(self) -> State:
-        return self.arena.arrays()
+        return self.batch.arrays()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""

@@ -32,16 +32,16 @@ def manager_accounts(laboratories: Laboratories, which: int | slice = 0) -> dict
     ``goals`` [orders] (index into the scenario's), ``submitted_mol`` [orders] and ``purity`` [orders] of the vessel
     submitted for it (0 until then).
     """
-    desk = laboratories.desk
+    state = laboratories.state
     if isinstance(which, int):
         costs = laboratories.charges(laboratories.members[which : which + 1])[0]
     else:
         costs = laboratories.charges(laboratories.members[which])
     return {
         "costs": costs,
-        "goals": desk.goal[which].copy(),
-        "submitted_mol": desk.submitted[which, :, 0].copy(),
-        "purity": desk.submitted[which, :, 1].copy(),
+        "goals": state.goal[which].copy(),
+        "submitted_mol": state.submitted[which, :, 0].copy(),
+        "purity": state.submitted[which, :, 1].copy(),
     }
 
 
@@ -125,10 +125,10 @@ class OneLaboratory(Rendered):
         """An agent's info, always of the same keys, types and shapes: what its last turn led to, if it has just
         ``acted``, and the mask of one that does not have the turn."""
         labs = self.laboratories
-        desk = labs.desk
-        own: Any = labs.stations[agent - 1].table.arrays if agent else desk
+        state = labs.state
+        own: Any = labs.experiments[agent - 1].table.arrays if agent else state
         info = {
-            "cost": desk.cost.item(agent, 0),
+            "cost": state.cost.item(agent, 0),
             "illegal_action": acted and own.illegal.item(0),
             "events": (own.events[0] if acted and agent else self._no_events).copy(),
             "experiment_over": False,
@@ -149,7 +149,7 @@ class OneLaboratory(Rendered):
             for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
                 if score == score:  # NaN where none of its own has ended
                     info["experiment_over"], info["score"] = True, score
-        if labs.desk.status.item(0) != RUNNING:
+        if labs.state.status.item(0) != RUNNING:
             infos[0]["experiment_over"], infos[0]["score"] = True, labs.result(self._members).item()
 
     def _text(self) -> str:

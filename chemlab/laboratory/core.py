@@ -15,8 +15,8 @@ from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, Observa
 from ..bench.base import (
     Bench,
     Channel,
+    Experiments,
     Goals,
-    Station,
     build_bench,
     check_discrete,
     load_observations,
@@ -102,7 +102,7 @@ def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: Flo
         for column in range(vessels.shape[2]):
             vessels[n, 0, column] = pool.rows[t, column]
         state.last_bench[n, 0] = pool.last_bench[t]
-        state.last_role[n, 0] = pool.last_role[t]
+        state.last_position[n, 0] = pool.last_position[t]
 
 
 class Laboratories:
@@ -135,7 +135,7 @@ class Laboratories:
         self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
-        self.state: Table[ManagerState] = Table.empty(
+        self.table: Table[ManagerState] = Table.empty(
             ManagerState,
             **{"N": n, "S": slots, "B": len(self.benches), "G": len(self.agents), "O": spec.orders, "1": 1, "2": 2},
             I=len(self.instruments.names),
@@ -144,11 +144,11 @@ class Laboratories:
             E=len(spec.safety_events),
             items=len(COST_ITEMS),
         )
-        self.desk = self.state.arrays
-        self.stations: list[Station] = []
+        self.state = self.table.arrays
+        self.experiments: list[Experiments] = []
         for b, bench in enumerate(self.benches):
             places = np.arange(n)[:, None] * self.vessels_per_laboratory + first[b] + np.arange(positions[b])
-            self.stations.append(Station(self.bench_agents[b], bench, places, **self._shared(b)))
+            self.experiments.append(Experiments(self.bench_agents[b], bench, places, **self._shared(b)))
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.rules = Table(self._build_rules(positions, first))
         self._terms = load_terms(spec.manager.reward, spec, "manager.reward")
@@ -175,38 +175,38 @@ class Laboratories:
 
     def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
         """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
-        return {"busy": self.desk.busy[b], "goal": self.desk.bench_goal[b], "steps": self.desk.bench_steps[b]}
+        return {"busy": self.state.busy[b], "goal": self.state.bench_goal[b], "steps": self.state.bench_steps[b]}
 
     @property
     def busy(self) -> BoolArray:
         """[benches, N] whether an experiment is running."""
-        return self.desk.busy
+        return self.state.busy
 
     @property
     def safety_totals(self) -> FloatArray:
         """[N, E] safety events since the episode began."""
-        return self.desk.safety_totals
+        return self.state.safety_totals
 
     @property
     def rewards(self) -> FloatArray:
         """[N, agents] what the last turn (or round) earned each agent."""
-        return self.desk.rewards.T
+        return self.state.rewards.T
 
     @property
     def cost(self) -> FloatArray:
         """[N, agents] weighted safety events of the last turn or round (the constrained-RL cost)."""
-        return self.desk.cost.T
+        return self.state.cost.T
 
     @property
     def scores(self) -> FloatArray:
         """[N, agents] score of the experiment that it ended, NaN where none ended."""
-        return self.desk.scores.T
+        return self.state.scores.T
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.desk = self.state.arrays  # a copy has arrays of its own, which its parts share again
-        for b, station in enumerate(self.stations):
-            station.share(**self._shared(b))
+        self.state = self.table.arrays  # a copy has arrays of its own, which its parts share again
+        for b, experiments in enumerate(self.experiments):
+            experiments.share(**self._shared(b))
 
     def _build_rules(self, positions: IntArray, first: IntArray) -> Rules:
         spec, layout = self.scenario, self.shelf.layout
@@ -262,22 +262,22 @@ class Laboratories:
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Start the random streams of one laboratory afresh."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        seed_streams(sequence, [self.desk.stream, *(station.stream for station in self.stations)], member)
+        seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
 
     def reset(self, members: IntArray, goal: str | None = None) -> None:
         """Begin new episodes, with a laboratory goal drawn from each one's stream or given by name."""
         self.shelf.vessels[members] = self._start
         self.shelf.stock[members] = self._first_stock
         self.shelf.waste[members] = 0.0
-        desk = self.desk
-        self.state.reset(members)
+        state = self.state
+        self.table.reset(members)
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
-        _draw_goals(members, wanted, desk.stream, desk.goal)
+        _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
-        for station in self.stations:
-            station.table.reset(members)
-        open_turn(members, self.state.handle)
+        for experiments in self.experiments:
+            experiments.table.reset(members)
+        open_turn(members, self.table.handle)
 
     def prepare(self, shares: Mapping[str, float] | None) -> None:
         """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
@@ -309,8 +309,10 @@ class Laboratories:
                 )
             arrays = pool.arrays
             positions = int(self.rules.arrays.most_positions)
-            if arrays.last_role.max(initial=0) >= positions:
-                raise DataError(f"prepare: {stage!r}: last_role = {arrays.last_role.max()} must be below {positions}")
+            if arrays.last_position.max(initial=0) >= positions:
+                raise DataError(
+                    f"prepare: {stage!r}: last_position = {arrays.last_position.max()} must be below {positions}"
+                )
             for row in arrays.rows:
                 self._rest(row)
             pools.append(pool)
@@ -318,11 +320,11 @@ class Laboratories:
 
     def _begin_half_way(self, members: IntArray, reached: FloatArray, pools: list[Table[StartPool]]) -> None:
         stages = np.empty(len(members), dtype=np.int64)
-        _draw_stages(members, reached, self.desk.stream, stages)
+        _draw_stages(members, reached, self.state.stream, stages)
         for k, pool in enumerate(pools):
             some = members[stages == k]
             if len(some):
-                _put_starts(some, pool.handle, self.state.handle, self.shelf.vessels)
+                _put_starts(some, pool.handle, self.table.handle, self.shelf.vessels)
 
     def goal_index(self, goal: str) -> int:
         """Index of a laboratory goal; ``ValueError`` names the goals there are."""
@@ -336,22 +338,22 @@ class Laboratories:
 
     def turn(self, member: int = 0) -> int:
         """Number of the agent that has the turn in a laboratory."""
-        return int(self.desk.cursor[member]) + 1
+        return int(self.state.cursor[member]) + 1
 
     def turns_had(self, agent: int) -> IntArray:
         """[N] turns an agent has had: the manager in this episode, a bench's agent in this experiment."""
-        return self.desk.actions if agent == 0 else self.stations[agent - 1].steps
+        return self.state.actions if agent == 0 else self.experiments[agent - 1].steps
 
     def illegal(self, agent: int) -> BoolArray:
         """[N] whether an agent's last action was masked, and so lost."""
-        return self.desk.illegal if agent == 0 else self.stations[agent - 1].illegal
+        return self.state.illegal if agent == 0 else self.experiments[agent - 1].illegal
 
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
         """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
         episode is over."""
         if out is None:
             out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
-        turns(members, self.state.handle, out)
+        turns(members, self.table.handle, out)
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
@@ -368,7 +370,7 @@ class Laboratories:
             members: [B] laboratories.
             actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
         """
-        open_turn(members, self.state.handle)
+        open_turn(members, self.table.handle)
         self.experiment_ended = False
         if agent == 0:
             self._act_manager(members, actions)
@@ -385,96 +387,96 @@ class Laboratories:
             members: [B] laboratories whose episodes are running.
             actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
         """
-        open_turn(members, self.state.handle)
+        open_turn(members, self.table.handle)
         self.experiment_ended = False
-        cursor = self.desk.cursor
+        cursor = self.state.cursor
         waiting = cursor[members] == MANAGER
         managed, ticking = members[waiting], members[~waiting]
         if len(managed):
             self._act_manager(managed, actions[0][managed])
-        for b in range(len(self.stations)):
+        for b in range(len(self.experiments)):
             # Where the tick is over the cursor stands at the manager or at the first busy bench, which is past.
             group = ticking[cursor[ticking] == b]
             if len(group):
                 self._act_bench(b, group, actions[b + 1][group])
 
     def _act_manager(self, members: IntArray, actions: IntArray) -> None:
-        desk, shelf, handles = self.desk, self.shelf, self._handles()
+        state, shelf, handles = self.state, self.shelf, self._handles()
         flags = manager_act(members, actions, *handles)
         if flags & MEASURED:
             self._measure(members, actions)
         if flags & BEGUN:
-            begun = desk.begun[members]
-            for b, station in enumerate(self.stations):
+            begun = state.begun[members]
+            for b, experiments in enumerate(self.experiments):
                 some = members[begun == b]
                 if len(some):
-                    station.goal[some] = self.rules.arrays.table[actions[begun == b], 3]
-                    self.benches[b].begin(shelf, station, some)
+                    experiments.goal[some] = self.rules.arrays.table[actions[begun == b], 3]
+                    self.benches[b].begin(shelf, experiments, some)
                     self._charge(b, some, begun=True)
         if flags & RECALLED:
-            recalled = desk.recalled[members]
-            for b in range(len(self.stations)):
+            recalled = state.recalled[members]
+            for b in range(len(self.experiments)):
                 some = members[recalled == b]
                 if len(some):
                     self._end(b, some)
         for name, term in self._terms.items():
             with blamed(name):
                 earned = term(self, members)
-            desk.rewards[0, members] += checked(earned, members.shape, name)
+            state.rewards[0, members] += checked(earned, members.shape, name)
         if flags & OVER:
             self._settle_accounts(members)
 
     def _handles(self) -> tuple[Handle, Handle, Handle, Handle]:
         """What most of the manager's kernels take."""
-        return self.state.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
+        return self.table.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
 
     def _measure(self, members: IntArray, actions: IntArray) -> None:
         """Let instruments read the vessels that manager actions have sent there."""
-        desk, sent = self.desk, self.desk.measured[members] >= 0
+        state, sent = self.state, self.state.measured[members] >= 0
         some, used = members[sent], self.rules.arrays.table[actions[sent], 2]
-        self.instruments.read(self.shelf, desk.reading, desk.stream, some, desk.measured[some], used)
+        self.instruments.read(self.shelf, state.reading, state.stream, some, state.measured[some], used)
 
     def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        self.benches[b].act(self.shelf, self.stations[b], members, actions)
+        self.benches[b].act(self.shelf, self.experiments[b], members, actions)
         ended = self._charge(b, members)
         if ended:
             self._end(b, self._ended[:ended].copy())
-        if advance(members, self.state.handle, self.rules.handle) & OVER:
+        if advance(members, self.table.handle, self.rules.handle) & OVER:
             self._settle_accounts(members)
 
     def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:
         """Charge what the bench's last action (or the beginning) cost: safety events and lost turns; returns how many
         experiments have ended, the first so many of ``self._ended``."""
-        station, desk = self.stations[b], self.desk
-        self.benches[b].consequences(self.shelf, station, members, desk.cost[b + 1], desk.rewards[b + 1], begun)
-        return charge_events(members, b, station.handle, self.state.handle, self.rules.handle, self._ended)
+        experiments, state = self.experiments[b], self.state
+        self.benches[b].consequences(self.shelf, experiments, members, state.cost[b + 1], state.rewards[b + 1], begun)
+        return charge_events(members, b, experiments.handle, self.table.handle, self.rules.handle, self._ended)
 
     def _end(self, b: int, members: IntArray) -> None:
         """End the experiment of bench ``b``: its reward, and its vessels back to the shelf."""
-        station, shelf = self.stations[b], self.shelf
-        score = self.benches[b].finish(shelf, station, members)
-        self.desk.scores[b + 1, members] = score
+        experiments, shelf = self.experiments[b], self.shelf
+        score = self.benches[b].finish(shelf, experiments, members)
+        self.state.scores[b + 1, members] = score
         self.experiment_ended = True
-        self.desk.rewards[b + 1, members] += self.scenario.rewards.bench_local * score
+        self.state.rewards[b + 1, members] += self.scenario.rewards.bench_local * score
         state, rules, *rest = self._handles()
-        return_vessels(members, b, state, rules, station.handle, *rest)
+        return_vessels(members, b, state, rules, experiments.handle, *rest)
 
     def _settle_accounts(self, members: IntArray) -> None:
         """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
-        over = members[self.desk.status[members] != RUNNING]
+        over = members[self.state.status[members] != RUNNING]
         mix = self.scenario.rewards
-        self.desk.charges[over] = self.charges(over)
-        self.desk.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.desk.charges[over].sum(axis=1)
-        self.desk.rewards[1:, over] += mix.bench_team * self.result(over)
+        self.state.charges[over] = self.charges(over)
+        self.state.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.state.charges[over].sum(axis=1)
+        self.state.rewards[1:, over] += mix.bench_team * self.result(over)
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
         submission is worth nothing."""
-        desk = self.desk
+        state = self.state
         shares = (
-            desk.submitted[members, :, 0]
-            * desk.submitted[members, :, 1]
-            / self.rules.arrays.maximum[desk.goal[members]]
+            state.submitted[members, :, 0]
+            * state.submitted[members, :, 1]
+            / self.rules.arrays.maximum[state.goal[members]]
         )
         return np.asarray(shares.mean(axis=1) - self.charges(members).sum(axis=1))
 
@@ -515,7 +517,7 @@ class Laboratories:
         if out is None:
             out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
         if agent > 0:
-            self.benches[agent - 1].observe(self.shelf, self.stations[agent - 1], members, out)
+            self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, out)
             return out
         manager_observe(members, *self._handles(), out)
         at = self._own_channels
@@ -543,9 +545,9 @@ class Laboratories:
         if out is None:
             out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
         if agent == 0:
-            manager_mask(members, self.state.handle, self.rules.handle, self.shelf.handle, out)
+            manager_mask(members, self.table.handle, self.rules.handle, self.shelf.handle, out)
         else:
-            self.benches[agent - 1].mask(self.shelf, self.stations[agent - 1], members, out)
+            self.benches[agent - 1].mask(self.shelf, self.experiments[agent - 1], members, out)
         return out
 
     def costs(self, member: int = 0) -> dict[str, float]:
@@ -556,8 +558,8 @@ class Laboratories:
     def outcome(self, member: int = 0) -> dict[str, Any]:
         """What has been submitted: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
         each of the ``orders``."""
-        goals = self.desk.goal[member].tolist()
-        pairs = self.desk.submitted[member].tolist()
+        goals = self.state.goal[member].tolist()
+        pairs = self.state.submitted[member].tolist()
         mol = sum(amount for amount, _ in pairs)
         return {
             "submitted_mol": mol,
@@ -572,7 +574,7 @@ class Laboratories:
         """Safety events of the agent's last action, by kind; only those that happened."""
         if agent == 0:
             return {}
-        row = self.stations[agent - 1].events[member].tolist()
+        row = self.experiments[agent - 1].events[member].tolist()
         return (
             {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
             if any(row)
@@ -581,16 +583,16 @@ class Laboratories:
 
     def total(self) -> FloatArray:
         """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""
-        return np.asarray(self.shelf.total() + self.desk.delivered)
+        return np.asarray(self.shelf.total() + self.state.delivered)
 
     # -- state ------------------------------------------------------------------------------------------------
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
         state = self.shelf.arrays()
-        for station in self.stations:
-            state += station.arrays()
-        return [*state, *self.state.changing()]
+        for experiments in self.experiments:
+            state += experiments.arrays()
+        return [*state, *self.table.changing()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

@@ -152,7 +152,7 @@ class FocalVectorEnv(BatchEnv):
         """New episodes, played on to the agent's first turn; nothing before it is the agent's."""
         self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal))
         self._clear(members)
-        self._last_turn[members] = self.laboratories.desk.ticks[members]
+        self._last_turn[members] = self.laboratories.state.ticks[members]
 
     def _clear(self, members: IntArray) -> None:
         self._rewards[members], self._costs[members], self._lab_costs[members] = 0.0, 0.0, 0.0
@@ -177,7 +177,7 @@ class FocalVectorEnv(BatchEnv):
         self._events[acting] = labs.safety_totals[acting] - before
         # Not a matrix product: the last digit of that depends on how many rows there are.
         self._lab_costs[acting] = (self._events[acting] * self._event_weights).sum(axis=1)
-        ticks, status = labs.desk.ticks, labs.desk.status
+        ticks, status = labs.state.ticks, labs.state.status
         self._elapsed[acting] = ticks[acting] - self._last_turn[acting]
         self._last_turn[acting] = ticks[acting]
         ended = acting[status[acting] != RUNNING]

@@ -93,7 +93,7 @@ class GlobalState:
         ]
 
     def _shelf_parts(self, members: IntArray) -> list[_Part]:
-        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.desk
+        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.state
         first = np.where(rules.first_stock > 0.0, rules.first_stock, 1.0)[rules.stocked]
         stock = labs.shelf.stock[members][:, rules.stocked] / first
         # Where a slot is empty, its history is none.
@@ -118,12 +118,12 @@ class GlobalState:
                 _hot(state.last_bench[members], rules.kinds + 1),
             ),
             _Part(
-                "last_role",
+                "last_position",
                 "one-hot",
                 0.0,
                 1.0,
                 "position it had there, by slot",
-                _hot(state.last_role[members], rules.most_positions),
+                _hot(state.last_position[members], rules.most_positions),
             ),
             _Part("reading", "scaled", 0.0, 1.0, "last readings of instruments, by slot", state.reading[members]),
             _Part(
@@ -137,15 +137,15 @@ class GlobalState:
     def _bench_parts(self, members: IntArray) -> list[_Part]:
         labs, rules = self._laboratories, self._laboratories.rules.arrays
         parts, goals = [], len(labs.scenario.goals)
-        for b, (bench, station) in enumerate(zip(labs.benches, labs.stations, strict=True)):
-            own = station.table.arrays
-            busy, name = own.busy[members], station.agent
+        for b, (bench, experiments) in enumerate(zip(labs.benches, labs.experiments, strict=True)):
+            own = experiments.table.arrays
+            busy, name = own.busy[members], experiments.agent
             most = rules.largest_capacity / float(self._litres[rules.parts[:, 0]].min())
             supply = np.zeros((len(members), 0))
             if bench.reagents:
                 supply = own.supply[members] / np.maximum(bench.rules.arrays.full, 1e-12) * busy[:, None]
             goal = _hot(own.goal[members], goals) * busy[:, None]
-            origin = _hot(labs.desk.origin[members, b], rules.slots) * busy[:, None]
+            origin = _hot(labs.state.origin[members, b], rules.slots) * busy[:, None]
             parts += [
                 _Part(f"{name}_busy", "0 or 1", 0.0, 1.0, "whether an experiment is running", busy),
                 _Part(f"{name}_goal", "one-hot", 0.0, 1.0, "its goal", goal),
@@ -159,7 +159,7 @@ class GlobalState:
         return parts
 
     def _order_parts(self, members: IntArray) -> list[_Part]:
-        labs, state = self._laboratories, self._laboratories.desk
+        labs, state = self._laboratories, self._laboratories.state
         goal, submitted = state.goal[members], state.submitted[members]
         worth = submitted[..., 0] / labs.rules.arrays.maximum[goal]
         return [
@@ -170,7 +170,7 @@ class GlobalState:
         ]
 
     def _turn_parts(self, members: IntArray) -> list[_Part]:
-        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.desk
+        labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.state
         budget = state.charges[members, INSTRUMENTS] / rules.budget
         return [
             _Part(

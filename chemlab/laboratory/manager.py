@@ -119,7 +119,7 @@ def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
 def _forget(n: int, s: int, state: ManagerState) -> None:
     """The slot holds another vessel, or none: its history and readings are gone."""
     state.last_bench[n, s] = 0
-    state.last_role[n, s] = 0
+    state.last_position[n, s] = 0
     state.reading[n, s, :] = 0.0
     state.age[n, s, :] = -1
 
@@ -246,7 +246,7 @@ def return_vessels(
                 if p > 0:
                     _forget(n, slot, state)
                 state.last_bench[n, slot] = 1 + rules.bench_of[b]
-                state.last_role[n, slot] = p
+                state.last_position[n, slot] = p
                 state.reserved[n, slot] = -1
             clear(row)
         for s in range(rules.slots):

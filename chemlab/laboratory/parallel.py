@@ -117,7 +117,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         ]
         self._add_scores(infos)
         rewards = dict(zip(names, labs.rewards[0].tolist(), strict=True))
-        status = labs.desk.status.item(0)
+        status = labs.state.status.item(0)
         observations, found = self._seen(infos)
         if status != RUNNING:
             self.agents = []
@@ -136,7 +136,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         """Everybody's observations and, filled in, infos."""
         labs, members, names = self.laboratories, self._members, self.possible_agents
         labs.turns(members, self._turns)
-        ticks = labs.desk.ticks.item(0)
+        ticks = labs.state.ticks.item(0)
         observations = {}
         for number, has_turn in enumerate(self._turns[:, 0].tolist()):
             info = infos[number]

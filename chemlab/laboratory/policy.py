@@ -155,7 +155,7 @@ class Players:
             ValueError: a policy's actions are outside its agent's space; the message names the agent.
         """
         labs = self._labs
-        cursor, status = labs.desk.cursor, labs.desk.status
+        cursor, status = labs.state.cursor, labs.state.status
         for number, policy in enumerate(self._policies):
             group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
             if len(group) and policy is not None:
@@ -170,9 +170,9 @@ class Players:
 
         Arguments and errors are those of :meth:`play_pass`.
         """
-        desk = self._labs.desk
+        state = self._labs.state
         while True:
-            members = members[(desk.status[members] == RUNNING) & self._played[desk.cursor[members] + 1]]
+            members = members[(state.status[members] == RUNNING) & self._played[state.cursor[members] + 1]]
             if not len(members):
                 return
             self.play_pass(members, after)
@@ -195,7 +195,7 @@ class Players:
         for _ in range(_MOST_TRIES):
             reset(waiting)
             self.play_on(waiting, after)
-            waiting = waiting[self._labs.desk.status[waiting] != RUNNING]
+            waiting = waiting[self._labs.state.status[waiting] != RUNNING]
             if not len(waiting):
                 return
         others = [agent for agent, played in zip(self._labs.agents, self._played, strict=True) if not played]

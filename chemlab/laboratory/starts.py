@@ -47,7 +47,7 @@ class Start(NamedTuple):
     contents_mol: dict[str, float]
     last_bench: str | None = None
     """Where it was last, as the manager sees it."""
-    last_role: int = 0
+    last_position: int = 0
     """As which of the bench's vessels."""
 
 
@@ -59,10 +59,10 @@ class _Vessel(BaseModel):
     capacity_l: float = pydantic.Field(gt=0.0, le=100.0)
     contents_mol: dict[str, Annotated[float, pydantic.Field(ge=0.0, le=1e4)]]
     last_bench: str | None = None
-    last_role: int = pydantic.Field(default=0, ge=0)
+    last_position: int = pydantic.Field(default=0, ge=0)
 
     def start(self, goal: str) -> Start:
-        return Start(goal, 1.0, self.capacity_l, dict(self.contents_mol), self.last_bench, self.last_role)
+        return Start(goal, 1.0, self.capacity_l, dict(self.contents_mol), self.last_bench, self.last_position)
 
 
 class _Recorded(BaseModel):
@@ -95,7 +95,7 @@ class StartPool(NamedTuple):
     """[T] cumulative probability within the goal"""
     last_bench: Annotated[IntArray, Field("T")]
     """[T] 0 for none, else 1 + index of the bench"""
-    last_role: Annotated[IntArray, Field("T")]
+    last_position: Annotated[IntArray, Field("T")]
     """[T] position there"""
 
 
@@ -118,7 +118,7 @@ def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[
             np.array(
                 [0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64
             ),
-            np.array([vessel.last_role for _, vessel in found], dtype=np.int64),
+            np.array([vessel.last_position for _, vessel in found], dtype=np.int64),
         )
     )
 
@@ -182,7 +182,7 @@ def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]
             contents = {name: float(f"{mol:.6g}") for name, mol in start.contents_mol.items()}
             vessel = {"capacity_l": start.capacity_l, "contents_mol": contents}
             vessel |= {} if start.last_bench is None else {"last_bench": start.last_bench}
-            vessel |= {"last_role": start.last_role} if start.last_role else {}
+            vessel |= {"last_position": start.last_position} if start.last_position else {}
             number = numbers.setdefault(json.dumps(vessel, separators=(",", ":")), len(numbers))
             benches[bench].setdefault(start.goal, []).append(number)
     lines = [

@@ -39,7 +39,7 @@ class ManagerState(NamedTuple):
     """[N, S] bench a slot is reserved for, -1 if none"""
     last_bench: Annotated[IntArray, Field("N S")]
     """[N, S] 0 for none, else 1 + index of the bench kind the vessel last was at"""
-    last_role: Annotated[IntArray, Field("N S")]
+    last_position: Annotated[IntArray, Field("N S")]
     """[N, S] position it had there"""
     reading: Annotated[FloatArray, Field("N S R")]
     """[N, S, R] last reading of every instrument"""

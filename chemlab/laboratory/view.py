@@ -42,7 +42,7 @@ def _vessel_channels(slot: str, scenario: Scenario, positions: int, largest_capa
         Channel(f"{slot}_temperature", 1, "K", _COLDEST_K, _HOTTEST_K, "its temperature"),
         Channel(f"{slot}_capacity", 1, "L", 0.0, largest_capacity, "its capacity"),
         Channel(f"{slot}_last_bench", 1 + len(scenario.benches), "one-hot", 0.0, 1.0, f"last at: none, {benches}"),
-        Channel(f"{slot}_last_role", positions, "one-hot", 0.0, 1.0, "as: main vessel, B1, B2"),
+        Channel(f"{slot}_last_position", positions, "one-hot", 0.0, 1.0, "as: main vessel, B1, B2"),
     ]
 
 
@@ -58,7 +58,7 @@ def _write_vessel(
         out[at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
         out[at + 4 + state.last_bench[n, s]] = 1.0
         if state.last_bench[n, s] > 0:
-            out[at + 5 + rules.kinds + state.last_role[n, s]] = 1.0
+            out[at + 5 + rules.kinds + state.last_position[n, s]] = 1.0
     return at + 5 + rules.kinds + rules.most_positions
 
 

@@ -234,18 +234,18 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordC
 
     def _measures(self) -> FloatArray:
         """[G] the bench's measure of its vessels, were the experiment run for each goal."""
-        arena = self._bench_env.arena
-        goal = arena.station.goal.copy()
+        batch = self._bench_env.batch
+        goal = batch.experiments.goal.copy()
         found = np.empty(self._goals)
         for g in range(self._goals):
-            arena.station.goal[:] = g
-            found[g] = arena.bench.measure(arena.shelf, arena.station, arena.members)[0]
-        arena.station.goal[:] = goal
+            batch.experiments.goal[:] = g
+            found[g] = batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0]
+        batch.experiments.goal[:] = goal
         return found
 
     def _view(self, observation: Any, achieved: FloatArray) -> GoalObservation:
         desired = np.zeros(self._goals, dtype=np.float32)
-        desired[self._bench_env.arena.station.goal[0]] = 1.0
+        desired[self._bench_env.batch.experiments.goal[0]] = 1.0
         return {
             "observation": observation[self._shown],
             "achieved_goal": achieved.astype(np.float32),

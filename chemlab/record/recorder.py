@@ -56,7 +56,7 @@ class Witness:
 
     def _streams(self) -> dict[str, int]:
         labs = self._labs
-        streams = [labs.desk.stream, *(station.stream for station in labs.stations)]
+        streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
         return {agent: int(stream[self._m, 0]) for agent, stream in zip(labs.agents, streams, strict=True)}
 
     def opening(
@@ -84,7 +84,7 @@ class Witness:
             "models": dict(models),
             "environment": dict(environment),
             "agents": labs.agents,
-            "goals": [labs.scenario.goals[goal] for goal in labs.desk.goal[self._m].tolist()],
+            "goals": [labs.scenario.goals[goal] for goal in labs.state.goal[self._m].tolist()],
             "streams": self._streams(),
             "materials": list(labs.shelf.layout.materials),
             "positions": positions,
@@ -124,7 +124,7 @@ class Witness:
             kind, slot, instrument, _ = labs.actions.table[int(plays[0].action)].tolist()
             if kind == MEASURE:
                 start, stop = labs.instruments.start[instrument : instrument + 2]
-                values = labs.desk.reading[m, slot, start:stop].tolist()
+                values = labs.state.reading[m, slot, start:stop].tolist()
                 line["reading"] = {"slot": slot, "instrument": labs.instruments.names[instrument], "values": values}
         line["hidden"] = self._hidden()
         self.turns += 1
@@ -159,33 +159,33 @@ class Witness:
         labs, m = self._labs, self._m
         arrays = [labs.shelf.vessels[m], labs.shelf.stock[m], labs.shelf.waste[m]]
         # Readings are the largest part and in the record anyway, from when they were taken.
-        arrays += labs.state.member(m, without="reading")
-        for station in labs.stations:
-            arrays.append(station.stream[m])
-            if station.busy[m]:  # an idle bench's other numbers are left over from experiments before
-                arrays += [station.goal[m], station.steps[m]]
-                if hasattr(station, "supply"):
-                    arrays.append(station.supply[m])
+        arrays += labs.table.member(m, without="reading")
+        for experiments in labs.experiments:
+            arrays.append(experiments.stream[m])
+            if experiments.busy[m]:  # an idle bench's other numbers are left over from experiments before
+                arrays += [experiments.goal[m], experiments.steps[m]]
+                if hasattr(experiments, "supply"):
+                    arrays.append(experiments.supply[m])
         return digest(b"".join([array.tobytes() for array in arrays]))
 
     @property
     def over(self) -> bool:
         """Whether the episode is over."""
-        return bool(self._labs.desk.status[self._m] != RUNNING)
+        return bool(self._labs.state.status[self._m] != RUNNING)
 
     def closing(self) -> dict[str, Any]:
         """What the episode came to."""
         labs, m = self._labs, self._m
         totals = zip(labs.scenario.safety_events, labs.safety_totals[m].tolist(), strict=True)
         result = {
-            "status": ("running", "submitted", "truncated")[int(labs.desk.status[m])],
+            "status": ("running", "submitted", "truncated")[int(labs.state.status[m])],
             "score": labs.result(self._member).item(),
             **labs.outcome(m),
             "rewards": self.rewards,
             "costs": labs.costs(m),
             "safety_events": {kind: value for kind, value in totals if value},
-            "manager_actions": int(labs.desk.actions[m]),
-            "ticks": int(labs.desk.ticks[m]),
+            "manager_actions": int(labs.state.actions[m]),
+            "ticks": int(labs.state.ticks[m]),
             "turns": self.turns,
         }
         return {"end": result}
@@ -301,7 +301,7 @@ class Recorder:
         if self._witness is None or self._file is None:
             raise ValueError(f"{self.path}: begin() comes first, and nothing after the end of the episode")
         self._write(self._witness.turn(self._tick, plays))
-        self._tick = int(self._labs.desk.ticks[self._member])
+        self._tick = int(self._labs.state.ticks[self._member])
         if self._witness.over:
             self._write(self._witness.closing())
             os.fsync(self._file.fileno())

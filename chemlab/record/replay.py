@@ -65,14 +65,14 @@ class Replay:
         labs.seed(0, header.seed or 0)
         labs.reset(labs.members, header.options.get("goal"))
         if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
-            streams = [labs.desk.stream, *(station.stream for station in labs.stations)]
+            streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:
                 raise ValueError(f"streams: must be of {', '.join(labs.agents)}, given {short(list(header.streams))}")
             if len(header.goals) != labs.scenario.orders:
                 raise ValueError(f"goals: must be {labs.scenario.orders}, given {len(header.goals)}")
             for agent, stream in zip(labs.agents, streams, strict=True):
                 stream[0, 0] = header.streams[agent]
-            labs.desk.goal[0] = [labs.goal_index(name) for name in header.goals]
+            labs.state.goal[0] = [labs.goal_index(name) for name in header.goals]
 
     def play(self, turn: Mapping[str, Any]) -> list[Play]:
         """Play one recorded turn; returns what each agent was shown and did.
@@ -83,7 +83,7 @@ class Replay:
         labs, recorded = self.laboratories, turn.get("play")
         if not isinstance(recorded, dict):
             raise ValueError("play: says nothing of who played what")
-        if labs.desk.status[0] != RUNNING:
+        if labs.state.status[0] != RUNNING:
             raise ValueError("play: the episode is over")
         numbers = np.flatnonzero(labs.turns(labs.members)[:, 0]).tolist() if self.rounds else [labs.turn()]
         having = [labs.agents[number] for number in numbers]

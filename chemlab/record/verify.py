@@ -158,7 +158,7 @@ class _Check:
         if not self.compare(0, "header", record.header, opening):
             return
         for number, turn in enumerate(record.turns):
-            where, tick = f"turn {number}", int(labs.desk.ticks[0])
+            where, tick = f"turn {number}", int(labs.state.ticks[0])
             if witness.over:
                 self.found = (where, "play", turn.get("play"), "nothing: the episode is over")
                 return

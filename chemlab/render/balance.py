@@ -95,14 +95,14 @@ class _Books:
     def stage(self, label: str) -> Stage:
         """Where everything is now."""
         labs = self._labs
-        shelf, desk = labs.shelf, labs.desk
+        shelf, state = labs.shelf, labs.state
         amounts = {
-            "submitted": desk.delivered[0] + self._last,
+            "submitted": state.delivered[0] + self._last,
             "vessels": shelf.amounts[0].sum(axis=0) - self._last,
             "stock": shelf.stock[0],
             **self._out,
         }
-        return Stage(label, int(desk.ticks[0]), np.array([amounts[place] for place in PLACES]))
+        return Stage(label, int(state.ticks[0]), np.array([amounts[place] for place in PLACES]))
 
 
 def mole_balance(record: Record, trust: bool = False) -> Balance:

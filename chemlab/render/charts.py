@@ -157,12 +157,12 @@ def _tell(record: Record, trust: bool) -> _Story:
             story.decisions.append((unit, action_words(labs, 0, move.plays[0].action)))
         _experiments(story, running, move, unit, by_manager)
         if by_manager:
-            unit, tick = unit + 1, int(labs.desk.ticks[0])
+            unit, tick = unit + 1, int(labs.state.ticks[0])
             note()
         else:
             open_tick = True
     if open_tick:
-        unit, tick = unit + 1, int(labs.desk.ticks[0])
+        unit, tick = unit + 1, int(labs.state.ticks[0])
         note()
     # The last turn may have settled accounts after it was noted.
     story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
@@ -182,8 +182,8 @@ def _add(strips: list[_Strip], unit: int, kind: str, lost: bool, by_manager: boo
 def _experiments(story: _Story, running: dict[str, tuple[int, str]], move: Move, unit: int, by_manager: bool) -> None:
     labs = story.labs
     if move.begun:
-        station = labs.stations[labs.bench_agents.index(move.begun)]
-        running[move.begun] = (unit + 1, labs.scenario.goals[int(station.goal[0])])
+        experiments = labs.experiments[labs.bench_agents.index(move.begun)]
+        running[move.begun] = (unit + 1, labs.scenario.goals[int(experiments.goal[0])])
     for agent, score in move.scores.items():
         start, goal = running.pop(agent)
         story.experiments.append((agent, start, unit if by_manager else unit + 1, goal, score))
@@ -370,11 +370,11 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
         for play in move.plays:
             agent = labs.agents[play.agent]
             if agent in spectra and agent not in first:
-                goal = labs.scenario.goals[int(labs.stations[play.agent - 1].goal[0])]
+                goal = labs.scenario.goals[int(labs.experiments[play.agent - 1].goal[0])]
                 first[agent] = (move.tick, np.array(play.observation[spectra[agent]]), goal)
         for agent, score in move.scores.items():
             if agent in first:
-                slot = int(labs.desk.origin[0, labs.bench_agents.index(agent)])
+                slot = int(labs.state.origin[0, labs.bench_agents.index(agent)])
                 close(agent, move.last[agent].observation, labs.shelf.amounts[0, slot].copy(), score)
     for agent in list(first):
         number = labs.agents.index(agent)

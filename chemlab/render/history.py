@@ -63,7 +63,7 @@ class RecordReplay(Replay):
     @property
     def over(self) -> bool:
         """Whether the episode is over."""
-        return bool(self.laboratories.desk.status[0] != RUNNING)
+        return bool(self.laboratories.state.status[0] != RUNNING)
 
     def moves(self) -> Iterator[Move]:
         """Play the record.
@@ -73,15 +73,15 @@ class RecordReplay(Replay):
         """
         labs = self.laboratories
         for number, turn in enumerate(self.record.turns):
-            tick, busy, before = int(labs.desk.ticks[0]), labs.desk.busy[:, 0].copy(), labs.snapshot()
+            tick, busy, before = int(labs.state.ticks[0]), labs.state.busy[:, 0].copy(), labs.snapshot()
             try:
                 plays = self.play(turn)
             except (ValueError, TypeError) as error:
                 raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
             by_manager = plays[0].agent == 0
             lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
-            ended = np.flatnonzero(busy & ~labs.desk.busy[:, 0]) + 1
-            begun = np.flatnonzero(~busy & labs.desk.busy[:, 0])
+            ended = np.flatnonzero(busy & ~labs.state.busy[:, 0]) + 1
+            begun = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(
                 number=number,
                 tick=tick,
@@ -107,7 +107,7 @@ class RecordReplay(Replay):
         for play in plays:
             if play.agent > 0:  # a recall comes without an action of the bench's own
                 action = np.asarray(play.action)[None]
-                labs.benches[play.agent - 1].act(labs.shelf, labs.stations[play.agent - 1], labs.members, action)
+                labs.benches[play.agent - 1].act(labs.shelf, labs.experiments[play.agent - 1], labs.members, action)
             if play.agent == agent:
                 break
         seen = self.look(agent)

@@ -114,8 +114,8 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str
         words.append(reading_words(labs, reading["slot"], reading["instrument"]))
     if plays[0].agent == 0 and not turn.get("lost") and labs.actions.decode(int(plays[0].action))[0] == "submit":
         order = int(labs.actions.table[int(plays[0].action), 2])
-        mol, purity = labs.desk.submitted[0, order].tolist()
-        words.append(f"{mol:.3f} mol {labs.scenario.goals[labs.desk.goal[0, order]]} at purity {purity:.3f}")
+        mol, purity = labs.state.submitted[0, order].tolist()
+        words.append(f"{mol:.3f} mol {labs.scenario.goals[labs.state.goal[0, order]]} at purity {purity:.3f}")
     return "; ".join(words)
 
 
@@ -148,7 +148,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
     running: dict[str, dict[str, Any]] = {}
     stopped = ""
     for recorded in record.turns:
-        tick = int(labs.desk.ticks[0])
+        tick = int(labs.state.ticks[0])
         try:
             plays = replay.play(recorded)
         except (ValueError, TypeError) as error:

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..bench.base import CAMERA_PIXELS, Bench, Station
+from ..bench.base import CAMERA_PIXELS, Bench, Experiments
 from ..chemistry import ROLE_GAS, ROLE_ION, ROLE_SOLID
-from ..laboratory.arena import BenchArena
 from ..laboratory.core import Laboratories
+from ..laboratory.experiments import ExperimentBatch
 from ..laboratory.state import COST_ITEMS, RUNNING
 from ..physics.constants import SOLIDS
 from ..physics.layers import profile
@@ -271,19 +271,19 @@ class _Camera:
         self._work: FloatArray = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
 
     def take(
-        self, member: int, place: int, position: str, station: Station | None = None, role: int = 0
+        self, member: int, place: int, position: str, experiments: Experiments | None = None, role: int = 0
     ) -> VesselPicture | None:
-        """The vessel at ``place`` of a laboratory, which is ``station``'s vessel number ``role``; None if none is."""
+        """The vessel at ``place`` of a laboratory, vessel number ``role`` of ``experiments``; None if none is."""
         vessel = self.shelf.vessel(member, place)
         if not vessel.present:
             return None
         image: FloatArray = np.zeros(0)
-        if station is not None and hasattr(station, "image") and station.layers[member, role, 0] > 0:
+        if experiments is not None and hasattr(experiments, "image") and experiments.layers[member, role, 0] > 0:
             # The bench's own layers: a separation model may have made them.
             layers, shares, image = (
-                station.layers[member, role],
-                station.profile[member, role],
-                station.image[member, role],
+                experiments.layers[member, role],
+                experiments.profile[member, role],
+                experiments.image[member, role],
             )
         else:
             layers, shares = self._layers, self._shares
@@ -364,28 +364,28 @@ def _events(row: FloatArray, scenario: Scenario) -> tuple[tuple[str, float], ...
 
 
 def _bench(
-    camera: _Camera, bench: Bench, station: Station, member: int, places: Sequence[int], turn: bool
+    camera: _Camera, bench: Bench, experiments: Experiments, member: int, places: Sequence[int], turn: bool
 ) -> BenchPicture:
-    busy = bool(station.busy[member])
-    vessels = [camera.take(member, places[p], name, station, p) for p, name in enumerate(bench.positions)]
+    busy = bool(experiments.busy[member])
+    vessels = [camera.take(member, places[p], name, experiments, p) for p, name in enumerate(bench.positions)]
     seen: tuple[ChannelPicture, ...] = ()
     if busy:
         observation = np.zeros((1, *bench.observation_space.shape), dtype=np.float32)
-        bench.observe(camera.shelf, station, np.array([member]), observation)
+        bench.observe(camera.shelf, experiments, np.array([member]), observation)
         seen = _seen(bench, observation[0])
     return BenchPicture(
-        agent=station.agent,
+        agent=experiments.agent,
         key=bench.key,
         kind=bench.spec.kind,
         busy=busy,
         turn=turn,
-        goal=bench.goals.names[station.goal[member]] if busy else "",
-        step=int(station.steps[member]) if busy else 0,
+        goal=bench.goals.names[experiments.goal[member]] if busy else "",
+        step=int(experiments.steps[member]) if busy else 0,
         step_limit=bench.spec.step_limit,
         positions=bench.positions,
         vessels=tuple(vessel for vessel in vessels if vessel is not None),
         seen=seen,
-        events=_events(station.events[member], bench.scenario),
+        events=_events(experiments.events[member], bench.scenario),
     )
 
 
@@ -429,9 +429,9 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         laboratories: the laboratories, after a reset; nothing in them changes.
         member: which one.
     """
-    labs, desk, scenario = laboratories, laboratories.desk, laboratories.scenario
+    labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
     camera = _Camera(scenario, labs.shelf)
-    status, turn = int(desk.status[member]), labs.turn(member)
+    status, turn = int(state.status[member]), labs.turn(member)
     running = status == RUNNING
     slots = scenario.shelf.slots
     costs = labs.costs(member)
@@ -443,18 +443,18 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         title=scenario.title,
         status=_STATUS[status],
         turn=labs.agents[turn] if running else "",
-        manager_actions=int(desk.actions[member]),
+        manager_actions=int(state.actions[member]),
         manager_action_limit=scenario.limits.manager_actions,
-        ticks=int(desk.ticks[member]),
+        ticks=int(state.ticks[member]),
         tick_limit=scenario.limits.ticks,
         orders=tuple(
             OrderPicture(
                 scenario.goals[goal],
-                bool(desk.filled[member, o]),
-                float(desk.submitted[member, o, 0]),
-                float(desk.submitted[member, o, 1]),
+                bool(state.filled[member, o]),
+                float(state.submitted[member, o, 0]),
+                float(state.submitted[member, o, 1]),
             )
-            for o, goal in enumerate(desk.goal[member])
+            for o, goal in enumerate(state.goal[member])
         ),
         result=result,
         costs=tuple((item, float(costs[item])) for item in COST_ITEMS),
@@ -465,10 +465,15 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         shelf=tuple(_slot(labs, camera, member, s) for s in range(slots)),
         benches=tuple(
             _bench(
-                camera, bench, station, member, range(first, first + len(bench.positions)), running and turn == b + 1
+                camera,
+                bench,
+                experiments,
+                member,
+                range(first, first + len(bench.positions)),
+                running and turn == b + 1,
             )
-            for b, (bench, station, first) in enumerate(
-                zip(labs.benches, labs.stations, labs.rules.first.tolist(), strict=True)
+            for b, (bench, experiments, first) in enumerate(
+                zip(labs.benches, labs.experiments, labs.rules.first.tolist(), strict=True)
             )
         ),
         materials=material_pictures(scenario),
@@ -478,60 +483,60 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
 
 
 def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPicture:
-    desk, table, scenario = labs.desk, labs.instruments, labs.scenario
+    state, table, scenario = labs.state, labs.instruments, labs.scenario
     vessel = camera.take(member, s, f"slot {s}")
-    holder, kind = int(desk.reserved[member, s]), int(desk.last_bench[member, s])
+    holder, kind = int(state.reserved[member, s]), int(state.last_bench[member, s])
     origin, readings = "", []
     if vessel is not None and kind > 0:
         bench = next(bench for bench in labs.benches if bench.key == list(scenario.benches)[kind - 1])
-        role = f" {bench.positions[desk.last_role[member, s]]}" if len(bench.positions) > 1 else ""
+        role = f" {bench.positions[state.last_position[member, s]]}" if len(bench.positions) > 1 else ""
         origin = bench.key + role
     for i, name in enumerate(table.names):
-        if vessel is not None and desk.age[member, s, i] >= 0:
+        if vessel is not None and state.age[member, s, i] >= 0:
             channel, picture = table.channels[i], table.kinds[i].picture
             readings.append(
                 ReadingPicture(
                     instrument=name,
                     kind=picture,
-                    age=int(desk.age[member, s, i]),
+                    age=int(state.age[member, s, i]),
                     unit=channel.unit,
                     low=channel.low,
                     high=channel.high,
-                    values=tuple(desk.reading[member, s, table.start[i] : table.start[i + 1]].tolist()),
+                    values=tuple(state.reading[member, s, table.start[i] : table.start[i + 1]].tolist()),
                     labels=(*table.analytes[i], "residue") if picture == "bars" else (),
                 )
             )
     return SlotPicture(s, vessel, labs.bench_agents[holder] if holder >= 0 else None, origin, tuple(readings))
 
 
-def bench_scene(arena: BenchArena, member: int = 0) -> Scene:
-    """The scene of one experiment on a single bench (of a :class:`chemlab.laboratory.bench_env.BenchEnv`'s arena).
+def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
+    """The scene of one experiment on a single bench (of a :class:`chemlab.laboratory.bench_env.BenchEnv`'s batch).
 
     Args:
-        arena: the experiments, after a reset; nothing in them changes.
+        batch: the experiments, after a reset; nothing in them changes.
         member: which one.
     """
-    scenario, shelf, station = arena.scenario, arena.shelf, arena.station
+    scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments
     picture = _bench(
         _Camera(scenario, shelf),
-        arena.bench,
-        station,
+        batch.bench,
+        experiments,
         member,
-        range(len(arena.bench.positions)),
-        bool(station.busy[member]),
+        range(len(batch.bench.positions)),
+        bool(experiments.busy[member]),
     )
-    largest, temperatures = _ranges(scenario, [arena.bench], shelf, member)
+    largest, temperatures = _ranges(scenario, [batch.bench], shelf, member)
     return Scene(
         kind="bench",
         scenario=scenario.name,
         title=scenario.title,
         status="running" if picture.busy else "ended",
-        turn=station.agent if picture.busy else "",
+        turn=experiments.agent if picture.busy else "",
         manager_actions=0,
         manager_action_limit=0,
-        ticks=int(station.steps[member]),
-        tick_limit=arena.bench.spec.step_limit,
-        orders=(OrderPicture(arena.bench.goals.names[station.goal[member]], False, 0.0, 0.0),),
+        ticks=int(experiments.steps[member]),
+        tick_limit=batch.bench.spec.step_limit,
+        orders=(OrderPicture(batch.bench.goals.names[experiments.goal[member]], False, 0.0, 0.0),),
         result=0.0,
         costs=(),
         budget=0.0,

@@ -68,7 +68,7 @@ def test_a_share_of_the_episodes_begins_half_way() -> None:
     }
     for member in np.flatnonzero(after != "none")[:40]:
         amounts = labs.shelf.vessel(int(member), 0).amounts()
-        goal = labs.scenario.goals[labs.desk.goal[member, 0]]
+        goal = labs.scenario.goals[labs.state.goal[member, 0]]
         salt = sum(amounts.get(name, 0.0) for name in ("Na+", "Cl-"))  # salt may dissolve or fall out at rest
         assert any(goal == other and abs(total - sum(amounts.values())) <= salt + 1e-3 for other, total in recorded), (
             goal,
@@ -149,7 +149,7 @@ def test_recording_is_repeatable_and_keeps_what_a_vessel_was() -> None:
 def test_either_kind_of_start_is_drawn_as_often() -> None:
     env = BenchVectorEnv(600, "wurtz_dodecane", "dit", starts="both")
     env.reset(seed=0, options={"goal": "dodecane"})
-    product = np.array([env.arena.shelf.vessel(i, 0).amounts().get("dodecane", 0.0) for i in range(600)])
+    product = np.array([env.batch.shelf.vessel(i, 0).amounts().get("dodecane", 0.0) for i in range(600)])
     paper = np.isclose(product, 1.0, atol=1e-9)
     assert 0.42 < paper.mean() < 0.58
 

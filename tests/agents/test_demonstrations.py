@@ -130,12 +130,12 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
         if not move.begun:
             continue
         number = labs.agents.index(move.begun)
-        bench, station = labs.benches[number - 1], labs.stations[number - 1]
+        bench, experiments = labs.benches[number - 1], labs.experiments[number - 1]
         env = BenchEnv(scenario, bench.key)
-        env.reset(seed=0, options={"goal": bench.goals.names[station.goal[0]]})
-        env.arena.shelf.rows[:] = labs.shelf.rows[station.places[0]]
-        env.arena.shelf.stock[0] = labs.shelf.stock[0]
-        for mine, theirs in zip(env.arena.station.arrays(), station.arrays(), strict=True):
+        env.reset(seed=0, options={"goal": bench.goals.names[experiments.goal[0]]})
+        env.batch.shelf.rows[:] = labs.shelf.rows[experiments.places[0]]
+        env.batch.shelf.stock[0] = labs.shelf.stock[0]
+        for mine, theirs in zip(env.batch.experiments.arrays(), experiments.arrays(), strict=True):
             mine[:] = theirs
         d = waiting[move.begun].pop(0)
         np.testing.assert_array_equal(d.observations[0], env.set_state(env.get_state()))

@@ -97,7 +97,7 @@ def test_cases_are_what_is_in_the_vessel() -> None:
     for member in range(4):
         single = BenchEnv("wurtz_dodecane", "dit")
         single.reset(seed=5 + member, options={"goal": "5-methylundecane"})
-        assert cases[member].startswith("without") != ("Na+" in single.arena.shelf.vessel(0, 0).amounts(1e-6))
+        assert cases[member].startswith("without") != ("Na+" in single.batch.shelf.vessel(0, 0).amounts(1e-6))
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
     rxn = BenchTarget(load_scenario("wurtz_dodecane"), "rxn").environment(2)
     assert play_bench(rxn, bench_policy("heuristic", rxn.bench), "NaCl", 0).cases == ["", ""]

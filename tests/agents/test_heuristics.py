@@ -143,11 +143,13 @@ def recorded(name: str, seeds: range) -> list[list[Call]]:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_heuristics_need_no_laboratory(name: str) -> None:
-    """Given what they were given, they decide the same when laboratory, shelf and stations are gone."""
+    """Given what they were given, they decide the same when laboratory, shelf and experiments are gone."""
     episodes = recorded(name, range(3))
     env = raw_env(name)
     policies = make_policies("heuristic", env.laboratories)
-    gone = [weakref.ref(thing) for thing in (env, env.laboratories, env.laboratories.shelf, *env.laboratories.stations)]
+    gone = [
+        weakref.ref(thing) for thing in (env, env.laboratories, env.laboratories.shelf, *env.laboratories.experiments)
+    ]
     del env
     gc.collect()
     assert all(reference() is None for reference in gone), "a policy holds on to the laboratory"

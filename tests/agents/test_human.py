@@ -237,7 +237,7 @@ def test_what_is_shown_comes_from_the_observation_alone(env: raw_env) -> None:
 
     before = text()
     env.laboratories.shelf.amounts[0] *= 0.3
-    env.laboratories.desk.ticks[0] = 77
+    env.laboratories.state.ticks[0] = 77
     assert text() == before
 
 

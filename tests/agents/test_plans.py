@@ -65,7 +65,7 @@ def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -
     policies = make_policies("heuristic", labs)
     policies["manager_0"] = taped = Watched(manager(labs) if callable(manager) else manager, labs)
     play_laboratory(labs, policies, None, seed)
-    return taped, labs.desk.goal[:, 0].copy()
+    return taped, labs.state.goal[:, 0].copy()
 
 
 def played(scenario: Scenario, plan: Plan, seed: int = 0) -> list[tuple[str | int, ...]]:
@@ -322,7 +322,7 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
     for seed in range(3):
         labs = Laboratories(scenario, 1)
         expected = play_laboratory(labs, make_policies("heuristic", labs), None, seed).returns
-        context = tuple(scenario.goals[goal] for goal in labs.desk.goal[0])
+        context = tuple(scenario.goals[goal] for goal in labs.state.goal[0])
         trials = module._Trials(scenario, context, [seed], 1)
         tapes = module._record(trials, "heuristic")
         again = module._replay(trials, [[tape[0] for tape in tapes]])

@@ -31,9 +31,9 @@ from chemlab.agents.pretrained import (
 from chemlab.agents.training.tasks import BenchTask, LaboratoryTask, Task
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.scenario import load_scenario
 
 RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
@@ -43,7 +43,7 @@ CASES += [("ppo", DIT), ("a2c", DIT), ("dqn", DIT), ("maskable-ppo", DIT)]
 
 def bench_of(env_id: str) -> Any:
     scenario, key = ("fictitious", "rxn") if env_id == RXN else ("wurtz_dodecane", "dit")
-    return BenchArena(scenario, key).bench
+    return ExperimentBatch(scenario, key).bench
 
 
 def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
@@ -196,12 +196,12 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
     assert pretrained_names() == ["a", "b", "c"]
     assert pretrained_for(bench).card.name == "b", "the one trained on this bench"
     # The direct scenario has the same bench of the same chemistry.
-    direct = BenchArena("wurtz_dodecane_direct", "dit").bench
+    direct = ExperimentBatch("wurtz_dodecane_direct", "dit").bench
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pretrained_for(direct).card.name in ("a", "b")
     with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*a: it is for distillation"):
-        pretrained_for(BenchArena("wurtz_dodecane", "ext").bench)
+        pretrained_for(ExperimentBatch("wurtz_dodecane", "ext").bench)
 
 
 def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,10 +220,10 @@ def test_what_does_not_fit_is_named() -> None:
     with pytest.raises(ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"):
         policy.check(bench_of(RXN))
     with pytest.raises(ValueError, match=r"'dit' of salt_from_oil: observation '.*': it knows"):
-        policy.check(BenchArena("salt_from_oil", "dit").bench)
+        policy.check(ExperimentBatch("salt_from_oil", "dit").bench)
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
-    fewer = BenchArena(load_scenario(values), "dit").bench
+    fewer = ExperimentBatch(load_scenario(values), "dit").bench
     with pytest.raises(ValueError, match="has 31 actions, here there are 30; they differ from"):
         policy.check(fewer)
     with pytest.raises(ValueError, match=r"sees \[B, 310\] numbers, given \(4, 12\)"):
@@ -238,14 +238,14 @@ def test_a_bench_that_has_changed_is_a_warning() -> None:
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["step_limit"] += 1
     with pytest.warns(UserWarning, match="has changed since it was trained.*chemlab train"):
-        policy.check(BenchArena(load_scenario(values), "dit").bench)
+        policy.check(ExperimentBatch(load_scenario(values), "dit").bench)
 
 
 def test_fingerprints_are_of_the_task() -> None:
     def changed(change: Any) -> str:
         values = load_scenario("wurtz_dodecane").model_dump()
         change(values)
-        return fingerprint(BenchArena(load_scenario(values), "dit").bench)
+        return fingerprint(ExperimentBatch(load_scenario(values), "dit").bench)
 
     same = fingerprint(bench_of(DIT))
     assert changed(lambda v: v.update(title="Another")) == same
@@ -265,7 +265,7 @@ def test_what_a_task_does_not_use_leaves_its_fingerprint() -> None:
         assert fingerprint(roles.get(card.bench, labs.role(0))) == card.fingerprint, name
     values = load_scenario("wurtz_dodecane").model_dump()
     values["safety"]["events"] = {"hum": "a bench hums"}
-    assert fingerprint(BenchArena(load_scenario(values), "dit").bench) != fingerprint(bench_of(DIT))
+    assert fingerprint(ExperimentBatch(load_scenario(values), "dit").bench) != fingerprint(bench_of(DIT))
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:

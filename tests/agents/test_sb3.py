@@ -220,7 +220,7 @@ def test_an_existing_batch_wrapped_or_not() -> None:
         expected = rewards + np.where(dones, -shift, (gamma - 1.0) * shift)
         np.testing.assert_allclose(shaped_rewards, expected, atol=1e-6)
     assert shaped_venv.get_attr("gamma") == [gamma] * 2
-    assert shaped_venv.get_attr("arena")[0] is shaped.unwrapped.arena  # type: ignore[attr-defined]
+    assert shaped_venv.get_attr("batch")[0] is shaped.unwrapped.batch  # type: ignore[attr-defined]
     assert infos[0]["TimeLimit.truncated"] is False
 
 

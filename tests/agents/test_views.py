@@ -161,7 +161,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
     manager = agent_policy("heuristic", labs, 0)
     observation, info = env.reset(seed=3)
     while True:
-        step = labs.desk.actions.copy()
+        step = labs.state.actions.copy()
         action = manager.act(observation[None], info["action_mask"][None], step, labs.members)[0]
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Bench, Channel, Station, check_discrete
+from chemlab.bench.base import Bench, Channel, Experiments, check_discrete
 from chemlab.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, ChemistryTable
 from chemlab.scenario import Scenario
 from chemlab.shelf import Shelf
@@ -50,35 +50,35 @@ class FiltrationBench(Bench):
     def action_meanings(self) -> list[str]:
         return ["filter", "end the experiment"]
 
-    def measure(self, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
-        return self.purity_measure(shelf, station, members, self.goals.absolute_counts)
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        return self.purity_measure(shelf, experiments, members, self.goals.absolute_counts)
 
-    def _wet(self, shelf: Shelf, station: Station, member: int) -> bool:
-        return bool(shelf.rows[station.places[member, 0], AMOUNTS:][self._runs_through].any())
+    def _wet(self, shelf: Shelf, experiments: Experiments, member: int) -> bool:
+        return bool(shelf.rows[experiments.places[member, 0], AMOUNTS:][self._runs_through].any())
 
-    def act(self, shelf: Shelf, station: Station, members: IntArray, actions: npt.NDArray[Any]) -> None:
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
         for m, action in zip(members, actions, strict=True):
-            station.events[m] = 0.0
-            station.illegal[m] = action == FILTER and not self._wet(shelf, station, m)
-            if action == FILTER and not station.illegal[m]:
-                funnel, filtrate = (shelf.rows[place, AMOUNTS:] for place in station.places[m])
+            experiments.events[m] = 0.0
+            experiments.illegal[m] = action == FILTER and not self._wet(shelf, experiments, m)
+            if action == FILTER and not experiments.illegal[m]:
+                funnel, filtrate = (shelf.rows[place, AMOUNTS:] for place in experiments.places[m])
                 filtrate[self._runs_through] += funnel[self._runs_through]
                 funnel[self._runs_through] = 0.0
-            station.steps[m] += 1
-            station.ended[m] = action == END or station.steps[m] >= self.spec.step_limit
+            experiments.steps[m] += 1
+            experiments.ended[m] = action == END or experiments.steps[m] >= self.spec.step_limit
 
-    def see(self, shelf: Shelf, station: Station, members: IntArray, out: ObservationArray) -> None:
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         out[:] = 0.0
         for row, m in zip(out, members, strict=True):
-            if station.busy[m]:
-                vessels = shelf.rows[station.places[m]]
+            if experiments.busy[m]:
+                vessels = shelf.rows[experiments.places[m]]
                 amounts = vessels[:, AMOUNTS : AMOUNTS + len(self.layout.materials)]
                 row[:2] = np.minimum(amounts @ self.known.molar_volume / vessels[:, CAPACITY], 1.0)
-                row[2 + station.goal[m]] = 1.0
+                row[2 + experiments.goal[m]] = 1.0
 
-    def mask(self, shelf: Shelf, station: Station, members: IntArray, out: MaskArray) -> None:
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
         for row, m in zip(out, members, strict=True):
-            row[FILTER] = station.busy[m] and self._wet(shelf, station, m)
+            row[FILTER] = experiments.busy[m] and self._wet(shelf, experiments, m)
             row[END] = 1
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:

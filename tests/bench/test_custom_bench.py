@@ -12,7 +12,7 @@ import chemlab.scenarios
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory.aec import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import DataError
 
 ENTRY = """
@@ -38,7 +38,7 @@ def test_the_laboratory_has_its_agent(scenario: Path) -> None:
     assert env.possible_agents == ["manager_0", "rxn_0", "ext_0", "dit_0", "fil_0"]
     assert env.action_space("fil_0").n == 2
     assert env.observation_space("fil_0").shape == (2 + len(env.scenario.goals),)
-    bench = BenchArena(scenario, "fil").bench
+    bench = ExperimentBatch(scenario, "fil").bench
     assert bench.observation_space == env.observation_space("fil_0")
     assert bench.action_space == env.action_space("fil_0")
     # The manager can start it on every slot for every goal, recall it, and sees where a vessel was last.
@@ -107,7 +107,7 @@ def test_salt_stays_back_and_its_ions_go_through(scenario: Path) -> None:
     sodium = shelf.total()[0] @ np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
     env.step(labs.actions.encode("start", "fil_0", 0, "NaCl"))
     env.step(labs.actions.encode("wait"))
-    places = labs.stations[3].places[0]
+    places = labs.experiments[3].places[0]
     held = shelf.amounts[0, places[0]].copy()
     env.step(0)
     before = dict(zip(env.scenario.materials, held, strict=True))
@@ -133,7 +133,7 @@ def test_atoms_are_conserved_in_random_play(scenario: Path) -> None:
     for seed in range(4):
         env.reset(seed=seed)
         start = labs.shelf.total()[0] @ atoms
-        while labs.desk.status[0] == 0:
+        while labs.state.status[0] == 0:
             mask = env.infos[env.agent_selection].get("action_mask")
             if mask is None:
                 env.step(rng.random(env.action_space(env.agent_selection).shape))

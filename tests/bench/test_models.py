@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from chemlab.agents.policies import Policy, bench_heuristic
 from chemlab.chemistry import Layout
 from chemlab.laboratory import raw_env
-from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.scenario import Scenario, load_scenario
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,18 +69,18 @@ def recipe(steps: int, size: int) -> FloatArray:
 def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: str) -> None:
     """SciPy's BDF in place of the kernel, through a whole experiment: final amounts within 1e-3 (1e-3 mol + 0.1 %)."""
     model = ScipyReactions(load_scenario(scenario))
-    arenas = [BenchArena(scenario, "rxn"), BenchArena(scenario, "rxn", reaction_model=model)]
-    for arena in arenas:
-        arena.seed(0, 3)
-        arena.reset(arena.members)
-        for action in recipe(20, arena.bench.action_space.shape[0]):
-            arena.act(action[None])
+    batches = [ExperimentBatch(scenario, "rxn"), ExperimentBatch(scenario, "rxn", reaction_model=model)]
+    for batch in batches:
+        batch.seed(0, 3)
+        batch.reset(batch.members)
+        for action in recipe(20, batch.bench.action_space.shape[0]):
+            batch.act(action[None])
     assert model.calls == 20
-    built_in, own = (arena.shelf.amounts[0, 0] for arena in arenas)
-    names = arenas[0].shelf.layout.materials
+    built_in, own = (batch.shelf.amounts[0, 0] for batch in batches)
+    names = batches[0].shelf.layout.materials
     assert own[names.index("dodecane" if scenario == "wurtz_dodecane" else "F")] > 0.1
     np.testing.assert_allclose(own, built_in, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(*(arena.finish(arena.members) for arena in arenas), rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(*(batch.finish(batch.members) for batch in batches), rtol=0.0, atol=1e-3)
 
 
 def test_a_reaction_model_works_in_the_whole_laboratory() -> None:
@@ -110,14 +110,14 @@ def test_a_reaction_model_is_told_temperature_volume_and_tick() -> None:
         seen.append((temperature_k, volume_l, dt))
         return amount_mol
 
-    arena = BenchArena("wurtz_dodecane", "rxn", reaction_model=inert)
-    arena.seed(0, 0)
-    arena.reset(arena.members)
-    arena.act(np.array([[1.0, 0.5, 1.0, 0.0, 0.0, 1.0]]))
+    batch = ExperimentBatch("wurtz_dodecane", "rxn", reaction_model=inert)
+    batch.seed(0, 0)
+    batch.reset(batch.members)
+    batch.act(np.array([[1.0, 0.5, 1.0, 0.0, 0.0, 1.0]]))
     glass = Glassware("wurtz_dodecane", 1)
     glass.fill(0, {"diethyl_ether": 4.0, "1-chlorohexane": 1.0})
     assert seen == [(pytest.approx(298.15 + 15.0), pytest.approx(glass.volume(0), rel=1e-9), 0.008)]
-    vessel = arena.shelf.vessel(0, 0).amounts()
+    vessel = batch.shelf.vessel(0, 0).amounts()
     assert vessel == pytest.approx({"diethyl_ether": 4.0, "1-chlorohexane": 1.0, "Na": 3.0})
 
 
@@ -146,11 +146,11 @@ def out_of_nothing(amounts: FloatArray, *_: float) -> FloatArray:
 )
 def test_a_reaction_model_that_returns_garbage_is_refused(model: Callable[..., FloatArray]) -> None:
     """Negative, not finite, of another shape, or not conserving atoms: ValueError naming the model."""
-    arena = BenchArena("wurtz_dodecane", "rxn", reaction_model=model)
-    arena.seed(0, 0)
-    arena.reset(arena.members)
+    batch = ExperimentBatch("wurtz_dodecane", "rxn", reaction_model=model)
+    batch.seed(0, 0)
+    batch.reset(batch.members)
     with pytest.raises(ValueError, match=model.__name__):
-        arena.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
+        batch.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
 
 
 # -- separation models --------------------------------------------------------------------------------------------
@@ -193,46 +193,49 @@ def ideal() -> IdealSeparation:
     return IdealSeparation(glass.scenario, glass.layout)
 
 
-def play(arena: BenchArena, policy: Policy) -> float:
+def play(batch: ExperimentBatch, policy: Policy) -> float:
     """Score of one experiment."""
-    for step in range(arena.bench.spec.step_limit):
-        arena.act(policy.act(arena.observe(), arena.mask(), np.array([step]), arena.members))
-        if arena.station.ended[0]:
+    for step in range(batch.bench.spec.step_limit):
+        batch.act(policy.act(batch.observe(), batch.mask(), np.array([step]), batch.members))
+        if batch.experiments.ended[0]:
             break
-    return float(arena.finish(arena.members)[0])
+    return float(batch.finish(batch.members)[0])
 
 
 def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None:
     """With ideal separation one wash takes all dissolved salt and no product: more than the paper's partition gives."""
     model = ideal()
-    scores, arenas = [], []
-    for arena in (BenchArena("wurtz_dodecane", "ext"), BenchArena("wurtz_dodecane", "ext", separation_model=model)):
-        arena.seed(0, 1)
-        arena.reset(arena.members, arena.scenario.goals.index("5-methylundecane"))
-        scores.append(play(arena, bench_heuristic(arena.bench)))
-        arenas.append(arena)
+    scores, batches = [], []
+    for batch in (
+        ExperimentBatch("wurtz_dodecane", "ext"),
+        ExperimentBatch("wurtz_dodecane", "ext", separation_model=model),
+    ):
+        batch.seed(0, 1)
+        batch.reset(batch.members, batch.scenario.goals.index("5-methylundecane"))
+        scores.append(play(batch, bench_heuristic(batch.bench)))
+        batches.append(batch)
     assert model.partitions > 10
     assert model.profiles > 10
     assert scores[1] > scores[0] + 0.05
-    extracted = arenas[1].shelf.vessel(0, 0).amounts()
+    extracted = batches[1].shelf.vessel(0, 0).amounts()
     assert extracted["5-methylundecane"] > 0.95
     salt = min(extracted.get("Na+", 0.0), extracted.get("Cl-", 0.0)) + extracted.get("NaCl", 0.0)
     assert salt < 0.05
-    total = arenas[1].shelf.total()[0]
-    assert total[arenas[1].shelf.layout.index("5-methylundecane")] == pytest.approx(1.0, rel=1e-12)
+    total = batches[1].shelf.total()[0]
+    assert total[batches[1].shelf.layout.index("5-methylundecane")] == pytest.approx(1.0, rel=1e-12)
 
 
 def test_without_solvent_a_separation_model_leaves_nothing_dissolved() -> None:
     """Once all ether has boiled off, the vessel lists no solute as dissolved, as with the built-in separation."""
     for model in (None, ideal()):
-        arena = BenchArena("wurtz_dodecane", "dit", separation_model=model)
-        arena.seed(0, 0)
-        arena.reset(arena.members, arena.scenario.goals.index("dodecane"))
-        assert arena.shelf.dissolved[0, 0].sum() == pytest.approx(1.0 + 2.0 * arena.shelf.vessel(0, 0).amounts()["Na+"])
+        batch = ExperimentBatch("wurtz_dodecane", "dit", separation_model=model)
+        batch.seed(0, 0)
+        batch.reset(batch.members, batch.scenario.goals.index("dodecane"))
+        assert batch.shelf.dissolved[0, 0].sum() == pytest.approx(1.0 + 2.0 * batch.shelf.vessel(0, 0).amounts()["Na+"])
         for _ in range(3):
-            arena.act(np.array([arena.bench.action_meanings.index("heat DV, 50 kJ")]))
-        assert arena.shelf.vessel(0, 0).amounts() == pytest.approx({"dodecane": 1.0, "NaCl": 1.0})
-        assert (arena.shelf.dissolved[0, 0] == 0.0).all()
+            batch.act(np.array([batch.bench.action_meanings.index("heat DV, 50 kJ")]))
+        assert batch.shelf.vessel(0, 0).amounts() == pytest.approx({"dodecane": 1.0, "NaCl": 1.0})
+        assert (batch.shelf.dissolved[0, 0] == 0.0).all()
 
 
 def test_a_separation_model_works_in_the_whole_laboratory() -> None:
@@ -315,9 +318,9 @@ def test_a_separation_model_that_returns_garbage_is_refused(
 ) -> None:
     """Negative, NaN, of another shape, or not conserving: ValueError naming the model."""
     model = Wrong(method, spoil)
-    arena = BenchArena("wurtz_dodecane", "ext", separation_model=model)
-    arena.seed(0, 0)
-    arena.reset(arena.members)
+    batch = ExperimentBatch("wurtz_dodecane", "ext", separation_model=model)
+    batch.seed(0, 0)
+    batch.reset(batch.members)
     model.armed = True
     with pytest.raises(ValueError, match="Wrong"):
-        arena.act(np.array([arena.bench.action_meanings.index("add water to EV, 0.2 L")]))
+        batch.act(np.array([batch.bench.action_meanings.index("add water to EV, 0.2 L")]))

@@ -10,7 +10,7 @@ import pytest
 
 from chemlab.agents.policies import Policy, RandomPolicy, bench_heuristic
 from chemlab.bench.operations import OperationBench
-from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.scenario import load_scenario
 
 FloatArray = npt.NDArray[np.float64]
@@ -19,74 +19,74 @@ FloatArray = npt.NDArray[np.float64]
 # -- scores of given contents -------------------------------------------------------------------------------------
 
 
-def arena_for(bench: str, goal: str, scenario: str = "wurtz_dodecane", members: int = 1) -> BenchArena:
+def arena_for(bench: str, goal: str, scenario: str = "wurtz_dodecane", members: int = 1) -> ExperimentBatch:
     """A running experiment of each member, on its paper's starting state."""
-    arena = BenchArena(scenario, bench, members)
-    for member in arena.members:
-        arena.seed(int(member), int(member))
-    arena.reset(arena.members, arena.scenario.goals.index(goal))
-    return arena
+    batch = ExperimentBatch(scenario, bench, members)
+    for member in batch.members:
+        batch.seed(int(member), int(member))
+    batch.reset(batch.members, batch.scenario.goals.index(goal))
+    return batch
 
 
-def measured(arena: BenchArena, *vessels: dict[str, float]) -> float:
+def measured(batch: ExperimentBatch, *vessels: dict[str, float]) -> float:
     """The bench's measure (what a score is the change of) with these amounts in its vessels."""
-    arena.shelf.amounts[0] = 0.0
+    batch.shelf.amounts[0] = 0.0
     for position, contents in enumerate(vessels):
         for name, mol in contents.items():
-            arena.shelf.amounts[0, position, arena.shelf.layout.index(name)] = mol
-    return float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+            batch.shelf.amounts[0, position, batch.shelf.layout.index(name)] = mol
+    return float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
 
 
 def test_the_papers_worked_example() -> None:
     """1 mol each of dodecane and NaCl, parted 0.7 : 0.2 and 0.3 : 0.8: purity from 1/3 to 0.4928, reward 0.1595."""
-    arena = arena_for("ext", "dodecane")
-    start = measured(arena, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na+": 1.0, "Cl-": 1.0})
+    batch = arena_for("ext", "dodecane")
+    start = measured(batch, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na+": 1.0, "Cl-": 1.0})
     assert start == pytest.approx(1.0 / 3.0, rel=1e-14)
     end = measured(
-        arena,
+        batch,
         {"diethyl_ether": 4.0, "dodecane": 0.7, "Na+": 0.2, "Cl-": 0.2},
         {"water": 20.0, "dodecane": 0.3, "Na+": 0.8, "Cl-": 0.8},
     )
     assert end == pytest.approx(0.7 * 7.0 / 11.0 + 0.3 * 3.0 / 19.0, rel=1e-14)
     assert end == pytest.approx(0.4928, abs=5e-5)
     # The bench's own start has its salt partly undissolved; that must not matter.
-    reward = float(arena.finish(arena.members)[0])
+    reward = float(batch.finish(batch.members)[0])
     assert reward == pytest.approx(end - 1.0 / 3.0, rel=1e-12)
     assert reward == pytest.approx(0.1595, abs=5e-5)
 
 
 def test_solute_purity_does_not_change_as_salt_precipitates() -> None:
     """Undissolved salt counts as its two ions; solvents do not count; metal counts as one."""
-    arena = arena_for("ext", "dodecane")
-    dissolved = measured(arena, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na+": 0.5, "Cl-": 0.5})
-    solid = measured(arena, {"dodecane": 1.0, "NaCl": 0.3, "Na+": 0.2, "Cl-": 0.2, "water": 9.0})
+    batch = arena_for("ext", "dodecane")
+    dissolved = measured(batch, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na+": 0.5, "Cl-": 0.5})
+    solid = measured(batch, {"dodecane": 1.0, "NaCl": 0.3, "Na+": 0.2, "Cl-": 0.2, "water": 9.0})
     assert dissolved == solid == pytest.approx(0.5, rel=1e-14)
-    assert measured(arena, {"dodecane": 1.0, "Na": 0.25, "NaOH": 0.5}) == pytest.approx(1.0 / 2.25, rel=1e-14)
+    assert measured(batch, {"dodecane": 1.0, "Na": 0.25, "NaOH": 0.5}) == pytest.approx(1.0 / 2.25, rel=1e-14)
 
 
 def test_dissolved_salt_counts_as_salt_where_salt_is_the_goal() -> None:
     """Goal NaCl: 0.2 mol solid and 0.4 mol of each ion are 0.6 mol of salt; a pair of ions counts as one in purity."""
-    arena = arena_for("ext", "NaCl")
-    found = measured(arena, {"water": 5.0, "NaCl": 0.2, "Na+": 0.4, "Cl-": 0.4, "dodecane": 0.3})
+    batch = arena_for("ext", "NaCl")
+    found = measured(batch, {"water": 5.0, "NaCl": 0.2, "Na+": 0.4, "Cl-": 0.4, "dodecane": 0.3})
     assert found == pytest.approx(0.6 * 0.6 / 0.9, rel=1e-14)
-    spread = measured(arena, {"NaCl": 0.5, "dodecane": 1.0}, {"water": 5.0, "Na+": 0.5, "Cl-": 0.5})
+    spread = measured(batch, {"NaCl": 0.5, "dodecane": 1.0}, {"water": 5.0, "Na+": 0.5, "Cl-": 0.5})
     assert spread == pytest.approx(0.5 * (0.5 / 1.5) + 0.5 * 1.0, rel=1e-14)
 
 
 def test_only_pairs_of_ions_are_salt() -> None:
     """0.5 mol Na+, 0.2 mol Cl-, 0.3 mol OH-: 0.2 mol of the goal NaCl, of purity 0.2 / 0.5."""
-    arena = arena_for("ext", "NaCl")
-    found = measured(arena, {"water": 5.0, "Na+": 0.5, "Cl-": 0.2, "OH-": 0.3})
+    batch = arena_for("ext", "NaCl")
+    found = measured(batch, {"water": 5.0, "Na+": 0.5, "Cl-": 0.2, "OH-": 0.3})
     assert found == pytest.approx(0.2 * 0.2 / 0.5, rel=1e-14)
 
 
 def test_absolute_purity_counts_everything() -> None:
     """On the distillation bench solvents count, too; a pair of ions counts as one, dissolved or not."""
-    arena = arena_for("dit", "dodecane")
-    found = measured(arena, {"dodecane": 0.5, "diethyl_ether": 1.0, "Na+": 0.2, "Cl-": 0.2})
+    batch = arena_for("dit", "dodecane")
+    found = measured(batch, {"dodecane": 0.5, "diethyl_ether": 1.0, "Na+": 0.2, "Cl-": 0.2})
     assert found == pytest.approx(0.5 * 0.5 / 1.7, rel=1e-14)
-    assert measured(arena, {"dodecane": 0.5, "diethyl_ether": 1.0, "NaCl": 0.2}) == pytest.approx(found, rel=1e-14)
-    assert measured(arena, {"dodecane": 0.4}, {"dodecane": 0.6, "water": 0.6}) == pytest.approx(0.4 + 0.3, rel=1e-14)
+    assert measured(batch, {"dodecane": 0.5, "diethyl_ether": 1.0, "NaCl": 0.2}) == pytest.approx(found, rel=1e-14)
+    assert measured(batch, {"dodecane": 0.4}, {"dodecane": 0.6, "water": 0.6}) == pytest.approx(0.4 + 0.3, rel=1e-14)
     salt = arena_for("dit", "NaCl")
     assert measured(salt, {"NaCl": 0.2, "Na+": 0.4, "Cl-": 0.4, "water": 0.6}) == pytest.approx(0.6 * 0.5, rel=1e-14)
 
@@ -94,58 +94,60 @@ def test_absolute_purity_counts_everything() -> None:
 @pytest.mark.parametrize("bench", ["ext", "dit"])
 def test_lost_product_counts_against_the_agent(bench: str) -> None:
     """With everything gone the measure is 0, so the score is minus what there was at the start."""
-    arena = arena_for(bench, "dodecane")
-    start = float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+    batch = arena_for(bench, "dodecane")
+    start = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
     assert start > 0.1
-    assert measured(arena) == 0.0
-    assert float(arena.finish(arena.members)[0]) == pytest.approx(-start, rel=1e-14)
+    assert measured(batch) == 0.0
+    assert float(batch.finish(batch.members)[0]) == pytest.approx(-start, rel=1e-14)
 
 
 @pytest.mark.parametrize(("bench", "goal"), [("ext", "dodecane"), ("ext", "NaCl"), ("dit", "4-ethyldecane")])
 def test_ending_at_once_scores_nothing(bench: str, goal: str) -> None:
     """The end action straight away: the score is 0 (nothing gained, nothing lost)."""
-    arena = arena_for(bench, goal)
-    assert isinstance(arena.bench, OperationBench)
-    arena.act(np.array([arena.bench.end_action]))
-    assert arena.station.ended[0]
-    assert float(arena.finish(arena.members)[0]) == pytest.approx(0.0, abs=1e-12)
+    batch = arena_for(bench, goal)
+    assert isinstance(batch.bench, OperationBench)
+    batch.act(np.array([batch.bench.end_action]))
+    assert batch.experiments.ended[0]
+    assert float(batch.finish(batch.members)[0]) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_reaction_score_is_what_was_produced() -> None:
     """Product that was in the vessel before does not count; dissolved salt does where salt is the goal."""
-    arena = BenchArena("wurtz_dodecane", "rxn")
+    batch = ExperimentBatch("wurtz_dodecane", "rxn")
     for goal, brought in (("dodecane", {"dodecane": 0.3}), ("NaCl", {"NaCl": 0.2, "Na+": 0.1, "Cl-": 0.1})):
-        arena.seed(0, 0)
-        arena.reset(arena.members, arena.scenario.goals.index(goal))
-        arena.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, **brought})
-        arena.bench.begin(arena.shelf, arena.station, arena.members)
-        assert float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0]) == pytest.approx(0.3, rel=1e-9)
-        arena.shelf.amounts[0, 0, arena.shelf.layout.index(goal)] += 0.25
-        assert float(arena.finish(arena.members)[0]) == pytest.approx(0.25, rel=1e-9)
+        batch.seed(0, 0)
+        batch.reset(batch.members, batch.scenario.goals.index(goal))
+        batch.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, **brought})
+        batch.bench.begin(batch.shelf, batch.experiments, batch.members)
+        assert float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0]) == pytest.approx(
+            0.3, rel=1e-9
+        )
+        batch.shelf.amounts[0, 0, batch.shelf.layout.index(goal)] += 0.25
+        assert float(batch.finish(batch.members)[0]) == pytest.approx(0.25, rel=1e-9)
 
 
 @pytest.mark.parametrize(("goal", "score"), [("E", 0.2), ("F", 0.5 - 0.2), ("G", 0.1 - 0.2), ("I", 0.05 - 0.2)])
 def test_fictitious_penalty(goal: str, score: float) -> None:
     """Moles of E come off the score unless E is the goal; other by-products cost nothing."""
-    arena = arena_for("rxn", goal, "fictitious")
+    batch = arena_for("rxn", goal, "fictitious")
     made = {"diethyl_ether": 4.0, "E": 0.2, "F": 0.5, "G": 0.1, "H": 0.3, "I": 0.05, "A": 0.4}
-    assert measured(arena, made) == pytest.approx(score, rel=1e-14)
-    assert float(arena.finish(arena.members)[0]) == pytest.approx(score, rel=1e-14)
+    assert measured(batch, made) == pytest.approx(score, rel=1e-14)
+    assert float(batch.finish(batch.members)[0]) == pytest.approx(score, rel=1e-14)
 
 
 # -- what policies earn -------------------------------------------------------------------------------------------
 
 
-def play(arena: BenchArena, policy: Policy) -> FloatArray:
+def play(batch: ExperimentBatch, policy: Policy) -> FloatArray:
     """[N] scores of the experiments that are running."""
-    scores, running = np.full(len(arena.members), np.nan), arena.members.copy()
-    for step in range(arena.bench.spec.step_limit):
-        mask = arena.mask()[running] if arena.bench.action_count else None
+    scores, running = np.full(len(batch.members), np.nan), batch.members.copy()
+    for step in range(batch.bench.spec.step_limit):
+        mask = batch.mask()[running] if batch.bench.action_count else None
         steps = np.full(len(running), step)
-        arena.act(policy.act(arena.observe()[running], mask, steps, running), running)
-        ended = arena.station.ended[running]
+        batch.act(policy.act(batch.observe()[running], mask, steps, running), running)
+        ended = batch.experiments.ended[running]
         if ended.any():
-            scores[running[ended]] = arena.finish(running[ended])
+            scores[running[ended]] = batch.finish(running[ended])
             running = running[~ended]
     assert not len(running)
     return scores
@@ -154,12 +156,12 @@ def play(arena: BenchArena, policy: Policy) -> FloatArray:
 def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, float]:
     """Mean score for each goal on the paper's starting states."""
     found = {}
-    for i, goal in enumerate(BenchArena(scenario, bench).scenario.goals):
-        arena = arena_for(bench, goal, scenario, episodes)
-        shape = arena.bench.action_space.shape
+    for i, goal in enumerate(ExperimentBatch(scenario, bench).scenario.goals):
+        batch = arena_for(bench, goal, scenario, episodes)
+        shape = batch.bench.action_space.shape
         size = shape[0] if shape else 0
         found[goal] = float(
-            play(arena, bench_heuristic(arena.bench) if policy == "heuristic" else RandomPolicy(size, i)).mean()
+            play(batch, bench_heuristic(batch.bench) if policy == "heuristic" else RandomPolicy(size, i)).mean()
         )
     return found
 
@@ -203,12 +205,12 @@ def coins(bench: OperationBench, kilojoules: float) -> list[int]:
     return actions
 
 
-def begin(arena: BenchArena, goal: str, contents: dict[str, float]) -> None:
+def begin(batch: ExperimentBatch, goal: str, contents: dict[str, float]) -> None:
     """Start every member's experiment on the same contents."""
-    arena.reset(arena.members, arena.scenario.goals.index(goal))
-    for member in arena.members:
-        arena.shelf.fill(int(member), 0, arena.bench.spec.start.capacity_l, contents)
-    arena.bench.begin(arena.shelf, arena.station, arena.members)
+    batch.reset(batch.members, batch.scenario.goals.index(goal))
+    for member in batch.members:
+        batch.shelf.fill(int(member), 0, batch.bench.spec.start.capacity_l, contents)
+    batch.bench.begin(batch.shelf, batch.experiments, batch.members)
 
 
 def best_fixed_sequence(scenario: str, goal: str, contents: dict[str, float]) -> float:
@@ -216,8 +218,8 @@ def best_fixed_sequence(scenario: str, goal: str, contents: dict[str, float]) ->
     plans: list[tuple[float, float | None]] = [
         (4.0 * i, more) for i in range(76) for more in (None, 20.0, 40.0, 60.0, 80.0, 120.0, 160.0)
     ]
-    arena = BenchArena(scenario, "dit", len(plans))
-    bench = arena.bench
+    batch = ExperimentBatch(scenario, "dit", len(plans))
+    bench = batch.bench
     assert isinstance(bench, OperationBench)
     swap = bench.action_meanings.index("pour B1 -> B2, 1 fraction")
     sequences: Sequence[list[int]] = [
@@ -226,14 +228,14 @@ def best_fixed_sequence(scenario: str, goal: str, contents: dict[str, float]) ->
     longest = max(map(len, sequences))
     assert longest < bench.spec.step_limit
     table = np.array([plan + [bench.end_action] * (longest + 1 - len(plan)) for plan in sequences])
-    begin(arena, goal, contents)
-    scores, running = np.full(len(plans), np.nan), arena.members.copy()
+    begin(batch, goal, contents)
+    scores, running = np.full(len(plans), np.nan), batch.members.copy()
     for step in range(longest + 1):
-        arena.act(table[running, step], running)
-        ended = running[arena.station.ended[running]]
+        batch.act(table[running, step], running)
+        ended = running[batch.experiments.ended[running]]
         if len(ended):
-            scores[ended] = arena.finish(ended)
-            running = running[~arena.station.ended[running]]
+            scores[ended] = batch.finish(ended)
+            running = running[~batch.experiments.ended[running]]
     return float(scores.max())
 
 
@@ -244,17 +246,17 @@ def best_fixed_sequence(scenario: str, goal: str, contents: dict[str, float]) ->
 )
 def test_distillation_heuristic_is_near_the_best_fixed_sequence(scenario: str, goal: str, accompanied: bool) -> None:
     """At least 95 % of the best of 532 fixed sequences of actions, for every goal, with its companion and without."""
-    arena = BenchArena(scenario, "dit", 12)
-    start = arena.bench.spec.start
+    batch = ExperimentBatch(scenario, "dit", 12)
+    start = batch.bench.spec.start
     assert start.companion is not None
     contents = {**start.contents, goal: start.goal_mol}
     if accompanied:
         companion = start.companion
         contents[companion.if_goal if goal == companion.material else companion.material] = companion.mol
-    for member in arena.members:
-        arena.seed(int(member), int(member))
-    begin(arena, goal, contents)
-    mean = play(arena, bench_heuristic(arena.bench)).mean()
+    for member in batch.members:
+        batch.seed(int(member), int(member))
+    begin(batch, goal, contents)
+    mean = play(batch, bench_heuristic(batch.bench)).mean()
     best = best_fixed_sequence(scenario, goal, contents)
     assert best > 0.6  # the search is no straw man: the most there is to gain is 0.8 or a little more
     assert mean >= 0.95 * best

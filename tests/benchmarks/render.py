@@ -48,7 +48,7 @@ def bench(name: str, key: str, frames: int) -> dict[str, float]:
             env.reset(seed=len(seconds))
         _, _, over, _, _ = env.step(env.action_space.sample())
         begun = time.perf_counter()
-        draw(bench_scene(env.arena))
+        draw(bench_scene(env.batch))
         seconds.append(time.perf_counter() - begun)
     return summary(seconds)
 

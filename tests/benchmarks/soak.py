@@ -74,7 +74,7 @@ class _Watched(BatchedLaboratory):
     def _weight(self, members: IntArray) -> FloatArray:
         labs = self.laboratories
         total = labs.shelf.amounts[members].sum(axis=1) + labs.shelf.stock[members] + labs.shelf.waste[members]
-        return np.asarray((total + labs.desk.delivered[members]) @ self.atoms_in)
+        return np.asarray((total + labs.state.delivered[members]) @ self.atoms_in)
 
     def weigh(self, members: IntArray) -> None:
         """Atoms of some laboratories against those they began with; the last column is the charge."""

@@ -124,7 +124,7 @@ def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
     alone.reset(seed=7)
     everybody = make_policies("heuristic", alone.laboratories)
     labs = alone.laboratories
-    while labs.desk.status[0] == 0:
+    while labs.state.status[0] == 0:
         agent = alone.agent_selection
         mask: Any = alone.infos[agent].get("action_mask")
         turns = labs.turns_had(labs.agents.index(agent))

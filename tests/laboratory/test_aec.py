@@ -24,7 +24,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.arena import BenchArena
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.laboratory.text import named_costs
 from chemlab.materials import DataError
@@ -139,7 +139,7 @@ def test_the_manager_keeps_the_turn_after_each_action_but_wait() -> None:
         manager(env, *action)
         assert not env.infos["manager_0"]["illegal_action"]
         assert env.agent_selection == "manager_0"
-    assert env.laboratories.desk.ticks[0] == 0
+    assert env.laboratories.state.ticks[0] == 0
     manager(env, "wait")
     assert env.agent_selection == "rxn_0"
 
@@ -152,7 +152,7 @@ def test_waiting_is_illegal_while_no_bench_is_busy() -> None:
     env.step(wait)
     assert env.infos["manager_0"]["illegal_action"]
     assert env.agent_selection == "manager_0"
-    assert env.laboratories.desk.ticks[0] == 0
+    assert env.laboratories.state.ticks[0] == 0
     manager(env, "start", "rxn_0", 0, "dodecane")
     assert env.infos["manager_0"]["action_mask"][wait] == 1
 
@@ -168,9 +168,9 @@ def test_busy_benches_act_alternately_in_the_scenarios_order() -> None:
     for tick in range(1, 4):
         for _ in range(2):
             order.append(env.agent_selection)
-            assert env.laboratories.desk.ticks[0] == tick - 1
+            assert env.laboratories.state.ticks[0] == tick - 1
             env.step(idle(env))
-        assert env.laboratories.desk.ticks[0] == tick
+        assert env.laboratories.state.ticks[0] == tick
     assert order == ["rxn_0", "dit_0"] * 3
 
 
@@ -185,14 +185,14 @@ def test_the_tick_in_which_an_experiment_ends_is_finished() -> None:
     # The extraction is over, but the distillation has its turn in this tick before the manager has one.
     assert not env.laboratories.busy[1, 0]
     assert env.agent_selection == "dit_0"
-    assert env.laboratories.desk.ticks[0] == 0
+    assert env.laboratories.state.ticks[0] == 0
     env.step(idle(env))
     assert env.agent_selection == "manager_0"
-    assert env.laboratories.desk.ticks[0] == 1
+    assert env.laboratories.state.ticks[0] == 1
     # The other goes on where it was.
     manager(env, "wait")
     assert env.agent_selection == "dit_0"
-    assert env.laboratories.stations[2].steps[0] == 1
+    assert env.laboratories.experiments[2].steps[0] == 1
 
 
 def test_one_bench_of_two_of_a_kind_ends_and_the_other_goes_on() -> None:
@@ -225,21 +225,21 @@ def test_turns_in_random_play(name: str) -> None:
     labs, rng = env.laboratories, np.random.default_rng(0)
     env.reset(seed=0)
     order: list[str] = []
-    while labs.desk.status[0] == 0:
+    while labs.state.status[0] == 0:
         agent, number = env.agent_selection, env.possible_agents.index(env.agent_selection)
         busy = [labs.agents[1 + b] for b in np.flatnonzero(labs.busy[:, 0])]
         assert agent == "manager_0" or agent in busy, "an idle bench has no turn"
-        tick, action = int(labs.desk.ticks[0]), random_legal(env, rng, submit=False)
+        tick, action = int(labs.state.ticks[0]), random_legal(env, rng, submit=False)
         waits = number == 0 and labs.actions.decode(action) == ("wait",)
         env.step(action)
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             break
         if number == 0:
             assert env.agent_selection == (busy[0] if waits else "manager_0")
-            assert labs.desk.ticks[0] == tick
+            assert labs.state.ticks[0] == tick
             continue
         order.append(agent)
-        if labs.desk.ticks[0] == tick:  # the tick goes on: the next busy bench
+        if labs.state.ticks[0] == tick:  # the tick goes on: the next busy bench
             later = [other for other in busy if env.possible_agents.index(other) > number]
             assert env.agent_selection == later[0]
         else:
@@ -247,7 +247,7 @@ def test_turns_in_random_play(name: str) -> None:
             # An experiment of this tick has ended exactly if not everybody who took part is still busy.
             assert env.agent_selection == (still[0] if set(order) == set(still) else "manager_0")
             order = []
-    assert labs.desk.status[0] == 2
+    assert labs.state.status[0] == 2
 
 
 @pytest.mark.parametrize(("agent", "limit"), [("rxn_0", 20), ("ext_0", 50), ("dit_0", 50)])
@@ -274,7 +274,7 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
     scenario = env.scenario
     goals = len(scenario.goals)
     for key, spec in scenario.benches.items():
-        bench = BenchArena(scenario, key).bench
+        bench = ExperimentBatch(scenario, key).bench
         parts = {
             "rxn": 200 + 3 + len(getattr(bench.options, "reagents", ())) + goals,
             "ext": 300 + goals,
@@ -295,8 +295,8 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
     reading = sum(1 + readings.get(spec.kind, liquids + 1) for spec in scenario.instruments.values())
     roles = max(len(bench.positions) for bench in labs.benches)
     slot = 4 + (1 + len(scenario.benches)) + roles + reading
-    stations = len(labs.stations) * (1 + goals + 1)
-    size = scenario.shelf.slots * slot + stations + len(scenario.stock) + scenario.orders * goals + 3
+    experiments = len(labs.experiments) * (1 + goals + 1)
+    size = scenario.shelf.slots * slot + experiments + len(scenario.stock) + scenario.orders * goals + 3
     assert env.observation_space("manager_0") == gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
 
 
@@ -307,10 +307,10 @@ def test_observations_are_those_of_the_single_bench(name: str) -> None:
     scenario, labs = env.scenario, env.laboratories
     goal = scenario.lab_goals[0]
     for key in scenario.benches:
-        arena = BenchArena(scenario, key)
-        arena.seed(0, 7)
-        stream = arena.station.stream.copy()
-        arena.reset(arena.members, scenario.goals.index(goal))
+        batch = ExperimentBatch(scenario, key)
+        batch.seed(0, 7)
+        stream = batch.experiments.stream.copy()
+        batch.reset(batch.members, scenario.goals.index(goal))
         start = scenario.benches[key].start
         contents = dict(start.contents)
         if start.goal_mol > 0.0:
@@ -319,27 +319,27 @@ def test_observations_are_those_of_the_single_bench(name: str) -> None:
             other = start.companion.if_goal if goal == start.companion.material else start.companion.material
             # Whether it is there is drawn; a salt may have dissolved into its ions.
             ions = {salt.solid: salt.cation for salt in scenario.family.salt}
-            found = arena.shelf.vessel(0, 0).amounts(1e-6)
+            found = batch.shelf.vessel(0, 0).amounts(1e-6)
             if other in found or ions.get(other) in found:
                 contents[other] = contents.get(other, 0.0) + start.companion.mol
         env.reset(seed=1)
         agent = f"{key}_0"
-        station = labs.stations[env.possible_agents.index(agent) - 1]
-        station.stream[:] = stream
+        experiments = labs.experiments[env.possible_agents.index(agent) - 1]
+        experiments.stream[:] = stream
         labs.shelf.fill(0, 0, start.capacity_l, contents)
         manager(env, "start", agent, 0, goal)
         manager(env, "wait")
         rng = np.random.default_rng(2)
-        for _ in range(arena.bench.spec.step_limit - 1):
+        for _ in range(batch.bench.spec.step_limit - 1):
             assert env.agent_selection == agent
-            np.testing.assert_array_equal(env.observe(agent), arena.observe()[0])
+            np.testing.assert_array_equal(env.observe(agent), batch.observe()[0])
             action = random_legal(env, rng)
             if "action_mask" in env.infos[agent]:
-                np.testing.assert_array_equal(env.infos[agent]["action_mask"], arena.mask()[0])
+                np.testing.assert_array_equal(env.infos[agent]["action_mask"], batch.mask()[0])
                 if action == end(env):
                     action = idle(env)
             env.step(action)
-            arena.act(arena.bench.checked(agent, action))
+            batch.act(batch.bench.checked(agent, action))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -347,7 +347,7 @@ def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -
     env = raw_env(name)
     rng = np.random.default_rng(4)
     env.reset(seed=4)
-    while env.laboratories.desk.status[0] == 0:
+    while env.laboratories.state.status[0] == 0:
         for number, agent in enumerate(env.possible_agents):
             seen = env.observe(agent)
             assert env.observation_space(agent).contains(seen)
@@ -357,7 +357,7 @@ def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -
                 bench = env.laboratories.benches[number - 1]
                 goal = seen[channel_slices(bench.channels)["goal"]]
                 assert goal.sum() == 1.0
-                assert goal.argmax() == env.laboratories.stations[number - 1].goal[0]
+                assert goal.argmax() == env.laboratories.experiments[number - 1].goal[0]
         env.step(random_legal(env, rng, submit=False))
 
 
@@ -373,7 +373,7 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
     played: Counter[tuple[bool, bool]] = Counter()
     for seed in range(8):
         env.reset(seed=seed)
-        while labs.desk.status[0] == 0:
+        while labs.state.status[0] == 0:
             agent, space = env.agent_selection, env.action_space(env.agent_selection)
             mask = env.infos[agent].get("action_mask")
             if not isinstance(space, gymnasium.spaces.Discrete):
@@ -544,7 +544,7 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
         if policy != "heuristic":
             return random_legal(inner, rng, submit=policy == "random")
         number = inner.possible_agents.index(agent)
-        step = inner.laboratories.desk.actions if number == 0 else inner.laboratories.stations[number - 1].steps
+        step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
         mask = inner.infos[agent].get("action_mask")
         mask = None if mask is None else mask[None]
         return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
@@ -565,7 +565,7 @@ def test_a_cooperative_laboratory_shares_the_managers_result() -> None:
 
     def act(inner: raw_env, agent: str, observation: Any) -> Any:
         number = inner.possible_agents.index(agent)
-        step = inner.laboratories.desk.actions if number == 0 else inner.laboratories.stations[number - 1].steps
+        step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
         mask = inner.infos[agent].get("action_mask")
         mask = None if mask is None else mask[None]
         return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
@@ -686,7 +686,7 @@ def test_asking_for_a_goal_changes_nothing_else() -> None:
     """The draw is made all the same, so cameras and instruments of the episode do not depend on who chose the goal."""
     env = raw_env("wurtz_any")
     env.reset(seed=5)
-    drawn = env.scenario.goals[env.laboratories.desk.goal[0, 0]]
+    drawn = env.scenario.goals[env.laboratories.state.goal[0, 0]]
     states = []
     for options in (None, {"goal": drawn}):
         env.reset(seed=5, options=options)
@@ -703,11 +703,11 @@ def test_goals_are_drawn_uniformly() -> None:
     for seed in range(draws):
         labs.seed(0, seed)
         labs.reset(labs.members)
-        by_seed[int(labs.desk.goal[0, 0])] += 1
+        by_seed[int(labs.state.goal[0, 0])] += 1
     in_a_row: Counter[int] = Counter()
     for _ in range(draws):
         labs.reset(labs.members)
-        in_a_row[int(labs.desk.goal[0, 0])] += 1
+        in_a_row[int(labs.state.goal[0, 0])] += 1
     for counts in (by_seed, in_a_row):
         assert set(counts) == {env.scenario.goals.index(goal) for goal in goals}
         expected = draws / len(goals)
@@ -720,17 +720,17 @@ def test_a_reset_leaves_nothing_of_the_last_episode() -> None:
     rng = np.random.default_rng(0)
     env.reset(seed=11)
     labs = env.laboratories
-    fresh = [array.copy() for array in (*labs.shelf.arrays(), *labs.state.changing())]
+    fresh = [array.copy() for array in (*labs.shelf.arrays(), *labs.table.changing())]
     for _ in range(60):
-        if env.laboratories.desk.status[0]:
+        if env.laboratories.state.status[0]:
             break
         env.step(random_legal(env, rng, submit=False))
     env.reset(seed=11)
     # What a bench keeps of its last experiment is overwritten when the next begins; everything else is as at first.
-    for array, was in zip((*labs.shelf.arrays(), *labs.state.changing()), fresh, strict=True):
+    for array, was in zip((*labs.shelf.arrays(), *labs.table.changing()), fresh, strict=True):
         np.testing.assert_array_equal(array, was)
-    for station in env.laboratories.stations:
-        assert not station.busy.any()
+    for experiments in env.laboratories.experiments:
+        assert not experiments.busy.any()
     assert env.agents == env.possible_agents
     assert set(env.rewards.values()) == {0.0}
 
@@ -740,9 +740,9 @@ def test_rendering_as_text(name: str) -> None:
     env = raw_env(name, render_mode="ansi")
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    goal = env.scenario.goals[env.laboratories.desk.goal[0, 0]]
+    goal = env.scenario.goals[env.laboratories.state.goal[0, 0]]
     texts = []
-    while env.laboratories.desk.status[0] == 0:
+    while env.laboratories.state.status[0] == 0:
         text = env.render()
         assert isinstance(text, str)
         assert f"goal {goal}" in text

@@ -151,12 +151,12 @@ def test_seeds_of_members_and_resets_of_some() -> None:
         np.testing.assert_array_equal(now[1], was[1])
         np.testing.assert_array_equal(now[[0, 2, 3]], then[[0, 2, 3]])
     batch.reset(seed=1, options={"goal": "NaCl"})
-    goals = batch.laboratories.desk.goal[:, 0]
+    goals = batch.laboratories.state.goal[:, 0]
     assert {batch.scenario.goals[goal] for goal in goals} == {"NaCl"}
     # A batch that was never seeded draws seeds, and not the same for all.
     other = BatchedLaboratory(6, "wurtz_any")
     other.reset()
-    assert len(set(other.laboratories.desk.stream[:, 0].tolist())) == 6
+    assert len(set(other.laboratories.state.stream[:, 0].tolist())) == 6
 
 
 @pytest.mark.parametrize(

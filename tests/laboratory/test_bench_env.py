@@ -364,7 +364,7 @@ def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
         _, rewards, terminated, _, infos = env.step(np.array([illegal]))
         assert infos["illegal_action"][0], f"step {step}"
         assert terminated[0] == (step == env.bench.spec.step_limit)
-    assert rewards[0] == pytest.approx(infos["score"][0] - env.arena.scenario.costs.illegal_action)
+    assert rewards[0] == pytest.approx(infos["score"][0] - env.batch.scenario.costs.illegal_action)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -490,7 +490,7 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
     env = single(name)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    price = env.arena.scenario.costs.illegal_action
+    price = env.batch.scenario.costs.illegal_action
     assert price > 0.0
     seen = {True: 0, False: 0}
     for _ in range(200):
@@ -498,15 +498,15 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
         assert mask[-1], "ending is always legal"
         assert mask.sum() >= 2
         action = int(rng.integers(len(mask) - 1))
-        shelf, steps = env.arena.shelf.rows.copy(), int(env.arena.station.steps[0])
+        shelf, steps = env.batch.shelf.rows.copy(), int(env.batch.experiments.steps[0])
         _, reward, over, _, info = env.step(action)
         if not over:
             np.testing.assert_array_equal(info["action_mask"], env.action_masks())
         assert info["illegal_action"] == (not mask[action])
         seen[info["illegal_action"]] += 1
-        assert env.arena.station.steps[0] == steps + 1, "a turn is a turn"
+        assert env.batch.experiments.steps[0] == steps + 1, "a turn is a turn"
         if info["illegal_action"] and not over:
-            np.testing.assert_array_equal(env.arena.shelf.rows, shelf)
+            np.testing.assert_array_equal(env.batch.shelf.rows, shelf)
             assert reward == -price
             assert info["cost"] == 0.0
         if over:
@@ -540,7 +540,7 @@ def test_goals_can_be_chosen(name: str) -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_a_goal_can_be_asked_for(name: str) -> None:
     env, vector = single(name), batch(name, 3)
-    names = env.arena.scenario.goals
+    names = env.batch.scenario.goals
     for g, goal in enumerate(names):
         expected = np.eye(len(names))[g]
         np.testing.assert_array_equal(env.reset(seed=0, options={"goal": goal})[0][-len(names) :], expected)
@@ -555,11 +555,11 @@ def test_a_goal_can_be_asked_for(name: str) -> None:
 def test_an_episode_pays_its_score_and_ends(name: str) -> None:
     """The return is the bench's measure at the end minus at the start, less lost turns and priced events."""
     env = single(name)
-    arena, rng = env.arena, np.random.default_rng(3)
-    price = arena.scenario.safety.reward_price
+    batch, rng = env.batch, np.random.default_rng(3)
+    price = batch.scenario.safety.reward_price
     for seed in range(4):
         env.reset(seed=seed)
-        start = float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+        start = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
         total, cost, over, steps = 0.0, 0.0, False, 0
         while not over:
             _, reward, over, _, info = env.step(random_legal(env, rng))
@@ -567,7 +567,7 @@ def test_an_episode_pays_its_score_and_ends(name: str) -> None:
             assert over or info["score"] == 0.0
             total, cost, steps = total + reward, cost + info["cost"], steps + 1
             assert (info["cost"] > 0.0) <= bool(info["events"].any())
-        end = float(arena.bench.measure(arena.shelf, arena.station, arena.members)[0])
+        end = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
         assert info["score"] == pytest.approx(end - start, abs=1e-12)
         assert total == pytest.approx(end - start - price * cost, abs=1e-12)
         assert steps <= env.bench.spec.step_limit
@@ -645,7 +645,7 @@ def test_bad_discrete_actions(name: str, kind: str) -> None:
     env, vector = single(name), batch(name, 3)
     env.reset(seed=0)
     vector.reset(seed=0)
-    count, agent = env.bench.action_count, env.arena.station.agent
+    count, agent = env.bench.action_count, env.batch.experiments.agent
     refused(env, BAD_CHOICES[kind](np.array(1), count), rf"{agent}: .*integer from 0 to {count - 1}, given")
     refused(
         vector, BAD_CHOICES[kind](np.ones(3, dtype=int), count), rf"{agent}: .*3 integers from 0 to {count - 1}, given"
@@ -728,7 +728,7 @@ def test_rendering_shows_no_contents() -> None:
     text = env.render()
     assert text is not None
     assert all(position in text for position in env.bench.positions)
-    hidden = set(env.arena.scenario.materials) - {"dodecane"}  # the goal is known
+    hidden = set(env.batch.scenario.materials) - {"dodecane"}  # the goal is known
     body = text.split("\n", 1)[1]
     assert not any(material in body for material in hidden)
 
@@ -759,13 +759,13 @@ def test_a_reaction_model_of_one_s_own_reaches_the_bench() -> None:
 def test_laboratory_starts(name: str) -> None:
     """With starts="lab" an experiment begins with one of the vessels recorded for this bench and goal."""
     env = single(name, starts="lab")
-    bench, shelf = env.unwrapped.bench, env.unwrapped.arena.shelf  # type: ignore[attr-defined]
+    bench, shelf = env.unwrapped.bench, env.unwrapped.batch.shelf  # type: ignore[attr-defined]
     recorded = lab_starts(bench.scenario, bench.key)
     materials = set(bench.scenario.materials) - {"NaCl", "Na+", "Cl-"}  # salt may dissolve as the vessel is put down
     seen = set()
     for seed in range(12):
         env.reset(seed=seed)
-        goal = bench.goals.names[env.unwrapped.arena.station.goal[0]]  # type: ignore[attr-defined]
+        goal = bench.goals.names[env.unwrapped.batch.experiments.goal[0]]  # type: ignore[attr-defined]
         amounts = shelf.vessel(0, 0).amounts()
         matches = [
             i

@@ -56,11 +56,11 @@ def episode(env: raw_env, policy: str, seed: int, reset: bool = True) -> str:
     while True:
         agent = env.agent_selection
         digest.add(agent, env.rewards, env.terminations, env.truncations, env.infos, *map(env.observe, env.agents))
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             return str(digest)
         number = env.possible_agents.index(agent)
         mask = env.infos[agent].get("action_mask")
-        step = (labs.desk.actions if number == 0 else labs.stations[number - 1].steps)[:1]
+        step = (labs.state.actions if number == 0 else labs.experiments[number - 1].steps)[:1]
         # Without submissions random episodes are long; the random manager has only that one way to end early.
         if mask is not None and number == 0 and policy == "random":
             mask = np.array([m and labs.actions.decode(a)[0] != "submit" for a, m in enumerate(mask)], dtype=np.int8)
@@ -133,7 +133,7 @@ def play(labs: Laboratories, rng: np.random.Generator, turns: int) -> list[tuple
     """Play random legal actions; what was played."""
     played: list[tuple[int, Any]] = []
     for _ in range(turns):
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             break
         number = labs.turn()
         mask = labs.mask(number, labs.members)
@@ -157,7 +157,7 @@ def replay(labs: Laboratories, played: list[tuple[int, Any]]) -> str:
             digest.add(labs.observe(agent, labs.members))
         digest.add(mask)
         labs.act(number, labs.members, action)
-        digest.add(labs.rewards, labs.cost, labs.scores, labs.desk.status, labs.costs())
+        digest.add(labs.rewards, labs.cost, labs.scores, labs.state.status, labs.costs())
     return str(digest)
 
 
@@ -168,7 +168,7 @@ def test_a_restored_laboratory_goes_on_as_it_did(name: str) -> None:
     labs.reset(labs.members)
     rng = np.random.default_rng(6)
     play(labs, rng, 40)
-    assert labs.desk.status[0] == 0
+    assert labs.state.status[0] == 0
     middle = labs.snapshot()
     played = play(labs, rng, 200)
     assert len(played) > 40

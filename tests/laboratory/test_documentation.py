@@ -15,8 +15,8 @@ import pytest
 from chemlab.agents.policies import make_policies
 from chemlab.bench import distillation, extraction, reaction
 from chemlab.laboratory import bench_env
-from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 
 ROW = re.compile(r"^\| `(chemlab/[\w-]+)` \| (\w+) of `(\w+)` \| Box\((\d+)\) \| (Box|Discrete)\((\d+)\) \|", re.M)
 ROWS = ROW.findall(bench_env.__doc__ or "")
@@ -43,7 +43,9 @@ def test_the_table_tells_the_true_spaces(row: tuple[str, ...]) -> None:
 
 def test_bench_modules_tell_the_parts() -> None:
     """The parts that the benches' own tables name are the declared channels, in order and size."""
-    names = {key: [c.name for c in BenchArena("wurtz_dodecane", key).bench.channels] for key in ("rxn", "ext", "dit")}
+    names = {
+        key: [c.name for c in ExperimentBatch("wurtz_dodecane", key).bench.channels] for key in ("rxn", "ext", "dit")
+    }
     assert names["rxn"] == ["spectrum", "temperature", "volume", "pressure", "reagents", "goal"]
     assert names["ext"] == ["layers_EV", "layers_B1", "layers_B2", "goal"]
     assert names["dit"] == ["layers_DV", "layers_B1", "layers_B2", "temperature", "volume", "pressure", "goal"]
@@ -66,7 +68,7 @@ def test_copies_of_laboratories_go_on_alike(how: Callable[[Laboratories], Labora
         for _ in range(turns):
             for m in range(3):
                 member = np.array([m])
-                if one.desk.status[m]:
+                if one.state.status[m]:
                     one.reset(member)
                 agent = one.turn(m)
                 observation, mask = one.observe(agent, member), one.mask(agent, member)

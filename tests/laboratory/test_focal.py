@@ -90,10 +90,10 @@ class ByHand:
                     policy.seed(0, own)
         self.env.reset(seed=seed)
         self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
-        while self.labs.desk.status[0] != 0:
+        while self.labs.state.status[0] != 0:
             self.env.reset()
             self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
-        self.last_turn = int(self.labs.desk.ticks[0])
+        self.last_turn = int(self.labs.state.ticks[0])
         return self.env.observe(self.agent)
 
     def turn(self, action: Any, found: dict[str, Any]) -> None:
@@ -113,11 +113,11 @@ class ByHand:
     def others(self, found: dict[str, Any]) -> None:
         """Move everybody else until the agent has the turn or all is over."""
         labs = self.labs
-        while labs.desk.status[0] == 0 and self.env.agent_selection != self.agent:
+        while labs.state.status[0] == 0 and self.env.agent_selection != self.agent:
             mover = self.env.agent_selection
             number = self.env.possible_agents.index(mover)
             mask = self.env.infos[mover].get("action_mask")
-            step = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
+            step = labs.state.actions if number == 0 else labs.experiments[number - 1].steps
             seen = self.env.observe(mover)[None]
             action = self.policies[mover].act(seen, None if mask is None else mask[None], step[:1], labs.members)[0]
             self.turn(action, found)
@@ -127,7 +127,7 @@ class ByHand:
         found: dict[str, Any] = {"rewards": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal": False, "events": {}}
         self.turn(action, found)
         self.others(found)
-        ticks, status = int(self.labs.desk.ticks[0]), int(self.labs.desk.status[0])
+        ticks, status = int(self.labs.state.ticks[0]), int(self.labs.state.status[0])
         found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
         found["terminated"], found["truncated"] = status == 1, status == 2
         if status != 0 and self.number == 0:
@@ -241,10 +241,10 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     rng = np.random.default_rng(3)
     env.reset(seed=4)
     hand.reset(4)
-    first = int(hand.labs.desk.ticks[0])
+    first = int(hand.labs.state.ticks[0])
     expected, rewards, elapsed = 0.0, [], []
     while True:
-        tick = int(hand.labs.desk.ticks[0]) - first
+        tick = int(hand.labs.state.ticks[0]) - first
         action = choose(env.laboratories, env.batch.focal, 0, rng)
         expected += gamma**tick * hand.step(action)["rewards"]
         _, reward, terminated, truncated, info = env.step(action)
@@ -256,7 +256,7 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     for reward, ticks in zip(reversed(rewards), reversed(elapsed), strict=True):
         following = reward + gamma**ticks * following
     assert following == pytest.approx(expected, rel=1e-12)
-    assert sum(elapsed) == hand.labs.desk.ticks[0] - first
+    assert sum(elapsed) == hand.labs.state.ticks[0] - first
     assert agent != "ext_0" or min(elapsed[:-1]) >= 1  # a bench has one turn a tick
     assert max(elapsed) > 1
 
@@ -641,7 +641,7 @@ def test_goals_can_be_asked_for() -> None:
     env = focal_env("wurtz_any")
     for goal in env.batch.scenario.lab_goals:
         env.reset(seed=0, options={"goal": goal})
-        assert env.batch.scenario.goals[env.laboratories.desk.goal[0, 0]] == goal
+        assert env.batch.scenario.goals[env.laboratories.state.goal[0, 0]] == goal
     for options in ({"goal": "gold"}, {"gaol": "NaCl"}):
         with pytest.raises(ValueError, match="reset options"):
             env.reset(options=options)

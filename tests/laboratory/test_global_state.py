@@ -46,7 +46,7 @@ def played(name: str, seed: int, turns: int) -> raw_env:
     env.reset(seed=seed)
     labs = env.laboratories
     agent = labs.bench_agents[0]
-    goal = labs.scenario.goals[labs.desk.goal[0, 0]]
+    goal = labs.scenario.goals[labs.state.goal[0, 0]]
     env.step(labs.actions.encode("start", agent, 0, goal))
     env.step(labs.actions.encode("wait"))
     for _ in range(turns):
@@ -82,12 +82,14 @@ def test_it_is_true_by_name(name: str) -> None:
     assert found[f"{bench}_busy"] == 1.0
     assert found[f"{bench}_origin"].tolist() == [1.0] + [0.0] * (scenario.shelf.slots - 1)
     assert found[f"{bench}_steps"] == pytest.approx(4 / labs.benches[0].spec.step_limit)
-    assert [scenario.goals[g] for g in np.flatnonzero(found[f"{bench}_goal"])] == [scenario.goals[labs.desk.goal[0, 0]]]
+    assert [scenario.goals[g] for g in np.flatnonzero(found[f"{bench}_goal"])] == [
+        scenario.goals[labs.state.goal[0, 0]]
+    ]
     assert np.flatnonzero(found["turn"]).tolist() == [1]
     assert found["actions"] == pytest.approx(2 / scenario.limits.manager_actions)
     assert found["ticks"] == pytest.approx(4 / scenario.limits.ticks)
     goals = found["goal"].reshape(scenario.orders, -1).argmax(axis=1)
-    np.testing.assert_array_equal(goals, labs.desk.goal[0])
+    np.testing.assert_array_equal(goals, labs.state.goal[0])
     assert not found["over"].any()
     np.testing.assert_allclose(found["charges"], labs.charges(labs.members)[0], rtol=1e-6)
 
@@ -97,8 +99,8 @@ def test_nothing_is_missing(name: str) -> None:
     """Whatever array of a running laboratory changes, the state changes with it."""
     env = played(name, 1, 3)
     labs = env.laboratories
-    tables: list[tuple[Any, set[str]]] = [(labs.shelf.table, ELSEWHERE), (labs.state, ELSEWHERE)]
-    tables += [(station.table, PASSING) for station in labs.stations if station.busy[0]]
+    tables: list[tuple[Any, set[str]]] = [(labs.shelf.table, ELSEWHERE), (labs.table, ELSEWHERE)]
+    tables += [(experiments.table, PASSING) for experiments in labs.experiments if experiments.busy[0]]
     assert len(tables) > 2
     before = labs.snapshot()
     whole = env.state()

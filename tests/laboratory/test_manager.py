@@ -133,7 +133,8 @@ def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None
     # Slots keep their vessel's history: none, ext as main vessel, ext as B2.
     keys = ["none", *env.scenario.benches]
     history = {
-        s: (keys[int(seen(env, f"slot_{s}_last_bench").argmax())], seen(env, f"slot_{s}_last_role")) for s in (0, 1, 2)
+        s: (keys[int(seen(env, f"slot_{s}_last_bench").argmax())], seen(env, f"slot_{s}_last_position"))
+        for s in (0, 1, 2)
     }
     assert [history[s][0] for s in (0, 1, 2)] == ["none", "ext", "ext"]
     assert history[0][1].tolist() == [0, 0, 0]
@@ -149,7 +150,7 @@ def test_a_vessel_on_the_shelf_rests() -> None:
     manager(env, "wait")
     do(env, "heat DV, 20 kJ")
     do(env, "heat DV, 20 kJ")
-    assert labs.shelf.rows[labs.stations[2].places[0, 0], 0] > 300.0
+    assert labs.shelf.rows[labs.experiments[2].places[0, 0], 0] > 300.0
     do(env, "end the experiment")
     ambient = env.scenario.ambient_temperature_k
     for slot in occupied(env):
@@ -177,7 +178,7 @@ def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
     assert allowed(env, "wait")
     manager(env, "recall", "rxn_0")
     assert not allowed(env, "wait")
-    assert env.laboratories.desk.ticks[0] == 0
+    assert env.laboratories.state.ticks[0] == 0
 
 
 def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
@@ -355,7 +356,7 @@ def test_stock_is_finite_and_shared() -> None:
     )
     # The other bench asks for everything and gets what there is: nothing of the first, of the second the rest.
     env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0]))
-    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.stations[1].places[0, 0]], strict=True))
+    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.experiments[1].places[0, 0]], strict=True))
     assert contents["2-chlorohexane"] == pytest.approx(0.75, rel=1e-12)
     assert contents["1-chlorohexane"] == contents["Na"] == contents["dodecane"] == 0.0
     atoms = np.array([m.composition.get("Cl", 0.0) for m in env.scenario.materials.values()])
@@ -375,7 +376,7 @@ def test_an_empty_bottle_is_masked() -> None:
     do(env, "add water to EV, 0.4 L")
     assert env.infos["ext_0"]["action_mask"][adding] == 1
     do(env, "add water to EV, 0.4 L")  # 0.1 L is what is left
-    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.stations[1].places[0, 0]], strict=True))
+    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.experiments[1].places[0, 0]], strict=True))
     assert contents["water"] == pytest.approx(water["water"], rel=1e-9)
     assert env.infos["ext_0"]["action_mask"][adding] == 0
 
@@ -567,7 +568,7 @@ def test_the_manager_is_the_same_in_a_batch() -> None:
     rngs = [np.random.default_rng(member) for member in range(3)]
     for _ in range(150):
         for member, (lab, rng) in enumerate(zip(alone, rngs, strict=True)):
-            if lab.desk.status[0]:
+            if lab.state.status[0]:
                 continue
             number = lab.turn()
             assert batch.turn(member) == number

@@ -48,7 +48,7 @@ def disguise(labs: Laboratories, member: int, positions: Any, rng: np.random.Gen
 
 def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> int | None:
     """One random legal turn of whoever has it, without submissions; the agent, None at the end of the episode."""
-    if labs.desk.status[0] != 0:
+    if labs.state.status[0] != 0:
         return None
     number = labs.turn()
     mask = labs.mask(number, labs.members)
@@ -84,7 +84,7 @@ def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> Non
     for member in both:
         labs.seed(int(member), seed)
     labs.reset(both)
-    labs.desk.goal[1] = labs.desk.goal[0]
+    labs.state.goal[1] = labs.state.goal[0]
     names = [key for key, material in scenario.materials.items() if material.role != "gas"]
     hidden, open_slots = (0, 1), range(2, min(scenario.shelf.slots, 5))
     for slot in range(scenario.shelf.slots):
@@ -120,11 +120,11 @@ def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> Non
             elif not masks[0, action]:
                 allowed.append(action)  # a lost turn tells nothing either
         labs.act(0, both, np.repeat(rng.choice(allowed), 2))
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             break
         alike()
     before = labs.snapshot()
-    if labs.desk.status[0] == 0:
+    if labs.state.status[0] == 0:
         told = 0
         for instrument in scenario.instruments:
             labs.restore(before)
@@ -162,7 +162,7 @@ def test_submitting_and_discarding_others_tells_nothing() -> None:
         assert masks is not None
         np.testing.assert_array_equal(seen[0], seen[1])
         np.testing.assert_array_equal(masks[0], masks[1])
-        assert labs.desk.status.tolist() == [0, 0]
+        assert labs.state.status.tolist() == [0, 0]
     labs.act(0, both, np.repeat(labs.actions.encode("measure", 2, "balance"), 2))
     seen = labs.observe(0, both)
     assert not np.array_equal(seen[0], seen[1])
@@ -185,16 +185,16 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
         worked += labs.busy.any()
         disguise(labs, 0, range(labs.vessels_per_laboratory), rng)
         labs.shelf.waste[:] = rng.random(labs.shelf.waste.shape)
-        labs.desk.delivered[:] = rng.random(labs.desk.delivered.shape)
-        labs.desk.submitted[:] = rng.random(labs.desk.submitted.shape)
-        labs.desk.stream[:] = 12345
+        labs.state.delivered[:] = rng.random(labs.state.delivered.shape)
+        labs.state.submitted[:] = rng.random(labs.state.submitted.shape)
+        labs.state.stream[:] = 12345
         labs.safety_totals[:] = rng.random(labs.safety_totals.shape)
-        for station in labs.stations:
-            station.baseline[:], station.events[:] = rng.random(), rng.random(station.events.shape)
-            station.stream[:] = 54321
-            if hasattr(station, "image"):
-                station.image[:] = rng.random(station.image.shape)
-                station.changed[:] = True
+        for experiments in labs.experiments:
+            experiments.baseline[:], experiments.events[:] = rng.random(), rng.random(experiments.events.shape)
+            experiments.stream[:] = 54321
+            if hasattr(experiments, "image"):
+                experiments.image[:] = rng.random(experiments.image.shape)
+                experiments.changed[:] = True
         for array in (labs.rewards, labs.cost, labs.scores):
             array[...] = rng.random(array.shape)
         again, same = labs.observe(0, labs.members), labs.mask(0, labs.members)
@@ -216,33 +216,33 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
     labs.seed(0, 2)
     labs.reset(labs.members)
     rng = np.random.default_rng(2)
-    looked = np.zeros(len(labs.stations), dtype=int)
+    looked = np.zeros(len(labs.experiments), dtype=int)
     for turn in range(500):
         if play(labs, rng) is None:
             labs.reset(labs.members)
         if turn % 5:
             continue
-        for b, station in enumerate(labs.stations):
+        for b, experiments in enumerate(labs.experiments):
             seen, mask = labs.observe(b + 1, labs.members), labs.mask(b + 1, labs.members)
             before = labs.snapshot()
-            looked[b] += station.busy[0]
-            own = set(station.places[0].tolist())
+            looked[b] += experiments.busy[0]
+            own = set(experiments.places[0].tolist())
             disguise(labs, 0, [p for p in range(labs.vessels_per_laboratory) if p not in own], rng)
             for p in range(labs.vessels_per_laboratory):
                 if p not in own:
                     labs.shelf.vessels[0, p, TEMPERATURE] += 5.0
             labs.shelf.waste[:] = rng.random(labs.shelf.waste.shape)
-            for array in (labs.desk.goal, labs.desk.ticks, labs.desk.actions):
+            for array in (labs.state.goal, labs.state.ticks, labs.state.actions):
                 array[:] = 0
-            labs.desk.reading[:], labs.desk.age[:] = rng.random(labs.desk.reading.shape), 3
-            labs.desk.charges[:] = rng.random(labs.desk.charges.shape)
-            labs.desk.submitted[:] = rng.random(labs.desk.submitted.shape)
-            for other in labs.stations:
-                if other is not station:
+            labs.state.reading[:], labs.state.age[:] = rng.random(labs.state.reading.shape), 3
+            labs.state.charges[:] = rng.random(labs.state.charges.shape)
+            labs.state.submitted[:] = rng.random(labs.state.submitted.shape)
+            for other in labs.experiments:
+                if other is not experiments:
                     other.goal[:], other.steps[:] = 0, 7
                     if hasattr(other, "image"):
                         other.image[:] = rng.random(other.image.shape)
-            station.baseline[:] = rng.random()
+            experiments.baseline[:] = rng.random()
             np.testing.assert_array_equal(labs.observe(b + 1, labs.members), seen)
             again = labs.mask(b + 1, labs.members)
             assert (again is None) == (mask is None)
@@ -267,12 +267,12 @@ def test_channels_are_all_there_is(name: str) -> None:
     for _ in range(150):
         if play(labs, rng) is None:
             labs.reset(labs.members)
-        for b, station in enumerate(labs.stations):
+        for b, experiments in enumerate(labs.experiments):
             seen = labs.observe(b + 1, labs.members)[0]
             goal = seen[channel_slices(labs.benches[b].channels)["goal"]]
-            expected = np.arange(len(goal)) == station.goal[0] if station.busy[0] else np.zeros(len(goal))
+            expected = np.arange(len(goal)) == experiments.goal[0] if experiments.busy[0] else np.zeros(len(goal))
             np.testing.assert_array_equal(goal, expected)
-            assert station.busy[0] or not seen.any()
+            assert experiments.busy[0] or not seen.any()
 
 
 # -- readings -------------------------------------------------------------------------------------------------------

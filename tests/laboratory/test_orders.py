@@ -31,7 +31,7 @@ LINES = "wurtz_two_lines"
 
 def goals(env: raw_env) -> list[str]:
     """What each order asks for."""
-    return [env.scenario.goals[goal] for goal in env.laboratories.desk.goal[0]]
+    return [env.scenario.goals[goal] for goal in env.laboratories.state.goal[0]]
 
 
 def shown(env: raw_env, order: int) -> list[float]:
@@ -42,7 +42,7 @@ def shown(env: raw_env, order: int) -> list[float]:
 def atoms(env: raw_env) -> Any:
     """Atoms of each element, and charge: in vessels, bottles, waste, and delivered."""
     labs = env.laboratories
-    return element_matrix(env.scenario) @ (labs.shelf.total()[0] + labs.desk.delivered[0])
+    return element_matrix(env.scenario) @ (labs.shelf.total()[0] + labs.state.delivered[0])
 
 
 # -- submitting -----------------------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
     assert env.rewards["manager_0"] == pytest.approx(worth, rel=1e-12)
     assert not any(env.terminations.values())
     assert labs.shelf.vessel(0, 1).amounts() == {}
-    delivered = dict(zip(scenario.materials, labs.desk.delivered[0].tolist(), strict=True))
+    delivered = dict(zip(scenario.materials, labs.state.delivered[0].tolist(), strict=True))
     assert {name: mol for name, mol in delivered.items() if mol} == pytest.approx({"diethyl_ether": 1.0, second: 0.25})
     np.testing.assert_allclose(atoms(env), begun, rtol=1e-12, atol=1e-12)
     manager(env, "submit", 0, 0)
@@ -105,10 +105,10 @@ def test_a_filled_order_is_closed() -> None:
     assert seen[at["slot_0_balance"]] == 0.0
     assert seen[at["slot_0_balance_age"]] == 1.0
     # Submitting for it again is a lost turn.
-    before = env.laboratories.desk.submitted.copy()
+    before = env.laboratories.state.submitted.copy()
     env.step(env.laboratories.actions.encode("submit", 1, 0))
     assert env.infos["manager_0"]["illegal_action"]
-    np.testing.assert_array_equal(env.laboratories.desk.submitted, before)
+    np.testing.assert_array_equal(env.laboratories.state.submitted, before)
     assert not any(env.terminations.values())
 
 
@@ -157,9 +157,9 @@ def test_random_play_with_orders(orders: int) -> None:
     for seed in range(25):
         env = laboratory(values, seed)
         labs, begun, paid = env.laboratories, atoms(env), 0.0
-        while labs.desk.status[0] == 0:
+        while labs.state.status[0] == 0:
             number = env.possible_agents.index(env.agent_selection)
-            open_before = int((~labs.desk.filled[0]).sum())
+            open_before = int((~labs.state.filled[0]).sum())
             mask = env.infos[env.agent_selection].get("action_mask")
             if mask is None:
                 action: Any = rng.random(env.action_space(env.agent_selection).shape)  # type: ignore[arg-type]
@@ -170,16 +170,16 @@ def test_random_play_with_orders(orders: int) -> None:
             paid += env.rewards["manager_0"]
             submitted = number == 0 and labs.actions.table[action, 0] == SUBMIT
             submitted = submitted and not env.infos["manager_0"]["illegal_action"]
-            assert open_before - (~labs.desk.filled[0]).sum() == submitted
+            assert open_before - (~labs.state.filled[0]).sum() == submitted
             if submitted:
                 # The vessel of the last submission stays where it is, to be looked at.
                 standing = (labs.shelf.vessels[0, : env.scenario.shelf.slots, PRESENT] > 0.0).sum()
-                nothing = not labs.busy.any() and standing == (labs.desk.status[0] == 1)
-                assert bool(labs.desk.status[0] == 1) is bool(labs.desk.filled[0].all() or nothing)
+                nothing = not labs.busy.any() and standing == (labs.state.status[0] == 1)
+                assert bool(labs.state.status[0] == 1) is bool(labs.state.filled[0].all() or nothing)
             np.testing.assert_allclose(atoms(env), begun, rtol=1e-9, atol=1e-9)
         assert paid == pytest.approx(labs.result(labs.members)[0], rel=1e-9, abs=1e-12)
-        assert (labs.desk.submitted[0][~labs.desk.filled[0]] == 0.0).all()
-        filled.append(int(labs.desk.filled[0].sum()))
+        assert (labs.state.submitted[0][~labs.state.filled[0]] == 0.0).all()
+        filled.append(int(labs.state.filled[0].sum()))
     assert max(filled) == orders
 
 
@@ -293,13 +293,13 @@ def test_the_scripted_manager_keeps_both_lines_busy() -> None:
 
         def watch(turn: Any, both: dict[str, int] = both) -> None:
             for key in set(kinds):
-                stations = [b for b, kind in enumerate(kinds) if kind == key]
-                both[key] += bool(labs.busy[stations, 0].all())
+                experiments = [b for b, kind in enumerate(kinds) if kind == key]
+                both[key] += bool(labs.busy[experiments, 0].all())
 
         result = play_episode(env, policies, seed, watch=watch)
         assert result.terminated
         outcome = labs.outcome()
-        assert labs.desk.filled[0].all(), f"seed {seed}"
+        assert labs.state.filled[0].all(), f"seed {seed}"
         for order in outcome["orders"]:
             # Its own product, and not the other line's, or what was distilled off.
             assert order["submitted_mol"] > 0.15, f"seed {seed}"
@@ -405,7 +405,7 @@ def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
     total, scores, over = 0.0, 0.0, False
     while not over:
         number = env.batch.focal
-        step = labs.desk.actions if number == 0 else labs.stations[number - 1].steps
+        step = labs.state.actions if number == 0 else labs.experiments[number - 1].steps
         action = policy.act(observation[None], labs.mask(number, labs.members), step[:1].copy(), labs.members)[0]
         observation, reward, terminated, truncated, info = env.step(action)
         _, rewarded, *_ = batch.step(np.array([action]))

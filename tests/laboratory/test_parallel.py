@@ -27,8 +27,8 @@ WURTZ = "wurtz_dodecane"
 
 def lasting(labs: Laboratories) -> list[npt.NDArray[Any]]:
     """Every array that changes, but what the last turn or round alone has earned."""
-    desk = labs.desk
-    per_turn = (desk.rewards, desk.cost, desk.scores)
+    state = labs.state
+    per_turn = (state.rewards, state.cost, state.scores)
     return [array for array in labs.arrays() if not any(np.shares_memory(array, own) for own in per_turn)]
 
 
@@ -71,7 +71,7 @@ def a_round(
 ) -> tuple[dict[str, Any], dict[str, float], dict[str, dict[str, Any]], dict[str, int]]:
     """Play one round of the AEC environment: (actions, rewards, infos of what was done, elapsed ticks at the turn)."""
     labs = env.laboratories
-    before, managed = labs.desk.ticks[0], env.agent_selection == "manager_0"
+    before, managed = labs.state.ticks[0], env.agent_selection == "manager_0"
     actions: dict[str, Any] = {}
     elapsed: dict[str, int] = {}
     rewards = dict.fromkeys(env.possible_agents, 0.0)
@@ -96,9 +96,9 @@ def a_round(
         infos[agent].update({key: env.infos[agent][key] for key in ("cost", "events", "illegal_action")})
         for i in np.flatnonzero(np.isfinite(labs.scores[0])):
             infos[env.possible_agents[i]].update(experiment_over=True, score=float(labs.scores[0, i]))
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             infos["manager_0"].update(experiment_over=True, score=float(labs.result(labs.members)[0]))
-        if managed or labs.desk.status[0] != 0 or labs.desk.ticks[0] != before:
+        if managed or labs.state.status[0] != 0 or labs.state.ticks[0] != before:
             return actions, rewards, infos, elapsed
 
 
@@ -124,7 +124,7 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
         for agent in aec.possible_agents:
             np.testing.assert_array_equal(observations[agent], aec.observe(agent))
         np.testing.assert_array_equal(parallel.state(), aec.state())
-        over = aec.laboratories.desk.status[0] != 0
+        over = aec.laboratories.state.status[0] != 0
         turn = [agent for agent in parallel.possible_agents if infos[agent]["has_turn"]]
         assert bool(turn) is not over
         if over:
@@ -149,7 +149,7 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
                 if key in ("cost", "events", "illegal_action", "experiment_over", "score")
             }
             assert same(kept, done[agent]), (agent, kept, done[agent])
-        status = aec.laboratories.desk.status[0]
+        status = aec.laboratories.state.status[0]
         assert set(terminated.values()) == {status == 1}
         assert set(truncated.values()) == {status == 2}
         assert parallel.agents == (parallel.possible_agents if status == 0 else [])
@@ -157,7 +157,7 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
     # What elapsed between an agent's turns, and from the last of them to the end, is the whole episode.
     for agent in aec.possible_agents:
         assert infos[agent]["elapsed_ticks"] == aec.infos[agent]["elapsed_ticks"]
-        assert ticks_seen[agent] + infos[agent]["elapsed_ticks"] == aec.laboratories.desk.ticks[0]
+        assert ticks_seen[agent] + infos[agent]["elapsed_ticks"] == aec.laboratories.state.ticks[0]
     for key in ("goals", "submitted_mol", "purity", "costs"):
         np.testing.assert_array_equal(infos["manager_0"][key], aec.infos["manager_0"][key])
 
@@ -174,12 +174,12 @@ def test_a_round_is_its_turns(name: str) -> None:
     rng = np.random.default_rng(3)
     mixed = 0
     for _ in range(250):
-        members = whole.members[whole.desk.status == 0]
+        members = whole.members[whole.state.status == 0]
         if not len(members):
             break
         turns = whole.turns(whole.members)
         assert (turns[0] & turns[1:].any(axis=0)).sum() == 0, "the manager and a bench never play in the same round"
-        assert (turns.any(axis=0) == (whole.desk.status == 0)).all()
+        assert (turns.any(axis=0) == (whole.state.status == 0)).all()
         mixed += bool(turns[0].any() and turns[1:].any())
         actions: list[npt.NDArray[Any]] = []
         for number, count in enumerate(whole.action_counts):
@@ -250,7 +250,7 @@ def test_who_has_no_turn_has_one_action(name: str) -> None:
         assert "manager_0" not in lost
         first = next((agent for agent in env.possible_agents if last[agent]["has_turn"]), None)
         assert first not in lost
-    assert waited > 0 or labs.desk.ticks[0] == 0
+    assert waited > 0 or labs.state.ticks[0] == 0
 
 
 def test_a_mask_handed_out_is_the_callers() -> None:
@@ -398,7 +398,7 @@ def test_a_goal_can_be_asked_for_and_an_unknown_one_changes_nothing() -> None:
     env = parallel_env("wurtz_any")
     for goal in load_scenario("wurtz_any").lab_goals:
         env.reset(seed=0, options={"goal": goal})
-        assert env.scenario.goals[env.laboratories.desk.goal[0, 0]] == goal
+        assert env.scenario.goals[env.laboratories.state.goal[0, 0]] == goal
     before = env.laboratories.snapshot()
     with pytest.raises(ValueError, match="'gold'"):
         env.reset(seed=1, options={"goal": "gold"})

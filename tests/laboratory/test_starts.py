@@ -74,5 +74,5 @@ def test_a_role_that_no_bench_has_is_refused(tmp_path: Path) -> None:
         if fits:
             Laboratories(scenario).prepare({"dit": 1.0})
         else:
-            with pytest.raises(DataError, match="last_role = 3 must be below 3"):
+            with pytest.raises(DataError, match="last_position = 3 must be below 3"):
                 Laboratories(scenario).prepare({"dit": 1.0})

@@ -202,7 +202,7 @@ def test_the_goal_conditioned_view_is_an_environment(key: str) -> None:
 @pytest.mark.parametrize("key", BENCHES)
 def test_parts_of_the_goal_conditioned_view(key: str) -> None:
     env, view = bench(key), GoalConditioned(bench(key))
-    goals = env.arena.scenario.goals
+    goals = env.batch.scenario.goals
     for g, goal in enumerate(goals):
         flat, info = env.reset(seed=g, options={"goal": goal})
         seen, view_info = view.reset(seed=g, options={"goal": goal})
@@ -217,7 +217,7 @@ def test_parts_of_the_goal_conditioned_view(key: str) -> None:
 def test_rewards_are_the_environment_s_and_recomputed(key: str) -> None:
     env, view = bench(key), GoalConditioned(bench(key))
     steps = []
-    for g, goal in enumerate(env.arena.scenario.goals):
+    for g, goal in enumerate(env.batch.scenario.goals):
         actions = plan(env, (60,), g)
         env.reset(seed=g, options={"goal": goal})
         view.reset(seed=g, options={"goal": goal})
@@ -236,7 +236,7 @@ def test_rewards_are_the_environment_s_and_recomputed(key: str) -> None:
             assert not seen["achieved_goal"].any()
             assert view.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}) == 0.0
     achieved, desired, infos, rewards = (list(column) for column in zip(*steps, strict=True))
-    assert sum(info["experiment_over"] for info in infos) == len(env.arena.scenario.goals)
+    assert sum(info["experiment_over"] for info in infos) == len(env.batch.scenario.goals)
     for many in (infos, np.array(infos)):
         np.testing.assert_array_equal(view.compute_reward(np.array(achieved), np.array(desired), many), rewards)
     without = [{} for _ in infos]
@@ -249,7 +249,7 @@ def test_rewards_are_the_environment_s_and_recomputed(key: str) -> None:
 def test_the_achieved_goal_is_what_other_goals_would_have_paid(scenario: str) -> None:
     """On the reaction bench the goal changes nothing but the score, so the same actions can be played for each."""
     env, view = BenchEnv(scenario, "rxn"), GoalConditioned(BenchEnv(scenario, "rxn"))
-    goals = env.arena.scenario.goals
+    goals = env.batch.scenario.goals
     actions = plan(env, (env.bench.spec.step_limit,))
     scores = [sum(play(env, actions, seed=0, options={"goal": goal})[1]) for goal in goals]
     assert len(set(scores)) > 2
@@ -416,7 +416,7 @@ class Witness(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         self.steps = 0
         observation, info = self.env.reset(**arguments)
-        self.goals.append(int(self.env.unwrapped.arena.station.goal[0]))  # type: ignore[attr-defined]
+        self.goals.append(int(self.env.unwrapped.batch.experiments.goal[0]))  # type: ignore[attr-defined]
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -451,9 +451,9 @@ def test_what_is_handed_over_is_running_and_was_reached_legally(key: str) -> Non
         observation, info = env.reset(seed=seed)
         assert observation in env.observation_space
         assert info["random_steps"] == witness.steps < limit
-        station = witness.env.unwrapped.arena.station  # type: ignore[attr-defined]
-        assert station.busy[0]
-        assert station.steps[0] == witness.steps
+        experiments = witness.env.unwrapped.batch.experiments  # type: ignore[attr-defined]
+        assert experiments.busy[0]
+        assert experiments.steps[0] == witness.steps
         if "action_mask" in info:
             np.testing.assert_array_equal(info["action_mask"], env.get_wrapper_attr("action_masks")())
         played.append(witness.steps)

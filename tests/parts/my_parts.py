@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from chemlab.arrays import FloatArray, Handle, IntArray
-from chemlab.bench.base import Bench, Channel, Observation, Station
+from chemlab.bench.base import Bench, Channel, Experiments, Observation
 from chemlab.chemistry import AMOUNTS, Chemistry, ChemistryTable
 from chemlab.instruments import Instrument, Reading
 from chemlab.jit import opened
@@ -76,9 +76,9 @@ EVAPORATE = Operation(
 # -- observation channels: a hydrometer on a bench, the waste can for the manager ---------------------------------
 
 
-def float_hydrometer(bench: Bench, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+def float_hydrometer(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
     """[B, 1] density of the first vessel's contents, of 2 kg/L."""
-    amounts = shelf.rows[station.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
+    amounts = shelf.rows[experiments.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
     grams, litres = (amounts * bench.known.molar_mass).sum(axis=1), (amounts * bench.known.molar_volume).sum(axis=1)
     return np.clip(grams / 1000.0 / np.maximum(litres, 1e-9) / 2.0, 0.0, 1.0)[:, None]
 
@@ -105,12 +105,12 @@ WASTE_CAN = Observation(can_channel, look_into_can)
 # -- reward terms: on a bench and for the manager -----------------------------------------------------------------
 
 
-def concentrate(bench: Bench, shelf: Shelf, station: Station, members: IntArray) -> FloatArray:
+def concentrate(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
     """[B] every action costs 0.01 for a litre in the first vessel."""
-    amounts = shelf.rows[station.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
+    amounts = shelf.rows[experiments.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
     return -0.01 * (amounts * bench.known.molar_volume).sum(axis=1)
 
 
 def tidy(labs: Laboratories, members: IntArray) -> FloatArray:
     """[B] every action costs the manager 0.001 for a reading that is not of this tick."""
-    return -0.001 * (labs.desk.age[members] > 0).sum(axis=(1, 2))
+    return -0.001 * (labs.state.age[members] > 0).sum(axis=(1, 2))

@@ -87,7 +87,7 @@ def test_the_instrument_reads() -> None:
     assert channel(labs, 0, "waste_can")[0] == pytest.approx(0.01 * (water + ether) / 5.0, rel=1e-6)
     number = labs.instruments.names.index("refractometer")
     start = labs.instruments.start[number]
-    assert labs.instruments.words(number, labs.desk.reading[0, 0, start : start + 1]) == f"{index:.3f} n_D"
+    assert labs.instruments.words(number, labs.state.reading[0, 0, start : start + 1]) == f"{index:.3f} n_D"
     spread = shelf.fill(0, 1, 1.2, {"Na": 1.0})
     assert spread.volume_l > 0.0
     env.step(labs.actions.encode("measure", 1, "refractometer"))
@@ -98,7 +98,7 @@ def test_the_operation_acts() -> None:
     env = BenchEnv(FILE, "ext", goals="dodecane")
     observation, info = env.reset(seed=0)
     assert env.action_meanings[A_QUARTER] == "blow diethyl_ether off EV, 0.25 fraction"
-    shelf, station, spec = env.arena.shelf, env.arena.station, env.arena.scenario
+    shelf, experiments, spec = env.batch.shelf, env.batch.experiments, env.batch.scenario
     ether, vessel = shelf.layout.index("diethyl_ether"), shelf.vessel(0, 0)
     before = vessel.amounts()
     observation, reward, _, _, info = env.step(A_QUARTER)
@@ -121,7 +121,7 @@ def test_the_operation_acts() -> None:
     stirred = vessel.row[CLOCK]
     env.step(A_TENTH)
     assert vessel.row[CLOCK] == pytest.approx(stirred + 0.5)
-    assert station.events[0, -1] == pytest.approx(0.3)
+    assert experiments.events[0, -1] == pytest.approx(0.3)
     _, _, _, _, info = env.step(EVERYTHING)
     assert info["action_mask"].tolist() == [0, 0, 0, 1, 1, 1, 1]
     left = shelf.rows.copy()
@@ -170,7 +170,7 @@ def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one[0], other[0])
         assert one[1] == other[1]
         assert one[4]["events"] == other[4]["events"]
-        np.testing.assert_array_equal(plain.arena.shelf.rows, compiled.arena.shelf.rows)
+        np.testing.assert_array_equal(plain.batch.shelf.rows, compiled.batch.shelf.rows)
 
 
 # -- everywhere the same ------------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def test_a_batch_of_laboratories_plays_what_one_plays() -> None:
             np.testing.assert_array_equal(rewards[agent], [step[1].get(agent, 0.0) for step in steps])
             for i in range(3):
                 if agent in steps[i][0]:
-                    np.testing.assert_array_equal(labs[i].desk.reading[0], batch.laboratories.desk.reading[i])
+                    np.testing.assert_array_equal(labs[i].state.reading[0], batch.laboratories.state.reading[i])
         np.testing.assert_array_equal(
             batch.laboratories.shelf.vessels, np.concatenate([lab.shelf.vessels for lab in labs])
         )
@@ -269,7 +269,7 @@ def test_a_record_replays(tmp_path: Path) -> None:
     played: set[str] = set()
     with Recorder(path, labs) as recorder:
         recorder.begin(4)
-        while labs.desk.status[0] == 0:
+        while labs.state.status[0] == 0:
             agent = labs.turn()
             seen, mask = labs.observe(agent, labs.members)[0], labs.mask(agent, labs.members)
             action = labs.checked(agent, chosen(labs, agent, rng))
@@ -345,8 +345,8 @@ def test_vectors_of_processes() -> None:
 
 MISTAKES = """
 from dataclasses import replace as _replace
-DARK = _replace(HYDROMETER, see=lambda bench, shelf, station, members: np.zeros(len(members)))
-KELVIN = _replace(HYDROMETER, see=lambda bench, shelf, station, members: np.full((len(members), 1), 298.15))
+DARK = _replace(HYDROMETER, see=lambda bench, shelf, experiments, members: np.zeros(len(members)))
+KELVIN = _replace(HYDROMETER, see=lambda bench, shelf, experiments, members: np.full((len(members), 1), 298.15))
 NAMELESS = _replace(HYDROMETER, channel=lambda bench: "hydrometer")
 LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(1.5))
 BROKEN_LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(np.nan))
@@ -354,9 +354,9 @@ RENAMED = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel("other"
 SILENT = _replace(EVAPORATE, act=lambda turn, chem: None)
 GREEDY = _replace(EVAPORATE, act=lambda turn, chem: turn.row.__setitem__(AMOUNTS + turn.material, -1.0) or 0.0)
 LAWLESS = _replace(EVAPORATE, legal=lambda turn, chem: turn.no_such_field)
-def nothing(bench, shelf, station, members):
+def nothing(bench, shelf, experiments, members):
     return np.full(len(members), np.nan)
-def scalar(bench, shelf, station, members):
+def scalar(bench, shelf, experiments, members):
     return [[0.0]]
 """
 

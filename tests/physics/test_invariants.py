@@ -15,8 +15,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from chemlab.agents.policies import RandomPolicy
 from chemlab.chemistry import AIR, CAPACITY, CLOCK, PRESENT, TEMPERATURE
-from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.physics.laws import vapor_pressure
 from chemlab.physics.thermal import pressure
 from chemlab.scenario import scenario_names
@@ -80,10 +80,10 @@ def check_pressures(laboratories: Laboratories) -> None:
 
 def random_turns(laboratories: Laboratories, rng: np.random.Generator, policy: RandomPolicy, bold: float) -> int:
     """One turn of whoever has it in each running laboratory; with probability ``bold`` regardless of the mask."""
-    turns = laboratories.desk.cursor + 1
+    turns = laboratories.state.cursor + 1
     played = 0
     for agent in range(len(laboratories.agents)):
-        members = np.flatnonzero((turns == agent) & (laboratories.desk.status == RUNNING))
+        members = np.flatnonzero((turns == agent) & (laboratories.state.status == RUNNING))
         if not len(members):
             continue
         mask = laboratories.mask(agent, members)
@@ -121,12 +121,12 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
         check_shelf(shelf)
         check_seen(laboratories, members)
 
-    turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.stations))
+    turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.experiments))
     while turns < TURNS:
         turns += random_turns(laboratories, rng, policy, 0.1)
         rounds += 1
         experiments += laboratories.busy.any(axis=1)
-        over = np.flatnonzero(laboratories.desk.status != RUNNING)
+        over = np.flatnonzero(laboratories.state.status != RUNNING)
         if rounds % 12 == 0:
             check(laboratories.members)
         elif len(over):
@@ -136,7 +136,7 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
             start[over] = laboratories.total()[over] @ atoms_in
     check_pressures(laboratories)
     assert (experiments > 0).all()  # every bench was used
-    assert laboratories.desk.ticks.max() > 0
+    assert laboratories.state.ticks.max() > 0
 
 
 def test_random_agents_meet_every_safety_event() -> None:
@@ -150,7 +150,7 @@ def test_random_agents_meet_every_safety_event() -> None:
     for _ in range(TURNS // 40):
         random_turns(laboratories, rng, policy, 0.1)
         seen = np.maximum(seen, laboratories.safety_totals.max(axis=0))
-        over = np.flatnonzero(laboratories.desk.status != RUNNING)
+        over = np.flatnonzero(laboratories.state.status != RUNNING)
         if len(over):
             laboratories.reset(over)
     assert (seen > 0.0).all(), seen
@@ -159,20 +159,20 @@ def test_random_agents_meet_every_safety_event() -> None:
 @pytest.mark.parametrize("bench", ["ext", "dit"])
 def test_pictures_are_of_the_vessels_as_they_are(bench: str) -> None:
     """After every random action, legal or not, a bench's layer profiles are those of its vessels at that moment."""
-    arena = BenchArena("wurtz_dodecane", bench, 6)
+    batch = ExperimentBatch("wurtz_dodecane", bench, 6)
     glass = Glassware("wurtz_dodecane", 1)
-    for member in arena.members:
-        arena.seed(member, int(member))
-    arena.reset(arena.members)
+    for member in batch.members:
+        batch.seed(member, int(member))
+    batch.reset(batch.members)
     rng = np.random.default_rng(2)
     for _ in range(60):
-        over = np.flatnonzero(arena.station.ended)
+        over = np.flatnonzero(batch.experiments.ended)
         if len(over):
-            arena.reset(over)
-        arena.act(rng.integers(0, arena.bench.action_space.n - 1, 6))
-        profiles = arena.station.profile.reshape(-1, *arena.station.profile.shape[2:])
-        columns = arena.station.layers.reshape(-1, arena.station.layers.shape[2])
-        for row, shares, layers in zip(arena.shelf.rows, profiles, columns, strict=True):
+            batch.reset(over)
+        batch.act(rng.integers(0, batch.bench.action_space.n - 1, 6))
+        profiles = batch.experiments.profile.reshape(-1, *batch.experiments.profile.shape[2:])
+        columns = batch.experiments.layers.reshape(-1, batch.experiments.layers.shape[2])
+        for row, shares, layers in zip(batch.shelf.rows, profiles, columns, strict=True):
             glass.rows[0] = row
             glass.partition(0)
             np.testing.assert_allclose(glass.rows[0], row, rtol=1e-12, atol=1e-15)
@@ -275,12 +275,12 @@ def choose(laboratories: Laboratories, agent: int, members: IntArray, rngs: list
 
 
 def one_turn(laboratories: Laboratories, rngs: list[np.random.Generator]) -> None:
-    turns = laboratories.desk.cursor + 1
+    turns = laboratories.state.cursor + 1
     for agent in range(len(laboratories.agents)):
-        members = np.flatnonzero((turns == agent) & (laboratories.desk.status == RUNNING))
+        members = np.flatnonzero((turns == agent) & (laboratories.state.status == RUNNING))
         if len(members):
             laboratories.act(agent, members, choose(laboratories, agent, members, rngs))
-    over = np.flatnonzero(laboratories.desk.status != RUNNING)
+    over = np.flatnonzero(laboratories.state.status != RUNNING)
     if len(over):
         laboratories.reset(over)
 
@@ -313,34 +313,34 @@ def test_a_laboratory_does_not_notice_its_neighbours(scenario: str) -> None:
                 for agent in range(len(batch.agents)):
                     seen = batch.observe(agent, np.array([member]))
                     np.testing.assert_array_equal(seen, single.observe(agent, np.array([0])))
-    assert batch.desk.ticks.max() > 0
+    assert batch.state.ticks.max() > 0
 
 
 def play_arena(bench: str, seeds: list[int]) -> tuple[list[FloatArray], list[FloatArray]]:
     """(observations and scores of a few experiments, final arrays), members first in every array."""
-    arena = BenchArena("wurtz_dodecane", bench, len(seeds))
+    batch = ExperimentBatch("wurtz_dodecane", bench, len(seeds))
     for member, seed in enumerate(seeds):
-        arena.seed(member, seed)
+        batch.seed(member, seed)
     rngs = [np.random.default_rng(seed) for seed in seeds]
-    arena.reset(arena.members)
+    batch.reset(batch.members)
     seen: list[FloatArray] = []
     for _ in range(45):
-        seen.append(arena.observe())
+        seen.append(batch.observe())
         if bench == "rxn":
-            actions = np.array([rng.random(arena.bench.action_space.shape) for rng in rngs])
+            actions = np.array([rng.random(batch.bench.action_space.shape) for rng in rngs])
         else:
-            legal = [np.flatnonzero(mask) for mask in arena.mask()]
+            legal = [np.flatnonzero(mask) for mask in batch.mask()]
             actions = np.array(
                 [choice[int(rng.random() * len(choice))] for choice, rng in zip(legal, rngs, strict=True)]
             )
-        arena.act(actions)
-        over = np.flatnonzero(arena.station.ended)
+        batch.act(actions)
+        over = np.flatnonzero(batch.experiments.ended)
         scores = np.zeros(len(seeds))
         if len(over):
-            scores[over] = arena.finish(over)
-            arena.reset(over)
+            scores[over] = batch.finish(over)
+            batch.reset(over)
         seen.append(scores)
-    return seen, [arena.shelf.vessels, arena.shelf.stock, arena.shelf.waste, *arena.station.arrays()]
+    return seen, [batch.shelf.vessels, batch.shelf.stock, batch.shelf.waste, *batch.experiments.arrays()]
 
 
 @pytest.mark.parametrize("bench", ["rxn", "ext", "dit"])

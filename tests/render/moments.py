@@ -46,7 +46,7 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
     env = BenchEnv(name, key)
     observation, info = env.reset(seed=1)
     policy = bench_heuristic(env.bench)
-    scenes, over, step = [bench_scene(env.arena)], False, 0
+    scenes, over, step = [bench_scene(env.batch)], False, 0
     while not over:
         mask = info.get("action_mask")
         given = None if mask is None else mask[None]
@@ -54,8 +54,8 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
         observation, _, over, _, info = env.step(action)
         step += 1
         if step % 3 == 1:
-            scenes.append(bench_scene(env.arena))
-    return (*scenes, bench_scene(env.arena))
+            scenes.append(bench_scene(env.batch))
+    return (*scenes, bench_scene(env.batch))
 
 
 def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
@@ -79,7 +79,7 @@ def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
     random = np.random.default_rng(0)
     scenes = [laboratory_scene(labs)]
     for turn in range(240):
-        if labs.desk.status[0] != 0:
+        if labs.state.status[0] != 0:
             break
         agent = labs.turn()
         mask = labs.mask(agent, labs.members)

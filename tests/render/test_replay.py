@@ -75,15 +75,15 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
         if turn is not None:
             replay.play(turn)
         frame = unpack(data, data["frames"][i])
-        assert frame["ticks"] == labs.desk.ticks[0]
+        assert frame["ticks"] == labs.state.ticks[0]
         assert data["costs"][i] == pytest.approx(list(labs.costs().values()), rel=1e-3, abs=1e-9)
         for slot, picture in enumerate(frame["shelf"]):
             vessel = labs.shelf.vessel(0, slot)
             assert (picture["vessel"] is not None) == vessel.present
             if vessel.present:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
-        for bench, station in zip(frame["benches"], labs.stations, strict=True):
-            assert bench["busy"] == station.busy[0]
+        for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
+            assert bench["busy"] == experiments.busy[0]
     assert found.end is not None
     assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-3)
     # Each experiment once, with its score; the scores are the benches' rewards.

@@ -12,8 +12,8 @@ from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
 from chemlab.agents.episodes import Turn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.arena import BenchArena
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.render.scene import MIXTURE_SLICES, VesselPicture, bench_scene, laboratory_scene, material_pictures
 from chemlab.scenario import load_scenario
 from chemlab.shelf import CLOCK_SETTLED, T_MIX
@@ -120,17 +120,17 @@ def test_a_bench_holds_what_was_brought_to_it_and_the_shelf_keeps_places_for_it(
 
 
 def test_what_an_agent_sees_is_its_observation() -> None:
-    arena = BenchArena("wurtz_dodecane", "dit", 3)
+    batch = ExperimentBatch("wurtz_dodecane", "dit", 3)
     for member in range(3):
-        arena.seed(member, member)
-    arena.reset(arena.members)
-    arena.act(np.full(3, 6))
-    observation = arena.observe()
+        batch.seed(member, member)
+    batch.reset(batch.members)
+    batch.act(np.full(3, 6))
+    observation = batch.observe()
     for member in range(3):
-        (bench,) = bench_scene(arena, member).benches
+        (bench,) = bench_scene(batch, member).benches
         told = np.concatenate([channel.values for channel in bench.seen])
         np.testing.assert_array_equal(told, observation[member, : len(told)])
-        assert len(told) + len(arena.bench.goals.names) == observation.shape[1]
+        assert len(told) + len(batch.bench.goals.names) == observation.shape[1]
         np.testing.assert_allclose(bench.vessels[0].camera, bench.seen[0].values, rtol=1e-6)  # float32 is seen
 
 
@@ -198,12 +198,12 @@ def test_a_look_changes_nothing(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "key"), BENCHES)
 def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
-    arena = BenchArena(name, key)
-    arena.seed(0, 0)
-    arena.reset(arena.members)
-    before = [array.copy() for array in arena.arrays()]
-    bench_scene(arena)
-    for array, kept in zip(arena.arrays(), before, strict=True):
+    batch = ExperimentBatch(name, key)
+    batch.seed(0, 0)
+    batch.reset(batch.members)
+    before = [array.copy() for array in batch.arrays()]
+    bench_scene(batch)
+    for array, kept in zip(batch.arrays(), before, strict=True):
         np.testing.assert_array_equal(array, kept)
 
 

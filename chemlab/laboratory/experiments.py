@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
-from ..bench.base import Bench, ExperimentState, Station, build_bench
+from ..bench.base import Bench, Experiments, ExperimentState, build_bench
 from ..bench.models import ReactionModel, SeparationModel
 from ..chemistry import build_chemistry
 from ..jit import announce_compiling, kernel, opened
@@ -23,7 +23,7 @@ from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf, ShelfArrays
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 
-__all__ = ["BenchArena"]
+__all__ = ["ExperimentBatch"]
 
 
 @kernel
@@ -51,7 +51,7 @@ def _draw_starts(
             arrays.waste[m, i] = 0.0
 
 
-class BenchArena:
+class ExperimentBatch:
     """N independent experiments of one bench of a scenario, in one set of arrays.
 
     Args:
@@ -90,7 +90,7 @@ class BenchArena:
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)
-        self.station = Station(f"{bench}_0", self.bench, places)
+        self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
@@ -133,7 +133,7 @@ class BenchArena:
 
     def seed(self, member: int, seed: int) -> None:
         """Start the member's random streams afresh."""
-        seed_streams(np.random.SeedSequence(seed), (self.station.stream, self.start_stream), member)
+        seed_streams(np.random.SeedSequence(seed), (self.experiments.stream, self.start_stream), member)
 
     def reset(self, members: IntArray, goal: int | None = None, bench: Bench | None = None) -> None:
         """Begin new experiments, for goals drawn from each member's stream or one given by index.
@@ -141,31 +141,31 @@ class BenchArena:
         ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
         """
         goals = self._goals if goal is None else np.array([goal])
-        shelf, station = self.shelf, self.station
-        _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, station.handle, shelf.handle)
-        (bench or self.bench).begin(shelf, station, members)
+        shelf, experiments = self.shelf, self.experiments
+        _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
+        (bench or self.bench).begin(shelf, experiments, members)
 
     def act(self, actions: npt.NDArray[Any], members: IntArray | None = None) -> None:
         """One step of the experiments of ``members`` (default: all)."""
-        self.bench.act(self.shelf, self.station, self.members if members is None else members, actions)
+        self.bench.act(self.shelf, self.experiments, self.members if members is None else members, actions)
 
     def finish(self, members: IntArray) -> FloatArray:
         """End experiments; their scores [B]."""
-        return self.bench.finish(self.shelf, self.station, members)
+        return self.bench.finish(self.shelf, self.experiments, members)
 
     def observe(self, out: ObservationArray | None = None) -> ObservationArray:
         """[N, observation size] what the agents see."""
         if out is None:
             out = np.zeros((len(self.members), *(self.bench.observation_space.shape)), dtype=np.float32)
-        self.bench.observe(self.shelf, self.station, self.members, out)
+        self.bench.observe(self.shelf, self.experiments, self.members, out)
         return out
 
     def mask(self) -> MaskArray:
         """[N, actions] legal actions (discrete benches)."""
         out = np.zeros((len(self.members), self.bench.action_count), dtype=np.int8)
-        self.bench.mask(self.shelf, self.station, self.members, out)
+        self.bench.mask(self.shelf, self.experiments, self.members, out)
         return out
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        return [*self.shelf.arrays(), *self.station.arrays(), self.start_stream]
+        return [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream]
