@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers import mapping
 
 from chemlab.agents.policies import Policy, RandomPolicy, bench_heuristic
 from chemlab.bench.operations import OperationBench
+from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.scenario import load_scenario
 
@@ -260,3 +263,34 @@ def test_distillation_heuristic_is_near_the_best_fixed_sequence(scenario: str, g
     best = best_fixed_sequence(scenario, goal, contents)
     assert best > 0.6  # the search is no straw man: the most there is to gain is 0.8 or a little more
     assert mean >= 0.95 * best
+
+
+def test_a_solvent_may_be_what_an_extraction_is_for() -> None:
+    """It counts among itself and the solutes, not among other solvents: 4 mol of ether with 1 of dodecane is 4 / 5."""
+    values = mapping("wurtz_dodecane")
+    values["goals"] = ["dodecane", "diethyl_ether"]
+    values["theoretical_maximum_mol"] = {"dodecane": 0.5}
+    values["benches"]["ext"]["start"] = {"capacity_l": 1.2, "contents": {"diethyl_ether": 4.0, "dodecane": 1.0}}
+    batch = ExperimentBatch(load_scenario({**values, "name": "ether"}), "ext", 1, "diethyl_ether")
+    batch.seed(0, 0)
+    batch.reset(batch.members)
+    measured = batch.bench.measure(batch.shelf, batch.experiments, batch.members)
+    assert float(measured[0]) == pytest.approx(4.0 * 4.0 / 5.0)
+
+
+def test_reactions_that_are_too_stiff_are_an_error_that_says_where(tmp_path: Path) -> None:
+    """Two isomers that turn into each other 1e9 times a tick: no explicit method gets there."""
+    there, back = '{ "1-chlorohexane" = 1 }', '{ "2-chlorohexane" = 1 }'
+    steps = "".join(
+        f"[[reaction]]\nreactants = {a}\nproducts = {b}\npre_exponential = {k}\nactivation_energy_j_mol = 0\n"
+        'source = "A test."\n'
+        for a, b, k in ((there, back, 1e11), (back, there, 3e10))
+    )
+    (tmp_path / "isomers.toml").write_text(f'name = "isomers"\n{steps}', encoding="utf-8")
+    values = mapping("wurtz_dodecane_direct")
+    values |= {"name": "isomers", "reactions": str(tmp_path / "isomers.toml"), "goals": ["1-chlorohexane"]}
+    values |= {"lab_goals": ["1-chlorohexane"], "theoretical_maximum_mol": {"1-chlorohexane": 1.0}}
+    env = BenchEnv(load_scenario(values), "rxn")
+    env.reset(seed=0)
+    with pytest.raises(ArithmeticError, match=r"rxn_0: the reactions of laboratory 0 .* too stiff.*benches\.rxn\.tick"):
+        env.step(np.ones(env.action_space.shape))

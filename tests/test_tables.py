@@ -1,0 +1,111 @@
+"""Tables: declared once, and everything else follows."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from chemlab.arrays import BoolArray, Field, FloatArray, Handle, IntArray, addresses, declared, merged
+from chemlab.jit import kernel, opened
+from chemlab.tables import Table
+
+
+class Pots(NamedTuple):
+    """N of something."""
+
+    level: Annotated[FloatArray, Field("N K", first=0.5)]
+    age: Annotated[IntArray, Field("N", first=-1)]
+    kept: Annotated[IntArray, Field("N", first=None)]
+    lid: Annotated[BoolArray, Field("B N", first=None, kept=False)]
+    scale: Annotated[float, Field("", first=None)]
+
+
+class More(NamedTuple):
+    """What a pot may have besides."""
+
+    spoons: Annotated[IntArray, Field("N 2", first=7)]
+
+
+@kernel
+def _stir(pots: Handle, by: float) -> float:
+    mine = opened(Pots, pots)
+    total = 0.0
+    for n in range(mine.level.shape[0]):
+        for k in range(mine.level.shape[1]):
+            mine.level[n, k] += by * mine.scale
+            total += mine.level[n, k]
+        mine.age[n] += 1
+    return total
+
+
+@pytest.fixture
+def pots() -> Table[Pots]:
+    made = Table.empty(Pots, N=3, K=2, B=4)
+    return Table(made.arrays._replace(scale=2.0))
+
+
+def test_a_table_begins_as_declared(pots: Table[Pots]) -> None:
+    assert pots.arrays.level.tolist() == [[0.5, 0.5]] * 3
+    assert pots.age.tolist() == [-1, -1, -1]
+    assert (pots.lid.shape, pots.lid.dtype) == ((4, 3), np.bool_)
+    assert pots.arrays.scale == 2.0
+
+
+def test_kernels_write_to_the_tables_own_arrays(pots: Table[Pots]) -> None:
+    assert _stir(pots.handle, 0.25) == pytest.approx(6.0)
+    assert (pots.arrays.level == 1.0).all()
+    assert pots.age.tolist() == [0, 0, 0]
+
+
+def test_reset_is_of_members_and_of_what_is_reset_alone(pots: Table[Pots]) -> None:
+    _stir(pots.handle, 1.0)
+    pots.kept[:] = [4, 5, 6]
+    pots.lid[:] = True
+    pots.reset(np.array([0, 2]))
+    assert pots.arrays.level.tolist() == [[0.5, 0.5], [2.5, 2.5], [0.5, 0.5]]
+    assert pots.age.tolist() == [-1, 0, -1]
+    assert pots.kept.tolist() == [4, 5, 6]
+    assert pots.lid.all()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda table: pickle.loads(pickle.dumps(table))])
+def test_copies_are_of_their_own(pots: Table[Pots], copied: Any) -> None:
+    both: Table[Any] = Table(merged(Pots, More)(*pots.arrays, np.full((3, 2), 7)))
+    for table in (pots, both):
+        other = copied(table)
+        assert type(other.arrays) is type(table.arrays)
+        _stir(other.handle, 1.0)
+        assert (table.arrays.level == 0.5).all()
+        assert (other.arrays.level == 2.5).all()
+
+
+def test_what_is_merged_is_opened_as_its_first_part() -> None:
+    both: Any = Table.empty(merged(Pots, More), **{"N": 1, "K": 1, "B": 1, "2": 2})
+    assert [field.name for field in declared(type(both.arrays))][-1] == "spoons"
+    assert both.spoons.tolist() == [[7, 7]]
+    _stir(both.handle, 1.0)
+    assert both.age.tolist() == [0]
+
+
+def test_snapshots_have_the_members_first_and_leave_out_what_is_not_kept(pots: Table[Pots]) -> None:
+    assert [array.shape for array in pots.changing()] == [(3, 2), (3,), (3,), ()]
+    assert [np.shape(array) for array in pots.member(1)] == [(2,), (), (), (4,)]
+
+
+def test_a_field_without_its_shape_is_refused() -> None:
+    class Wrong(NamedTuple):
+        level: FloatArray
+
+    with pytest.raises(TypeError, match=r"Wrong\.level: must be Annotated"):
+        Table.empty(Wrong)
+
+
+def test_arrays_that_kernels_cannot_take_are_refused() -> None:
+    with pytest.raises(ValueError, match="contiguous"):
+        addresses([np.zeros((4, 4))[:, ::2]])
+    with pytest.raises(ValueError, match="4 axes"):
+        addresses([np.zeros((1, 1, 1, 1, 1))])
