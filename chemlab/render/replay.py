@@ -216,7 +216,7 @@ def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
         if entries:
             found[key] = entries
     lost = [labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0]]
-    events = {labs.agents[play.agent]: found for play in plays if (found := labs.events(play.agent))}
+    events = {labs.agents[play.agent]: own for play in plays if (own := labs.events(play.agent))}
     if lost:
         found["lost"] = lost
     if events:
