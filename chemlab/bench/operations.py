@@ -51,7 +51,7 @@ class Process(BaseModel):
     """Position that receives (drain, pour, heat: the condenser's)."""
     material: str | None = None
     """What ``add`` adds, from stock."""
-    magnitudes: tuple[float, ...] = Field(min_length=1)
+    magnitudes: tuple[float, ...] = Field(min_length=1, max_length=1000)
     """drain: percent of the vessel's height; mix, settle: settling clock; pour: fraction; add: L; heat: kJ (< 0
     cools)."""
 
@@ -61,13 +61,13 @@ class OperationOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    process: tuple[Process, ...] = Field(min_length=1)
+    process: tuple[Process, ...] = Field(min_length=1, max_length=200)
     auxiliary_capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
     """Capacity of the clean vessels the bench provides."""
-    settle_per_step: float = Field(default=0.0, ge=0.0)
+    settle_per_step: float = Field(default=0.0, ge=0.0, le=100.0)
     """How far every vessel settles in each step by itself."""
-    hottest_k: float = Field(default=800.0, gt=0.0)
-    coolest_k: float = Field(default=273.15, gt=0.0)
+    hottest_k: float = Field(default=800.0, gt=0.0, le=5000.0)
+    coolest_k: float = Field(default=273.15, gt=0.0, le=5000.0)
 
     @model_validator(mode="after")
     def _ordered(self) -> OperationOptions:

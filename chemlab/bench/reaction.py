@@ -59,9 +59,9 @@ class Span(BaseModel):
 
     model_config = _FROZEN
 
-    low: float = Field(gt=0.0)
-    high: float = Field(gt=0.0)
-    step: float = Field(gt=0.0)
+    low: float = Field(gt=0.0, le=1e4)
+    high: float = Field(gt=0.0, le=1e4)
+    step: float = Field(gt=0.0, le=1e4)
 
     @model_validator(mode="after")
     def _ordered(self) -> Span:
@@ -75,18 +75,18 @@ class ReactionOptions(BaseModel):
 
     model_config = _FROZEN
 
-    reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1)
+    reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1, max_length=100)
     """mol of each reagent an experiment may take from stock."""
     temperature_k: Span
     volume_l: Span
-    vessel_volume_l: float = Field(default=1.0, gt=0.0)
+    vessel_volume_l: float = Field(default=1.0, gt=0.0, le=100.0)
     """Where the piston stands when an experiment begins and ends."""
-    rated_pressure_kpa: float = Field(gt=0.0)
-    tick: float = Field(gt=0.0)
+    rated_pressure_kpa: float = Field(gt=0.0, le=1e6)
+    tick: float = Field(gt=0.0, le=1e6)
     """Reaction time of one step, in the unit of the rate constants."""
-    rtol: float = Field(default=1e-3, gt=0.0)
-    atol: float = Field(default=1e-6, gt=0.0)
-    penalty: dict[str, float] = Field(default_factory=dict)
+    rtol: float = Field(default=1e-3, ge=1e-12, le=0.1)
+    atol: float = Field(default=1e-6, ge=1e-15, le=0.1)
+    penalty: dict[str, Annotated[float, Field(ge=-1e4, le=1e4)]] = Field(default_factory=dict, max_length=100)
     """Score lost per mol of a by-product, unless it is the goal itself."""
 
 
