@@ -17,7 +17,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import caching, cgutils, types
 from numba.core.extending import _Intrinsic
 from numba.np import arrayobj
 
@@ -30,6 +30,7 @@ _announced = False
 _TYPES: Any = types
 _BUILD: Any = cgutils
 _ARRAYS: Any = arrayobj
+_CACHE_FILE: Any = caching.IndexDataCacheFile
 """numba's insides, which have no types."""
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -62,34 +63,76 @@ def kernel(function: F, **options: Any) -> F:
 
     With ``NUMBA_DISABLE_JIT=1`` the plain Python function runs instead, slowly, for debugging.
     """
-    compiled: Any = numba.njit(**{"cache": True, **SETTINGS, **options})(function)
-    # numba invalidates a cached kernel by its own file's time stamp alone: a kernel that inlines an edited
-    # function from another file would go on running the old code. One stamp over all sources mends that.
-    cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
-        cache_file._source_stamp = _fingerprint(function.__code__.co_filename)
-        cache_file._load_index = functools.partial(_index_or_nothing, cache_file._load_index)
-        for name in ("load", "save"):
-            setattr(cache_file, name, functools.partial(_keyed, getattr(cache_file, name)))
+    settings = {"cache": True, **SETTINGS, **options}
+    try:
+        compiled: Any = numba.njit(**settings)(function)
+    except RuntimeError as error:
+        if "locator" not in str(error):
+            raise
+        _say_once("there is no folder to keep compiled kernels in: they are compiled anew in every process")
+        compiled = numba.njit(**{**settings, "cache": False})(function)
+    cache: Any = getattr(compiled, "_cache", None)
+    if getattr(cache, "_cache_file", None) is not None:
+        stamp = _fingerprint(function.__code__.co_filename)
+        cache._cache_file = _CheckedCacheFile(cache._cache_path, cache._impl.filename_base, stamp)
     return cast(F, compiled)  # numba's dispatcher stands in for the function
 
 
-def _index_or_nothing(load: Callable[[], Any]) -> Any:
-    """What a kernel's cache holds; nothing if it is another version's.
+@functools.cache
+def _say_once(words: str) -> None:
+    print(f"chemlab: {words}; NUMBA_CACHE_DIR names a folder for them", file=sys.stderr, flush=True)
 
-    An index names argument types by their classes. One that this version does not have any more must mean compiling
-    again, not an error.
+
+class _CheckedCacheFile(_CACHE_FILE):  # type: ignore[misc]  # numba has no types
+    """What numba keeps of one kernel, with a checksum: of a file that is cut or damaged, as of another version's,
+    nothing is loaded, and the kernel is compiled again.
+
+    numba tells whether a kernel is fresh by its own file's time stamp alone: one that inlines an edited function from
+    another file would go on running the old code. The stamp here is of all sources.
     """
-    try:
-        return load()
-    except (AttributeError, ImportError, EOFError, TypeError, ValueError, pickle.UnpicklingError):
-        return {}
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return _checksum(data) + data
+
+    def _read(self, path: str) -> Any:
+        data = Path(path).read_bytes()
+        size = len(_checksum(b""))
+        return pickle.loads(data[size:]) if data[:size] == _checksum(data[size:]) else None
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        with self._open_for_write(self._index_path) as file:
+            file.write(self._dump((self._version, self._source_stamp, overloads)))
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            version, stamp, overloads = self._read(self._index_path) or (None, None, {})
+        except (OSError, AttributeError, ImportError, EOFError, TypeError, ValueError, pickle.UnpicklingError):
+            # Not there yet; or it names classes of arguments that this version does not have any more.
+            return {}
+        return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
+
+    def _load_data(self, name: str) -> Any:
+        return self._read(self._data_path(name))
+
+    def load(self, key: Any) -> Any:
+        return super().load(_keyed(key))
+
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(_keyed(key), data)
+        except OSError as error:
+            _say_once(f"compiled kernels cannot be kept in {self._cache_path} ({error.strerror})")
 
 
-def _keyed(access: Callable[..., Any], key: Any, *data: Any) -> Any:
-    """Read or write a kernel's cache under ``key``; with tiers of laws that are not chemlab's under theirs besides."""
+def _checksum(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=16).digest()
+
+
+def _keyed(key: Any) -> Any:
+    """The key of a kernel's cache; with tiers of laws that are not chemlab's, theirs besides."""
     tiers = _other_tiers(tuple(getattr(sys.modules.get("chemlab.chemistry"), "TIERS", {}).values()))
-    return access((key, tiers) if tiers else key, *data)
+    return (key, tiers) if tiers else key
 
 
 @functools.cache

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from chemlab.jit import _checksum
+
 PLAY = """
 import numpy as np
 from chemlab.rng import uniform
@@ -40,6 +42,43 @@ def test_another_versions_cache_is_compiled_again(content: bytes, tmp_path: Path
     indices = list(tmp_path.rglob("*.nbi"))
     assert indices, "something was cached"
     for index in indices:
-        version = pickle.dumps(__import__("numba").__version__)
-        index.write_bytes(version + content)
+        index.write_bytes(_checksum(content) + content)
     assert play(tmp_path) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
+def test_damaged_files_are_compiled_again(tmp_path: Path) -> None:
+    """Cut, or with a byte changed, at the beginning, in the middle and at the end, of index and code alike."""
+    expected = play(tmp_path)
+    files = {path: path.read_bytes() for path in (*tmp_path.rglob("*.nbi"), *tmp_path.rglob("*.nbc"))}
+    assert len(files) >= 2
+    for path, whole in files.items():
+        for at in (0, 3, len(whole) // 2, len(whole) - 1):
+            for damaged in (whole[:at], whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :]):
+                path.write_bytes(damaged)
+                assert play(tmp_path) == expected
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [
+        ("caching.CompileResultCacheImpl._locator_classes = []", "no folder to keep compiled kernels in"),
+        (
+            "def full(*_):\n    raise OSError(28, 'No space left on device')\n"
+            "caching.IndexDataCacheFile._open_for_write = full",
+            "cannot be kept in",
+        ),
+    ],
+    ids=["nowhere", "full"],
+)
+def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, words: str, tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    code = f"from numba.core import caching\n{trouble}\n{PLAY}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == play(tmp_path / "other")
+    assert done.stderr.count("chemlab:") == 1
+    assert words in done.stderr
+    assert "NUMBA_CACHE_DIR" in done.stderr
