@@ -49,7 +49,7 @@ def collect_benches(folder: Path, episodes: int = EPISODES, watch: Callable[[str
     rows: list[dict[str, Any]] = []
     for policy in bench_policies():
         card = policy.card
-        own = {"name": card.name, "scenario": card.scenario, "bench": card.bench, "starts": card.starts}
+        own: dict[str, Any] = {"name": card.name, "scenario": card.scenario, "bench": card.bench, "starts": card.starts}
         own |= {"episodes": episodes, "seed": RESULT_SEED, "chemlab": chemlab.__version__}
         for player, name in (("trained", card.name), ("scripted", _SCRIPTED)):
             means = _means(card.scenario, card.bench, name, episodes)
