@@ -199,7 +199,9 @@ class ChemistryTable:
 
     def _make_handles(self) -> Handle:
         if not COMPILED:
-            return [self.world(w) for w in range(self.worlds)]
+            # Plain functions see the arrays themselves, of a class that says the tier.
+            seen = type(self._declaration.__name__, (self._declaration,), {"TIER": self.tier})
+            return [seen(*self.world(w)) for w in range(self.worlds)]
         table = np.stack([addresses(self._row(w)) for w in range(self.worlds)])
         # The number of dimensions tells kernels the tier: see chemlab.physics.laws.
         return table.reshape(self.worlds, *(1,) * (tier_dimensions(self.tier) - 1), -1)

@@ -29,6 +29,7 @@ import chemlab
 from chemlab.bench import operations, reaction
 from chemlab.bench.base import Bench
 from chemlab.cli import app as command
+from chemlab.cli.laboratory import RESULT_COLUMNS
 from chemlab.laboratory import describe as facts
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
@@ -291,17 +292,8 @@ def _scenario_page(spec: Scenario) -> str:
         "",
     ]
     if results:
-        columns = (
-            "policy",
-            "submitted (mol)",
-            "purity",
-            "score",
-            "manager actions",
-            "ticks",
-            "spill, vent, metal fire",
-        )
         parts += ["## Scripted and random play", "", "Means of 100 episodes, seeds 0 to 99 (`chemlab compare`).", ""]
-        parts += [_table(columns, results, right=range(1, 7))]
+        parts += [_table(RESULT_COLUMNS[1:], results, right=range(1, 7))]
     parts += ["## Benches", ""]
     for bench in {bench.key: bench for bench in labs.benches}.values():
         count = bench.spec.count

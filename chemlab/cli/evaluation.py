@@ -8,24 +8,12 @@ from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..files import check_folder, write_text
-from .common import JsonOption, SeedOption, app, err, out, readable_errors
-from .screen import show_table
+from .common import JsonOption, SeedOption, app, out, readable_errors
+from .screen import counting, show_table
 
 __all__: list[str] = []
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=err,
-        transient=True,
-    )
 
 
 @app.command()
@@ -66,7 +54,7 @@ def evaluate(
                 raise ValueError(f"--out: {output}: is a folder; give a file's name")
         policies = policy or ["heuristic", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
-        with _progress() as progress:
+        with counting() as progress:
             task = progress.add_task("episodes", total=total)
             results = play(chosen, policies, episodes, seed, goal, baseline, watch=lambda n: progress.advance(task, n))
         if output is not None:
@@ -143,7 +131,7 @@ def figures(
         for folder in (output, *([collect] if collect is not None else [])):
             check_folder(folder)
         if collect is not None:
-            with _progress() as progress:
+            with counting() as progress:
                 task = progress.add_task("managers", total=total)
                 left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
         page, others = write_page(collect or results, output, formats)

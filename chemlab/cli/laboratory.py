@@ -303,16 +303,16 @@ def compare(
                 rows.append(_summary(spec, played, results))
     cells = [_cells(row) for row in rows]
     if update is not None:
-        lines = ["| " + " | ".join(_COLUMNS) + " |", "|---|---" + "|--:" * (len(_COLUMNS) - 2) + "|"]
+        lines = ["| " + " | ".join(RESULT_COLUMNS) + " |", "|---|---" + "|--:" * (len(RESULT_COLUMNS) - 2) + "|"]
         lines += ["| " + " | ".join((f"`{name}`", *others)) + " |" for name, *others in cells]
         replace_between(update, "results", lines)
     if as_json:
         typer.echo(json.dumps(rows))
     else:
-        show_table("", _COLUMNS, cells, right=range(2, len(_COLUMNS)))
+        show_table("", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
 
 
-_COLUMNS = (
+RESULT_COLUMNS: tuple[str, ...] = (
     "scenario",
     "policy",
     "submitted (mol)",
@@ -322,10 +322,11 @@ _COLUMNS = (
     "ticks",
     "spill, vent, metal fire",
 )
+"""Headings of what ``chemlab compare`` shows."""
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """A summary in words, by ``_COLUMNS``."""
+    """A summary in words, by ``RESULT_COLUMNS``."""
     return (
         row["scenario"],
         row["policy"],

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..scenario import load_scenario
-from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, app, err, out, readable_errors
+from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
+from .screen import counting
 
 if TYPE_CHECKING:
     from ..agents.evaluation.plans import PlanSearch
@@ -47,14 +47,7 @@ def plan(
 
         spec = load_scenario(scenario)
         most = plan_budget(budget)
-        with Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=err,
-            transient=True,
-        ) as progress:
+        with counting() as progress:
             task = progress.add_task("plans", total=most)
             search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
         words = ["chemlab", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]

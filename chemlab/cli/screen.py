@@ -9,11 +9,12 @@ from rich.box import SIMPLE
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["TextConsole", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
+__all__ = ["TextConsole", "counting", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
 
 _NOISE = 1e-9
 """Safety events below this (mol, L or whatever they are in) are what rounding leaves of none."""
@@ -117,3 +118,9 @@ def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
             grid.add_row(Text(f"  {name}:"), cell)
         page.print(grid)
         page.print()
+
+
+def counting() -> Progress:
+    """A line of progress with how many are done of how many, on standard error; it is gone when they all are."""
+    parts = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    return Progress(*parts, console=err, transient=True)

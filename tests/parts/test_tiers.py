@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +47,18 @@ def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
     assert np.abs(fast - slow).max() > 0.01
     # The paper's kernels are what they were, before and after.
     np.testing.assert_array_equal(reacted(paper, 0.01), slow)
+
+
+def test_nobody_gets_another_tiers_laws_without_compiling_either() -> None:
+    tests = [f"{__file__}::{test.__name__}" for test in (test_its_kernels_follow_its_laws, test_a_law_can_be_called)]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "0", "-q", *tests],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout
 
 
 def test_a_law_can_be_called(brisk: Scenario) -> None:

@@ -39,7 +39,7 @@ def law(stub: F) -> F:
     @functools.wraps(stub)
     def call(*arguments: Any) -> Any:
         chem = arguments[where]
-        dimensions = getattr(chem, "ndim", tier_dimensions("paper"))
+        dimensions = chem.ndim if COMPILED else tier_dimensions(getattr(chem, "TIER", "paper"))
         return _implementation(name, dimensions)(*arguments)
 
     if COMPILED:
