@@ -21,9 +21,9 @@ from numba.core import caching, cgutils, types
 from numba.core.extending import _Intrinsic
 from numba.np import arrayobj
 
-from .arrays import SLOT, Handle, declared
+from .arrays import SLOT, FloatArray, Handle, declared
 
-__all__ = ["COMPILED", "SETTINGS", "announce_compiling", "chained", "helper", "inner", "kernel", "opened"]
+__all__ = ["COMPILED", "SETTINGS", "announce_compiling", "chained", "helper", "inner", "kernel", "opened", "scratch"]
 
 _announced = False
 
@@ -178,6 +178,11 @@ def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -
 
 if not COMPILED:
 
+    def scratch(count: int) -> FloatArray:
+        """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
+        constant; what a helper has asked for is its kernel's."""
+        return np.empty(count)
+
     def opened(declaration: type[T], handle: Handle) -> T:
         """The arrays of a table by its handle, inside a kernel: an instance of the table's ``declaration``, or of one
         whose fields the table's begin with."""
@@ -252,6 +257,29 @@ else:
 
     opened = _Opened("opened", _open)
     opened._register()
+
+    @numba.extending.intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+    def scratch(context: Any, count: Any) -> Any:
+        """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
+        constant; what a helper has asked for is its kernel's."""
+        kind = _TYPES.Array(_TYPES.float64, 1, "C")
+        size = count.literal_value
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            word = ir.IntType(64)
+            memory = _BUILD.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
+            array = _ARRAYS.make_array(kind)(target, builder)
+            _ARRAYS.populate_array(
+                array,
+                data=builder.bitcast(memory, array.data.type),
+                shape=_BUILD.pack_array(builder, [ir.Constant(word, size)], ty=word),
+                strides=_BUILD.pack_array(builder, [ir.Constant(word, 8)], ty=word),
+                itemsize=ir.Constant(word, 8),
+                meminfo=None,
+            )
+            return array._getvalue()
+
+        return kind(count), generate
 
 
 def announce_compiling(*kernels: Callable[..., Any]) -> None:

@@ -254,7 +254,9 @@ class Glassware:
     ) -> tuple[float, float]:
         """Heat or cool; returns (heat that went in, heat the condenser took), J."""
         row, receiver = self.rows[source], self.rows[target]
-        result: Any = heat(row, receiver, float(joules), hottest_k, coolest_k, self.chem, self.waste, self.events)
+        result: Any = heat(
+            row, receiver, float(joules), np.array([hottest_k, coolest_k, 1.0, 0.0]), self.chem, self.waste, self.events
+        )
         return float(result[0]), float(result[1])
 
     def check(self) -> None:

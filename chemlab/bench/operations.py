@@ -22,7 +22,7 @@ from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
 from ..parts import PartError, blamed, checked, load_part
 from ..physics.constants import SOLIDS
-from ..physics.laws import find_layers, partition, settle_phases, vapor_pressure
+from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, vapor_pressure
 from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
@@ -68,6 +68,10 @@ class OperationOptions(BaseModel):
     """How far every vessel settles in each step by itself."""
     hottest_k: float = Field(default=800.0, gt=0.0, le=5000.0)
     coolest_k: float = Field(default=273.15, gt=0.0, le=5000.0)
+    stages: int = Field(default=1, ge=1, le=16)
+    """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics ``real``)."""
+    reflux: float = Field(default=1.0, ge=0.0, le=100.0)
+    """mol that the head of a column returns for each that it lets pass."""
 
     @model_validator(mode="after")
     def _ordered(self) -> OperationOptions:
@@ -97,8 +101,8 @@ class ApparatusRules(NamedTuple):
     """[A, 6] kind, vessel, target, material, magnitude, whether vessels are touched; kind -1 ends the experiment"""
     gauges: Annotated[FloatArray, Array("g 2")]
     """[3, 2] low and high of T (K), V (L), P (kPa); [0, 2] where the bench shows none"""
-    limits: Annotated[FloatArray, Array("2")]
-    """K, temperatures of the heating mantle and of the coolant"""
+    limits: Annotated[FloatArray, Array("4")]
+    """K, temperatures of the heating mantle and of the coolant; theoretical stages; mol returned for each distilled"""
     settle_per_step: Annotated[float, Array("")]
 
 
@@ -159,6 +163,8 @@ def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: 
                 state.changed[m, p] = state.changed[m, p] or row[CLOCK] != before
             if state.changed[m, p]:
                 settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
+            if elapse(row, 1.0, chem, shelf.waste[m], state.events[m]):
+                state.changed[m, p] = True
     state.steps[m] += 1
     state.ended[m] = ended or state.steps[m] >= rules.step_limit
 
@@ -307,7 +313,7 @@ class OperationBench(Bench):
         return {
             "table": self.table,
             "gauges": self.gauges,
-            "limits": np.array([options.hottest_k, options.coolest_k]),
+            "limits": np.array([options.hottest_k, options.coolest_k, options.stages, options.reflux]),
             "settle_per_step": options.settle_per_step,
         }
 
@@ -451,7 +457,7 @@ class OperationBench(Bench):
         row[CLOCK_WAS] = row[CLOCK]
         volumes = np.zeros(shares.shape[0])
         count = find_layers(row, chem, layers, volumes)
-        density = np.array([0.0 if i == SOLIDS else known.density[i] for i in layers[1 : 1 + count]])
+        density = np.array([0.0 if i == SOLIDS else layer_density(row, i, chem) for i in layers[1 : 1 + count]])
         picture = np.asarray(model.profile(volumes[:count], density, float(row[CLOCK]), shares.shape[1]))
         expected = volumes[:count] / volumes[:count].sum() * shares.shape[1]
         fits = picture.shape == (count, shares.shape[1]) and np.allclose(picture.sum(axis=1), expected, atol=1e-6)

@@ -28,11 +28,11 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
-from ..physics.kinetics import react, react_work_size
-from ..physics.laws import partition, settle_phases, vent
+from ..physics.kinetics import react_work_size
+from ..physics.laws import partition, react, reflux, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal
-from ..physics.transfer import liquid_volume, spill, volume
+from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
 from ..scenario import Scenario
 from ..shelf import T_MIX, Shelf, ShelfArrays
 from .base import (
@@ -50,6 +50,7 @@ from .models import ReactionModel, checked_reaction
 __all__ = ["ReactionBench", "ReactionOptions", "Span"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_REFLUX_PARTS = 10
 _FULLEST = 0.98
 """The piston stops where the contents would fill this share of the vessel."""
 
@@ -84,6 +85,12 @@ class ReactionOptions(BaseModel):
     rated_pressure_kpa: float = Field(gt=0.0, le=1e6)
     tick: float = Field(gt=0.0, le=1e6)
     """Reaction time of one step, in the unit of the rate constants."""
+    jacket_w_k: float | None = Field(default=None, gt=0.0, le=1e4)
+    """Heat that passes between contents and jacket, W/K; the agent then sets the jacket's temperature, and sees it
+    (physics ``real``). Without it the contents are kept at the temperature that the agent sets."""
+    condenser_w: float | None = Field(default=None, gt=0.0, le=1e6)
+    """Heat that a reflux condenser takes, W: the vessel is open through it, boils at its boiling point and loses vapour
+    only beyond that (physics ``real``). Without it the vessel is sealed."""
     rtol: float = Field(default=1e-3, ge=1e-12, le=0.1)
     atol: float = Field(default=1e-6, ge=1e-15, le=0.1)
     penalty: dict[str, Annotated[float, Field(ge=-1e4, le=1e4)]] = Field(default_factory=dict, max_length=100)
@@ -95,6 +102,8 @@ class SupplyState(NamedTuple):
 
     supply: Annotated[FloatArray, Array("N Q")]
     """[N, Q] mol each reagent the experiment may still take"""
+    jacket: Annotated[FloatArray, Array("N")]
+    """[N] K, temperature of what the vessel stands in"""
 
 
 class ReactorRules(NamedTuple):
@@ -116,6 +125,10 @@ class ReactorRules(NamedTuple):
     """kPa that the pressure gauge shows as 1"""
     tick: Annotated[float, Array("")]
     """reaction time of a step"""
+    transfer: Annotated[float, Array("")]
+    """W/K between contents and jacket; below 0: the contents have its temperature"""
+    condenser: Annotated[float, Array("")]
+    """W that a reflux condenser takes; below 0: the vessel is sealed"""
     rtol: Annotated[float, Array("")]
     atol: Annotated[float, Array("")]
     """mol/L"""
@@ -138,8 +151,11 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat)."""
     row = shelf.rows[state.places[m, 0]]
     state.events[m, :] = 0.0
-    temperature = row[TEMPERATURE] + (2.0 * action[0] - 1.0) * rules.temperature_step
+    jacketed = rules.transfer >= 0.0
+    temperature = state.jacket[m] if jacketed else row[TEMPERATURE]
+    temperature += (2.0 * action[0] - 1.0) * rules.temperature_step
     molar_volume = opened(Chemistry, chem).molar_volume
+    before = heat_capacity(row, chem)
     arriving = 0.0
     for i in range(rules.reagents.shape[0]):
         material = rules.reagents[i]
@@ -152,8 +168,29 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
         state.supply[m, i] -= mol
         shelf.stock[m, material] -= mol
         row[AMOUNTS + material] += mol
+    state.jacket[m] = min(max(temperature, rules.coldest), rules.hottest)
+    if jacketed:
+        after = heat_capacity(row, chem)
+        if after > 0.0:
+            ambient = opened(Chemistry, chem).ambient_temperature
+            row[TEMPERATURE] = ambient + (row[TEMPERATURE] - ambient) * before / after
     spill(row, chem, shelf.waste[m], state.events[m])
-    row[TEMPERATURE] = min(max(temperature, rules.coldest), rules.hottest)
+    if not jacketed:
+        row[TEMPERATURE] = state.jacket[m]
+
+
+@inner
+def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> int:
+    """The reactions of a tick; below 0 if they were too stiff. Under reflux, a little at a time: what boils meanwhile
+    keeps its temperature."""
+    row, jacket = shelf.rows[state.places[m, 0]], state.jacket[m]
+    if rules.condenser < 0.0:
+        return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.scratch)
+    dt, worst = rules.tick / _REFLUX_PARTS, 0
+    for _part in range(_REFLUX_PARTS):
+        worst = min(worst, react(row, chem, dt, jacket, rules.transfer, rules.rtol, rules.atol, rules.scratch))
+        reflux(row, rules.condenser * dt, chem, shelf.waste[m], state.events[m])
+    return worst
 
 
 @inner
@@ -163,7 +200,8 @@ def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) 
     settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
     row[CLOCK] = T_MIX
     partition(row, chem, rules.work)
-    vent(row, rules.rated_pressure, chem, shelf.waste[m], state.events[m])
+    if rules.condenser < 0.0:
+        vent(row, rules.rated_pressure, chem, shelf.waste[m], state.events[m])
     state.steps[m] += 1
     state.ended[m] = state.steps[m] >= rules.step_limit
 
@@ -195,10 +233,8 @@ def _step(
     for b in range(members.shape[0]):
         m = members[b]
         chem = chemistry[arrays.variant[m]]
-        row = arrays.rows[state.places[m, 0]]
         _load(m, actions[b], state, rules, arrays, chem)
-        litres, temperature = liquid_volume(row, chem), row[TEMPERATURE]
-        if react(row, chem, litres, temperature, rules.tick, rules.rtol, rules.atol, rules.scratch) < 0:
+        if _react(m, state, rules, arrays, chem) < 0:
             stiff = m
         _conclude(m, state, rules, arrays, chem)
     return stiff
@@ -230,6 +266,9 @@ def _observe(
             left = min(state.supply[m, i], arrays.stock[m, rules.reagents[i]])
             out[b, at] = min(max(left / rules.full[i], 0.0), 1.0)
             at += 1
+        if rules.transfer >= 0.0:
+            out[b, at] = (state.jacket[m] - rules.coldest) / (rules.hottest - rules.coldest)
+            at += 1
         out[b, at + state.goal[m]] = 1.0
 
 
@@ -249,7 +288,9 @@ def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, c
         chem = chemistry[arrays.variant[members[b]]]
         row = arrays.rows[state.places[members[b], 0]]
         row[CAPACITY] = max(rules.vessel_volume, volume(row, chem) / _FULLEST)
-        seal(row, chem)
+        state.jacket[members[b]] = min(max(row[TEMPERATURE], rules.coldest), rules.hottest)
+        if rules.condenser < 0.0:
+            seal(row, chem)
 
 
 class ReactionBench(Bench):
@@ -289,6 +330,7 @@ class ReactionBench(Bench):
             Channel(
                 "reagents", self.reagents, "fraction", 0.0, 1.0, "left of the supply: " + ", ".join(self.reagent_names)
             ),
+            *([Channel("jacket", 1, "K", t.low, t.high, "temperature of the jacket")] if options.jacket_w_k else []),
         )
         self._set_spaces(channels, gymnasium.spaces.Box(0.0, 1.0, (self.reagents + 2,), np.float32))
 
@@ -323,6 +365,8 @@ class ReactionBench(Bench):
             "rated_pressure": options.rated_pressure_kpa,
             "pressure_scale": self._pressure_scale,
             "tick": options.tick,
+            "transfer": -1.0 if options.jacket_w_k is None else options.jacket_w_k,
+            "condenser": -1.0 if options.condenser_w is None else options.condenser_w,
             "rtol": options.rtol,
             "atol": options.atol,
             "reagents": np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64),

@@ -40,7 +40,7 @@ class Turn(NamedTuple):
     :func:`chemlab.physics.layers.profile`)"""
     profile: FloatArray
     limits: FloatArray
-    """[2] K, temperatures of the heating mantle and of the coolant"""
+    """[4] of the apparatus, see :func:`chemlab.physics.laws.heat`"""
     numbers: FloatArray
     """what :attr:`Operation.numbers` has made of the scenario"""
 

@@ -12,8 +12,7 @@ __all__ = ["OPERATION"]
 
 @inner
 def _act(turn: Turn, chem: Handle) -> float:
-    hottest, coolest = turn.limits[0], turn.limits[1]
-    heat(turn.row, turn.target, 1000.0 * turn.magnitude, hottest, coolest, chem, turn.waste, turn.events)
+    heat(turn.row, turn.target, 1000.0 * turn.magnitude, turn.limits, chem, turn.waste, turn.events)
     return 0.0
 
 

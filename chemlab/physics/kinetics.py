@@ -11,9 +11,10 @@ import math
 from ..arrays import FloatArray, Handle
 from ..chemistry import AMOUNTS, Chemistry
 from ..jit import helper, kernel, opened
+from .constants import GAS_CONSTANT
 from .laws import rate_constant
 
-__all__ = ["react", "react_work_size"]
+__all__ = ["arrhenius", "integrate", "react_work_size"]
 
 _A21 = 1 / 5
 _A31, _A32 = 3 / 40, 9 / 40
@@ -35,8 +36,16 @@ _WORK_ROWS = 14
 
 
 def react_work_size(chemistry: Chemistry) -> tuple[int, int]:
-    """Shape of the scratch array :func:`react` needs."""
+    """Shape of the scratch array :func:`integrate` needs."""
     return _WORK_ROWS, max(chemistry.stoichiometry.shape[0], chemistry.species.shape[0], 1)
+
+
+@helper
+def arrhenius(reaction: int, temperature: float, chem: Handle) -> float:
+    """Rate constant A exp(-Ea / RT) of a reaction at ``temperature`` (K), in its own unit."""
+    chemistry = opened(Chemistry, chem)
+    power = -chemistry.activation_energy[reaction] / (GAS_CONSTANT * temperature)
+    return float(chemistry.pre_exponential[reaction] * math.exp(power))
 
 
 @helper
@@ -76,7 +85,7 @@ def _rates(
 
 
 @kernel
-def react(
+def integrate(
     row: FloatArray,
     chem: Handle,
     volume: float,

@@ -11,13 +11,16 @@ import math
 
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
 from ..chemistry import AMOUNTS, CLOCK, PRESENT, ROLE_SOLID, Chemistry
-from ..jit import helper, kernel, opened
+from ..jit import helper, kernel, opened, scratch
 from ..rng import uniform
 from ..shelf import CLOCK_SETTLED, T_MIX
-from .laws import find_layers
+from .constants import SOLIDS
+from .laws import find_layers, layer_density, layer_shade
 
 __all__ = ["camera", "profile"]
 
+_FEW = 8
+"""Layers whose grey values are worked out once a picture."""
 _STEEPEST = 600.0
 """Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
 _TOLERANCE = 1e-11
@@ -85,7 +88,6 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
     Returns:
         Number of columns in use; 0 where no vessel stands.
     """
-    chemistry = opened(Chemistry, chem)
     if row[PRESENT] <= 0.0:
         layers[0] = 0
         return 0
@@ -116,7 +118,7 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
     for i in range(fluids):
         target[i] = volumes[1 + i] / total * pixels
     for i in range(fluids - 1):
-        lighter = chemistry.density[layers[1 + 1 + i]] - chemistry.density[layers[1 + 2 + i]]
+        lighter = layer_density(row, layers[1 + 1 + i], chem) - layer_density(row, layers[1 + 2 + i], chem)
         slope[i] = min(kappa * lighter, _STEEPEST)
         # The two layers alone, in the heights they occupy: there the boundary has a closed form.
         height = (target[i] + target[i + 1]) / pixels
@@ -279,6 +281,9 @@ def camera(
             for p in range(out.shape[0]):
                 out[p] = chemistry.shade[chemistry.air] if count == 2 else 0.0
             return
+    shades = scratch(_FEW)
+    for c in range(min(count, _FEW)):
+        shades[c] = layer_shade(row, layers[1 + c], chem) if layers[1 + c] != SOLIDS else 0.0
     for p in range(out.shape[0]):
         draw = uniform(stream)
         # Counting the layers that the draw lies above takes no branch that a processor could guess wrong.
@@ -289,7 +294,7 @@ def camera(
         if chosen == 0 and shares[0, p] > 0.0:
             out[p] = _solid_shade(row, chem, draw / shares[0, p])
         else:
-            out[p] = chemistry.shade[layers[1 + chosen]]
+            out[p] = shades[chosen] if chosen < _FEW else layer_shade(row, layers[1 + chosen], chem)
 
 
 @helper

@@ -6,7 +6,7 @@ from ..arrays import FloatArray, Handle
 from ..chemistry import AIR, CAPACITY, TEMPERATURE, Chemistry
 from ..jit import helper, opened
 from .constants import GAS_CONSTANT
-from .laws import vapor_pressure
+from .laws import headspace_gas, vapor_pressure
 from .transfer import volume
 
 __all__ = ["air_in_open_vessel", "pressure", "seal"]
@@ -31,4 +31,4 @@ def pressure(row: FloatArray, chem: Handle) -> float:
     """Pressure in a sealed vessel, kPa: its air in the headspace, plus vapour."""
     # A brim-full vessel has no headspace to divide by; one part in a thousand stands for the gap at the lid.
     headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
-    return float(row[AIR] * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem))
+    return float(headspace_gas(row, chem) * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem))

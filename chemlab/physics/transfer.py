@@ -15,8 +15,6 @@ from ..chemistry import (
     CLOCK_WAS,
     PRESENT,
     ROLE_GAS,
-    ROLE_ION,
-    ROLE_SOLID,
     TEMPERATURE,
     Chemistry,
 )
@@ -24,6 +22,7 @@ from ..jit import helper, kernel, opened
 from ..shelf import CLOCK_SETTLED, T_MIX
 from .constants import TRACE_MOL
 from .events import SPILL
+from .laws import drain_layer, solid_volume
 
 __all__ = [
     "add",
@@ -36,7 +35,6 @@ __all__ = [
     "pour",
     "remove_fraction",
     "row_has",
-    "solid_volume",
     "spill",
     "take",
     "turn_clock",
@@ -51,17 +49,6 @@ def volume(row: FloatArray, chem: Handle) -> float:
     total = 0.0
     for i in range(chemistry.role.shape[0]):
         if chemistry.role[i] != ROLE_GAS:
-            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
-    return total
-
-
-@helper
-def solid_volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of the solids, L."""
-    chemistry = opened(Chemistry, chem)
-    total = 0.0
-    for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_SOLID:
             total += row[AMOUNTS + i] * chemistry.molar_volume[i]
     return total
 
@@ -185,19 +172,14 @@ def drain(
         waste: [M] mol, receives what spills.
         events: safety events row.
     """
-    chemistry = opened(Chemistry, chem)
-    n, count, height = chemistry.role.shape[0], layers[0], profile.shape[1]
+    air = opened(Chemistry, chem).air
+    count, height = layers[0], profile.shape[1]
     whole = int(min(pixels, height))
     before = volume(target, chem)
     there = heat_capacity(target, chem)
     arriving = 0.0
-    n_solvents, n_dissolved = chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
-    solvent_present = False
-    for layer in range(n_solvents):
-        solvent_present = solvent_present or row_has(source, chemistry.solvents[layer])
     for c in range(count):
-        material = layers[1 + c]
-        if material == chemistry.air:
+        if layers[1 + c] == air:
             continue
         low, total = 0.0, 0.0
         for p in range(height):
@@ -207,34 +189,8 @@ def drain(
                 low += profile[c, p] * (pixels - whole)
             total += profile[c, p]
         share = min(low / total, 1.0) if total > 0.0 else 0.0
-        if share <= 0.0:
-            continue
-        if material < 0:  # the solids, and ions where no liquid holds them
-            for i in range(n):
-                if chemistry.role[i] == ROLE_SOLID or (not solvent_present and chemistry.role[i] == ROLE_ION):
-                    moved = source[AMOUNTS + i] * share
-                    source[AMOUNTS + i] -= moved
-                    target[AMOUNTS + i] += moved
-                    arriving += moved * chemistry.heat_capacity[i]
-            continue
-        moved = source[AMOUNTS + material] * share
-        source[AMOUNTS + material] -= moved
-        target[AMOUNTS + material] += moved
-        arriving += moved * chemistry.heat_capacity[material]
-        if not solvent_present:
-            continue
-        for layer in range(n_solvents):
-            if chemistry.solvents[layer] != material:
-                continue
-            for k in range(n_dissolved):
-                i = chemistry.dissolved[k]
-                column = AMOUNTS + n + k * n_solvents + layer
-                moved = min(source[column] * share, source[AMOUNTS + i])
-                source[column] -= moved
-                target[column] += moved
-                source[AMOUNTS + i] -= moved
-                target[AMOUNTS + i] += moved
-                arriving += moved * chemistry.heat_capacity[i]
+        if share > 0.0:
+            arriving += drain_layer(source, target, layers[1 + c], share, chem)
     _mix_temperature(target, there, arriving, source[TEMPERATURE])
     _stir(target, before, volume(target, chem))
     spill(target, chem, waste, events)

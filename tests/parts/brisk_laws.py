@@ -2,10 +2,8 @@
 
 from chemlab.arrays import Handle
 from chemlab.jit import helper
-from chemlab.physics.laws.paper import find_layers, heat, partition, settle_phases, vapor_pressure, vent
+from chemlab.physics.laws.paper import *  # noqa: F403 - all the others
 from chemlab.physics.laws.paper import rate_constant as arrhenius
-
-__all__ = ["find_layers", "heat", "partition", "rate_constant", "settle_phases", "vapor_pressure", "vent"]
 
 
 @helper

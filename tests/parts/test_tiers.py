@@ -13,7 +13,8 @@ import pytest
 from chemlab.chemistry import AMOUNTS, TIERS, build_chemistry
 from chemlab.materials import DataError
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.kinetics import react, react_work_size
+from chemlab.physics.kinetics import integrate as react
+from chemlab.physics.kinetics import react_work_size
 from chemlab.physics.laws import rate_constant
 from chemlab.scenario import Scenario, dump_scenario, load_scenario, restore_scenario
 from chemlab.shelf import Shelf

@@ -16,7 +16,8 @@ from scipy.linalg import null_space
 
 from chemlab.chemistry import AMOUNTS, Chemistry
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.kinetics import react, react_work_size
+from chemlab.physics.kinetics import integrate as react
+from chemlab.physics.kinetics import react_work_size
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]

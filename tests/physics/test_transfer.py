@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from chemlab.chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
 from chemlab.physics.events import SPILL
-from chemlab.physics.transfer import clear, liquid_volume, place, remove_fraction, solid_volume, volume
+from chemlab.physics.laws import solid_volume
+from chemlab.physics.transfer import clear, liquid_volume, place, remove_fraction, volume
 from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 SCENARIO = four_solvents()

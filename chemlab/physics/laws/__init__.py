@@ -22,7 +22,24 @@ from ...arrays import FloatArray, Handle, IntArray
 from ...chemistry import TIERS, tier_dimensions
 from ...jit import COMPILED, SETTINGS
 
-__all__ = ["find_layers", "heat", "law", "partition", "rate_constant", "settle_phases", "vapor_pressure", "vent"]
+__all__ = [
+    "drain_layer",
+    "elapse",
+    "find_layers",
+    "headspace_gas",
+    "heat",
+    "law",
+    "layer_density",
+    "layer_shade",
+    "partition",
+    "rate_constant",
+    "react",
+    "reflux",
+    "settle_phases",
+    "solid_volume",
+    "vapor_pressure",
+    "vent",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -46,9 +63,9 @@ def law(stub: F) -> F:
 
         def choose(*kinds: Any) -> Callable[..., Any]:
             # A function of the law's own parameters that calls the tier's, which keeps its place in the cache.
-            scope = {"target": _implementation(name, kinds[where].ndim)}
+            scope = {"_of_tier": _implementation(name, kinds[where].ndim)}
             listed = ", ".join(parameters)
-            exec(f"def {name}({listed}):\n    return target({listed})", scope)
+            exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
             return cast(Callable[..., Any], scope[name])
 
         overload(call, jit_options=cast(Any, {**SETTINGS, "forceinline": True}), strict=False)(choose)
@@ -58,6 +75,12 @@ def law(stub: F) -> F:
 @law
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Pressure of the vapour over the liquids in a vessel, kPa."""
+    raise NotImplementedError
+
+
+@law
+def headspace_gas(row: FloatArray, chem: Handle) -> float:
+    """mol of gas above the contents of a sealed vessel, vapour not counted."""
     raise NotImplementedError
 
 
@@ -73,8 +96,7 @@ def heat(
     row: FloatArray,
     receiver: FloatArray,
     joules: float,
-    hottest: float,
-    coolest: float,
+    limits: FloatArray,
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
@@ -84,7 +106,9 @@ def heat(
     Args:
         row, receiver: vessel rows.
         joules: heat offered, J.
-        hottest, coolest: K, temperatures of the heating mantle and the coolant: no heat flows past them.
+        limits: [4] temperatures of the heating mantle and of the coolant, K, past which no heat flows; theoretical
+            stages between pot and condenser (1: the pot alone), and the mol that the column's head returns for each mol
+            that it lets pass.
         chem: the chemistry.
         waste: [M] mol, receives what overflows the receiver.
         events: safety events row.
@@ -139,6 +163,84 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
 
 
 @law
+def solid_volume(row: FloatArray, chem: Handle) -> float:
+    """Volume of what is not liquid, L."""
+    raise NotImplementedError
+
+
+@law
+def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
+    """Density of a layer (by its code, as :func:`find_layers` gives it) of a vessel, kg/L."""
+    raise NotImplementedError
+
+
+@law
+def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
+    """Grey value of a layer of a vessel, as a camera sees it."""
+    raise NotImplementedError
+
+
+@law
+def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
+    """Move ``share`` (0 to 1) of a layer, or of the solids, with all that it holds; returns the heat capacity of what
+    has moved, J/K."""
+    raise NotImplementedError
+
+
+@law
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Rate constant of a reaction at ``temperature`` (K), in its own unit."""
+    raise NotImplementedError
+
+
+@law
+def react(
+    row: FloatArray,
+    chem: Handle,
+    dt: float,
+    jacket: float,
+    transfer: float,
+    rtol: float,
+    atol: float,
+    work: FloatArray,
+) -> int:
+    """Let the contents of one vessel react for ``dt``.
+
+    Args:
+        row: vessel row, changed in place.
+        chem: the chemistry.
+        dt: time, in the unit of the rate constants.
+        jacket: K, temperature of what the vessel stands in.
+        transfer: W/K, how well heat passes to it; below 0: at once, so that the contents keep its temperature.
+        rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
+        work: scratch of shape :func:`chemlab.physics.kinetics.react_work_size`.
+
+    Returns:
+        Number of steps taken, rejected ones included; -1 where that would have been too many (nothing has changed
+        then).
+    """
+    raise NotImplementedError
+
+
+@law
+def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
+    """A condenser above a boiling vessel, open to the room: it takes up to ``joules`` from what is above its boiling
+    point and lets it run back; vapour beyond that is lost to ``waste`` [M], and is an event."""
+    raise NotImplementedError
+
+
+@law
+def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray) -> bool:
+    """Time passes for an open vessel, wherever it stands.
+
+    Args:
+        row: vessel row, changed in place.
+        ticks: of laboratory time.
+        chem: the chemistry.
+        waste: [M] mol, receives what flies.
+        events: safety events row.
+
+    Returns:
+        Whether its contents have changed.
+    """
     raise NotImplementedError

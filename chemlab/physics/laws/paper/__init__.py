@@ -3,11 +3,27 @@
 Arguments and results are those of :mod:`chemlab.physics.laws`.
 """
 
+from ...kinetics import arrhenius as rate_constant
 from .boiling import heat
-from .layers import find_layers
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
 from .partition import partition
 from .phases import settle_phases
-from .rates import rate_constant
-from .vapor import vapor_pressure, vent
+from .rates import elapse, react, reflux
+from .vapor import headspace_gas, vapor_pressure, vent
 
-__all__ = ["find_layers", "heat", "partition", "rate_constant", "settle_phases", "vapor_pressure", "vent"]
+__all__ = [
+    "drain_layer",
+    "elapse",
+    "find_layers",
+    "headspace_gas",
+    "heat",
+    "layer_density",
+    "layer_shade",
+    "partition",
+    "react",
+    "reflux",
+    "settle_phases",
+    "solid_volume",
+    "vapor_pressure",
+    "vent",
+]

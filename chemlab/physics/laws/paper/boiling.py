@@ -18,8 +18,7 @@ def heat(
     row: FloatArray,
     receiver: FloatArray,
     joules: float,
-    hottest: float,
-    coolest: float,
+    limits: FloatArray,
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
@@ -29,6 +28,7 @@ def heat(
     Liquids boil one after the other, lowest boiling point first, each at its own boiling point.
     """
     chemistry = opened(Chemistry, chem)
+    hottest, coolest = limits[0], limits[1]
     if joules == 0.0:
         return 0.0, 0.0
     contents = heat_capacity(row, chem)

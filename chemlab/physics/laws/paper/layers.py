@@ -1,4 +1,4 @@
-"""Liquid layers: every solvent is a layer of its own, with what is dissolved in it (PHYSICS section 2)."""
+"""Layers: every solvent is one of its own, with what is dissolved in it (PHYSICS section 2)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from ....arrays import FloatArray, Handle, IntArray
 from ....chemistry import AMOUNTS, CAPACITY, ROLE_ION, ROLE_SOLID, Chemistry
 from ....jit import helper, opened
 from ...constants import SOLIDS, TRACE_MOL
+from ...transfer import row_has
 
-__all__ = ["find_layers"]
+__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_volume"]
 
 
 @helper
@@ -48,3 +49,64 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     layers[1 + count], volumes[count] = chemistry.air, max(row[CAPACITY] - filled, 0.0)
     layers[0] = count + 1
     return count + 1
+
+
+@helper
+def solid_volume(row: FloatArray, chem: Handle) -> float:
+    """Volume of the solids, L."""
+    chemistry = opened(Chemistry, chem)
+    total = 0.0
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_SOLID:
+            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
+    return total
+
+
+@helper
+def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
+    """kg/L of the layer's solvent."""
+    return float(opened(Chemistry, chem).density[layer])
+
+
+@helper
+def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
+    """Grey value of the layer's solvent: what is dissolved in it does not show."""
+    return float(opened(Chemistry, chem).shade[layer])
+
+
+@helper
+def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
+    """Move ``share`` of a solvent with what is dissolved in it, or of the solids, and of ions where no liquid holds
+    them; returns the heat capacity of what has moved, J/K."""
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents, n_dissolved = chemistry.role.shape[0], chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
+    solvent_present, arriving = False, 0.0
+    for column in range(n_solvents):
+        solvent_present = solvent_present or row_has(source, chemistry.solvents[column])
+    if layer < 0:
+        for i in range(n):
+            if chemistry.role[i] == ROLE_SOLID or (not solvent_present and chemistry.role[i] == ROLE_ION):
+                moved = source[AMOUNTS + i] * share
+                source[AMOUNTS + i] -= moved
+                target[AMOUNTS + i] += moved
+                arriving += moved * chemistry.heat_capacity[i]
+        return arriving
+    moved = source[AMOUNTS + layer] * share
+    source[AMOUNTS + layer] -= moved
+    target[AMOUNTS + layer] += moved
+    arriving += moved * chemistry.heat_capacity[layer]
+    if not solvent_present:
+        return arriving
+    for column in range(n_solvents):
+        if chemistry.solvents[column] != layer:
+            continue
+        for k in range(n_dissolved):
+            i = chemistry.dissolved[k]
+            at = AMOUNTS + n + k * n_solvents + column
+            moved = min(source[at] * share, source[AMOUNTS + i])
+            source[at] -= moved
+            target[at] += moved
+            source[AMOUNTS + i] -= moved
+            target[AMOUNTS + i] += moved
+            arriving += moved * chemistry.heat_capacity[i]
+    return arriving

@@ -1,20 +1,37 @@
-"""Rate constants: Arrhenius (PHYSICS section 1)."""
+"""Reactions at the temperature that the vessel is kept at (PHYSICS section 1)."""
 
 from __future__ import annotations
 
-import math
+from ....arrays import FloatArray, Handle
+from ....chemistry import TEMPERATURE
+from ....jit import helper
+from ...kinetics import integrate
+from ...transfer import liquid_volume
 
-from ....arrays import Handle
-from ....chemistry import Chemistry
-from ....jit import helper, opened
-from ...constants import GAS_CONSTANT
-
-__all__ = ["rate_constant"]
+__all__ = ["elapse", "react", "reflux"]
 
 
 @helper
-def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
-    """A exp(-Ea / RT)."""
-    chemistry = opened(Chemistry, chem)
-    power = -chemistry.activation_energy[reaction] / (GAS_CONSTANT * temperature)
-    return float(chemistry.pre_exponential[reaction] * math.exp(power))
+def react(
+    row: FloatArray,
+    chem: Handle,
+    dt: float,
+    jacket: float,
+    transfer: float,
+    rtol: float,
+    atol: float,
+    work: FloatArray,
+) -> int:
+    """Mass action at the temperature of the contents: reactions have no heat, so that of the jacket is theirs."""
+    return integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, rtol, atol, work)
+
+
+@helper
+def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray) -> bool:
+    """Nothing happens in a vessel that nobody works on."""
+    return False
+
+
+@helper
+def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
+    """Nothing: a reaction does not heat."""

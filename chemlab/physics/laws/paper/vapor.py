@@ -13,7 +13,7 @@ from ...events import RELIEF
 from ...thermal import pressure
 from ...transfer import take, volume
 
-__all__ = ["vapor_pressure", "vent"]
+__all__ = ["headspace_gas", "vapor_pressure", "vent"]
 
 
 @helper
@@ -38,6 +38,12 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
                 moles += amount
                 partial += amount * _atmospheres(i, row[TEMPERATURE], chem)
     return 101.325 * partial / moles if moles > 0.0 else 0.0
+
+
+@helper
+def headspace_gas(row: FloatArray, chem: Handle) -> float:
+    """mol of air: other gases do not stay."""
+    return float(row[AIR])
 
 
 @kernel
