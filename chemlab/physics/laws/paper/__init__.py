@@ -20,6 +20,7 @@ __all__ = [
     "layer_density",
     "layer_shade",
     "partition",
+    "rate_constant",
     "react",
     "reflux",
     "settle_phases",
