@@ -268,7 +268,7 @@ def _network(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
     """The scenario's reactions, over the materials that take part in one."""
     steps = scenario.family.reaction
     names = list(scenario.materials)
-    taking_part = [name for name in names if any(name in step.reactants or name in step.products for step in steps)]
+    taking_part = [name for name in names if any(name in step.materials() for step in steps)]
     orders = np.zeros((len(steps), len(taking_part)))
     for row, step in zip(orders, steps, strict=True):
         for name in step.reactants:

@@ -1,15 +1,16 @@
 """Reaction networks as data: stoichiometry, orders and Arrhenius constants, checked for balance.
 
 A reaction family is one TOML file of ``chemlab/data/reactions`` (or a path of the user's): ``[[reaction]]``
-entries integrated by the kinetics kernel, ``[[salt]]`` entries taken to their dissolution equilibrium, and
-``[[violent]]`` entries that run to completion at once and may be safety events.
+entries integrated by the kinetics kernel, ``[[salt]]`` entries taken to their dissolution equilibrium,
+``[[violent]]`` entries that run to completion at once and may be safety events, and ``[[acid]]`` entries that are at
+their equilibrium with water at any time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -17,14 +18,22 @@ from .datafile import DataError, Grown, read_toml, validated
 from .materials import Material, Text, atoms_of
 
 __all__ = [
+    "HYDROXIDE",
+    "PROTON",
+    "WATER",
+    "Acid",
     "Reaction",
     "ReactionFamily",
     "Salt",
     "Violent",
     "check_reactions",
+    "check_without_real",
     "load_reactions",
     "shipped_reactions_folder",
 ]
+
+PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
+"""Materials by which acids and bases react with each other, and in which they do."""
 
 _BALANCE_TOLERANCE = 1e-9
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -38,6 +47,10 @@ Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(
 """Orders by reactant; together at most 20."""
 _HIGHEST_ORDER = 20.0
 """Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
+Inhibition = Annotated[dict[Text, Annotated[float, Field(gt=0.0, le=1e12)]], Field(max_length=20)]
+"""Inhibition constants in L/mol, by material."""
+Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""J/mol"""
 
 
 class _Balanced(BaseModel):
@@ -50,8 +63,13 @@ class _Balanced(BaseModel):
     source: str = Field(min_length=1)
 
 
-class Reaction(_Balanced):
-    """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit."""
+class Reaction(_Balanced, Grown):
+    """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit.
+
+    What catalyses and inhibits it, and the reverse reaction, are known to the tier ``real`` only.
+    """
+
+    _later: ClassVar[tuple[str, ...]] = ("catalysts", "inhibitors", "equilibrium_constant", "enthalpy_j_mol")
 
     orders: Orders = {}
     """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
@@ -59,6 +77,15 @@ class Reaction(_Balanced):
     pre_exponential: float = Field(gt=0.0, le=1e30)
     """A, in (L/mol)^(order - 1) per time unit."""
     activation_energy_j_mol: float = Field(ge=0.0, le=500_000.0)
+    catalysts: Orders = {}
+    """Order in each material that is not used up; without it the reaction does not run, in neither direction."""
+    inhibitors: Inhibition = {}
+    """K in L/mol by material: the rate is divided by 1 + sum of K times its concentration."""
+    equilibrium_constant: float | None = Field(default=None, ge=1e-50, le=1e50)
+    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K), and asks for mass action."""
+    enthalpy_j_mol: Enthalpy | None = None
+    """Heat of reaction at 298.15 K, which K follows with temperature (van 't Hoff); without it that of the materials'
+    formation enthalpies, with which it must agree."""
 
     @model_validator(mode="after")
     def _sound(self) -> Reaction:
@@ -67,10 +94,29 @@ class Reaction(_Balanced):
                 raise ValueError(f"orders.{key}: not a reactant of this reaction")
         if self.orders and set(self.orders) != set(self.reactants):
             raise ValueError("orders must name every reactant, or none")
+        for key in self.catalysts:
+            if key in self.reactants:
+                raise ValueError(f"catalysts.{key}: is a reactant; give it a higher order under orders instead")
+        for key in self.inhibitors:
+            if key in self.catalysts:
+                raise ValueError(f"inhibitors.{key}: is a catalyst of this reaction as well")
         orders = self.orders or dict(self.reactants)
-        if sum(orders.values()) > _HIGHEST_ORDER:
-            raise ValueError(f"orders: add up to {sum(orders.values()):g}; at most {_HIGHEST_ORDER:g}")
+        forward, backward = sum(orders.values()), 0.0
+        if self.equilibrium_constant is not None:
+            if orders != self.reactants:
+                raise ValueError(
+                    "equilibrium_constant: only mass action leads to it: leave out orders, or write the reverse "
+                    "reaction as one of its own"
+                )
+            backward = sum(self.products.values())
+        total = max(forward, backward) + sum(self.catalysts.values())
+        if total > _HIGHEST_ORDER:
+            raise ValueError(f"orders: add up to {total:g}; at most {_HIGHEST_ORDER:g}")
         return self.model_copy(update={"orders": orders})
+
+    def materials(self) -> set[str]:
+        """Every material this reaction changes or depends on."""
+        return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
 
 
 class Salt(BaseModel):
@@ -94,22 +140,56 @@ class Violent(_Balanced, Grown):
     water counts as ``metal_in_water_mol``, and others as none."""
 
 
-class ReactionFamily(BaseModel):
-    """A named set of reactions, salts and violent reactions."""
+class Acid(BaseModel):
+    """An acid with its bases, at equilibrium with water at any time; the tier ``real`` alone knows it.
+
+    Strong acids and bases need no entry: they are ions from the start, one of them ``H+`` or ``OH-``.
+    """
 
     model_config = _FROZEN
+
+    species: tuple[Text, ...] = Field(min_length=2, max_length=8)
+    """From the most acidic one on; each has a proton less than the one before it."""
+    pka: tuple[Annotated[float, Field(ge=-20.0, le=40.0)], ...] = Field(min_length=1, max_length=7)
+    """Of each step, at 298.15 K and infinite dilution."""
+    enthalpy_j_mol: tuple[Enthalpy, ...] = Field(default=(), max_length=7)
+    """Of each step, which its pKa follows with temperature (van 't Hoff); without it that of the materials' formation
+    enthalpies."""
+    source: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Acid:
+        steps = len(self.species) - 1
+        if len(set(self.species)) != len(self.species):
+            raise ValueError("species: one is listed twice")
+        for key, given in (("pka", self.pka), ("enthalpy_j_mol", self.enthalpy_j_mol)):
+            if len(given) != steps and (given or key == "pka"):
+                raise ValueError(f"{key}: {len(self.species)} species have {steps} steps, given {len(given)}")
+        return self
+
+
+class ReactionFamily(Grown):
+    """A named set of reactions, salts, violent reactions and acids."""
+
+    model_config = _FROZEN
+    _later: ClassVar[tuple[str, ...]] = ("acid",)
 
     name: Text
     summary: str = ""
     reaction: tuple[Reaction, ...] = Field(default=(), max_length=200)
     salt: tuple[Salt, ...] = Field(default=(), max_length=50)
     violent: tuple[Violent, ...] = Field(default=(), max_length=50)
+    acid: tuple[Acid, ...] = Field(default=(), max_length=50)
 
     def materials(self) -> set[str]:
         """Every material this family names."""
         found = {name for salt in self.salt for name in (salt.solid, salt.cation, salt.anion)}
-        for step in (*self.reaction, *self.violent):
+        for step in self.violent:
             found |= set(step.reactants) | set(step.products)
+        for reaction in self.reaction:
+            found |= reaction.materials()
+        for acid in self.acid:
+            found |= {*acid.species, PROTON, HYDROXIDE, WATER}
         return found
 
 
@@ -157,7 +237,7 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
 
     Raises:
         DataError: unknown material, a reaction that does not conserve atoms and charge, a salt that is not a solid of a
-            positive and a negative ion, salts that share an anion.
+            positive and a negative ion, salts that share an anion, acids that share a species.
     """
     unknown = sorted(family.materials() - set(materials))
     if unknown:
@@ -165,6 +245,11 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
     steps = [(f"reaction.{i}", r.reactants, r.products) for i, r in enumerate(family.reaction)]
     steps += [(f"violent.{i}", v.reactants, v.products) for i, v in enumerate(family.violent)]
     steps += [(f"salt.{i}", {s.solid: 1.0}, {s.cation: 1.0, s.anion: 1.0}) for i, s in enumerate(family.salt)]
+    if family.acid:
+        steps.append(("acid: water", {WATER: 1.0}, {PROTON: 1.0, HYDROXIDE: 1.0}))
+    for i, acid in enumerate(family.acid):
+        for acidic, basic in zip(acid.species, acid.species[1:], strict=False):
+            steps.append((f"acid.{i}: {acidic} to {basic}", {acidic: 1.0}, {basic: 1.0, PROTON: 1.0}))
     for key, reactants, products in steps:
         before, after = atoms_of(reactants, materials), atoms_of(products, materials)
         for element in sorted(set(before) | set(after)):
@@ -183,3 +268,34 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
     if len(set(anions)) != len(anions):
         # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.
         raise DataError(f"{where}: salt: two salts share an anion; only a shared cation is supported")
+    taken = {PROTON: "water", HYDROXIDE: "water", WATER: "water"}
+    for i, acid in enumerate(family.acid):
+        for name in acid.species:
+            if name in taken:
+                raise DataError(f"{where}: acid.{i}: species: {name!r} is part of {taken[name]} already")
+            if materials[name].role in ("solid", "gas"):
+                raise DataError(
+                    f"{where}: acid.{i}: species: {name!r} is a {materials[name].role}; it must be dissolved in water"
+                )
+            taken[name] = f"acid.{i}"
+
+
+def check_without_real(family: ReactionFamily, where: str) -> None:
+    """Refuse what only the tier ``real`` has laws for.
+
+    Args:
+        family: reactions of a scenario of another tier.
+        where: the file of the scenario, for the error message.
+
+    Raises:
+        DataError: a reaction with a catalyst, an inhibitor, an equilibrium or a heat, or an acid.
+    """
+    keys = [
+        f"reaction.{i}.{key}"
+        for i, step in enumerate(family.reaction)
+        for key in Reaction._later
+        if getattr(step, key) != Reaction.model_fields[key].default
+    ]
+    keys += ["acid"] if family.acid else []
+    if keys:
+        raise DataError(f"{where}: reactions {family.name!r}: {keys[0]} needs physics = 'real' in the scenario")

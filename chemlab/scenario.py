@@ -26,7 +26,17 @@ from pydantic import (
 from .datafile import DataError, Grown, bounded, read_toml, validated
 from .inherit import completed, scenario_folder, scenario_names
 from .materials import Material, load_materials, shipped_materials
-from .reactions import ReactionFamily, check_reactions, load_reactions
+from .reactions import (
+    HYDROXIDE,
+    PROTON,
+    WATER,
+    Reaction,
+    ReactionFamily,
+    Violent,
+    check_reactions,
+    check_without_real,
+    load_reactions,
+)
 
 __all__ = [
     "PHYSICS_TIERS",
@@ -464,22 +474,38 @@ def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], R
         known = set(order)
         new: list[str] = []
         for step in (*family.reaction, *family.violent):
-            if set(step.reactants) <= known:
-                new += [name for name in step.products if name not in known]
+            if _can_run(step, known):
+                new += [name for name in (*step.reactants, *step.products) if name not in known]
         for salt in family.salt:
             if salt.solid in known or {salt.cation, salt.anion} <= known:
                 new += [name for name in (salt.solid, salt.cation, salt.anion) if name not in known]
+        for acid in family.acid:
+            if WATER in known and not known.isdisjoint(acid.species):
+                new += [name for name in (*acid.species, PROTON, HYDROXIDE) if name not in known]
         if not new:
             break
         order += list(dict.fromkeys(new))
-    kept = ReactionFamily(
-        name=family.name,
-        summary=family.summary,
-        reaction=tuple(step for step in family.reaction if set(step.reactants) <= known),
-        salt=tuple(salt for salt in family.salt if salt.solid in known),
-        violent=tuple(step for step in family.violent if set(step.reactants) <= known),
+    reactions = [step for step in family.reaction if _can_run(step, known)]
+    kept = family.model_copy(
+        update={
+            "reaction": tuple(
+                step.model_copy(update={"inhibitors": {n: k for n, k in step.inhibitors.items() if n in known}})
+                for step in reactions
+            ),
+            "salt": tuple(salt for salt in family.salt if salt.solid in known),
+            "violent": tuple(step for step in family.violent if _can_run(step, known)),
+            "acid": tuple(acid for acid in family.acid if WATER in known and set(acid.species) <= known),
+        }
     )
     return order, kept
+
+
+def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
+    """Whether what a reaction needs is there, in one direction or the other."""
+    if isinstance(step, Violent):
+        return set(step.reactants) <= known
+    backward = step.equilibrium_constant is not None and set(step.products) <= known
+    return set(step.catalysts) <= known and (set(step.reactants) <= known or backward)
 
 
 def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
@@ -543,6 +569,8 @@ def _equipped(spec: Scenario, known: Mapping[str, Material], family: ReactionFam
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
     if "air" not in known:
         raise DataError(f"{where}: material 'air' is missing; every vessel has some")
+    if spec.physics == "paper":
+        check_without_real(kept, where)
     spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     spec._family = kept
     spec._origin = where

@@ -1,0 +1,1 @@
+"""The tier ``real``: laws that a chemist knows (docs/physics_real.md)."""

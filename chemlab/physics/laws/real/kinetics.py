@@ -1,0 +1,603 @@
+"""Reactions with their heat: reversible, catalysed, inhibited, stiff or not, in a vessel that a jacket heats or cools.
+
+The unknowns are the extents of the reactions and the heat that has come through the jacket; temperature follows from
+them by the enthalpy balance. So atoms and energy are conserved to rounding whatever the integrator's error. The
+integrator is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and stiffly accurate (Sandu et
+al., Atmos. Environ. 31 (1997) 3459, and Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996,
+section IV.7).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import AMOUNTS, ROLE_ION, TEMPERATURE
+from ....jit import helper, inner, kernel, opened
+from ...constants import GAS_CONSTANT
+from ...transfer import heat_capacity, liquid_volume
+from ..paper.rates import rate_constant
+from .chemistry import RealChemistry
+from .fields import STANDARD_K
+
+__all__ = ["react", "react_work_size"]
+
+_GAMMA = 0.5
+_MOST_STEPS = 100_000
+_USED_UP = 1e-15
+"""mol; a reactant of which there is less is used up."""
+_FIRST_SHARE = 0.1
+"""Share of a reactant that the first trial step may use up at the first rate."""
+_HEAT_SCALE_K = 30.0
+"""Temperature error that weighs as much as an error of a whole concentration: at the default tolerance 0.03 K, which
+changes a rate of 60 kJ/mol at 300 K by 0.2 %."""
+_MOST_SWEEPS = 50
+_SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
+"""Of e in a rate constant; what is beyond is as good as zero or at once."""
+_COLDEST_K, _HOTTEST_K = 50.0, 5000.0
+"""Between which rate constants are worked out: a trial step may err further."""
+
+_EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT = range(8)  # rows of the scratch, of length U = R + 1
+_FORWARD, _BACKWARD, _HEAT, _CAPACITY = range(8, 12)
+_START, _NOW, _CONC = range(12, 15)  # of length S
+_VECTORS = 15
+
+
+class _Vessel(NamedTuple):
+    """What stays the same while a vessel reacts, by litre of its liquid."""
+
+    energy: float
+    """J/L, heat content over 298.15 K at the start"""
+    capacity: float
+    """J/K/L at the start"""
+    jacket: float
+    """K"""
+    transfer: float
+    """W/K/L; < 0: the contents are as warm as the jacket"""
+    small: float
+    """mol/L, below which orders under 1 are taken to be 1"""
+    work: FloatArray
+
+
+def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
+    """Shape of the scratch array :func:`react` needs."""
+    unknowns = chemistry.stoichiometry.shape[0] + 1
+    return _VECTORS + 2 * unknowns, max(unknowns, chemistry.species.shape[0])
+
+
+# -- what is there ---------------------------------------------------------------------------------------------------
+
+
+@helper
+def _available(row: FloatArray, chem: Handle, j: int) -> float:
+    """mol of species ``j`` that can react: of what dissolves, what is dissolved."""
+    chemistry = opened(RealChemistry, chem)
+    m, i = chemistry.role.shape[0], chemistry.species[j]
+    k = chemistry.dissolved_at[i]
+    if k < 0:
+        return float(row[AMOUNTS + i])
+    layers = (row.shape[0] - AMOUNTS - m) // chemistry.dissolved.shape[0]
+    total = 0.0
+    for layer in range(layers):
+        total += row[AMOUNTS + m + k * layers + layer]
+    return total
+
+
+@helper
+def _can_react(row: FloatArray, chem: Handle) -> bool:
+    """Whether any reaction has all it needs, in one direction or the other."""
+    chemistry = opened(RealChemistry, chem)
+    for r in range(chemistry.forward.shape[0]):
+        ready = True
+        for f in range(chemistry.forward.shape[1]):
+            j = chemistry.forward[r, f]
+            if j >= 0 and _available(row, chem, j) <= _USED_UP:
+                ready = False
+                break
+        if ready:
+            return True
+        ready = chemistry.equilibrium[r] < math.inf
+        for f in range(chemistry.backward.shape[1]):
+            j = chemistry.backward[r, f]
+            if not ready:
+                break
+            ready = j < 0 or _available(row, chem, j) > _USED_UP
+        if ready:
+            return True
+    return False
+
+
+@helper
+def _exchange_heat(row: FloatArray, chem: Handle, dt: float, jacket: float, transfer: float) -> None:
+    """Let the contents come to the jacket's temperature; without a reaction that has a closed form."""
+    if transfer == 0.0 or row[TEMPERATURE] == jacket or dt <= 0.0:
+        return
+    capacity = heat_capacity(row, chem)
+    if capacity <= 0.0:
+        return
+    left = math.exp(-transfer * dt / capacity) if 0.0 < transfer < math.inf else 0.0
+    row[TEMPERATURE] = jacket + (row[TEMPERATURE] - jacket) * left
+
+
+@inner
+def _add_species(row: FloatArray, chem: Handle, j: int, change: float) -> None:
+    """Add ``change`` mol of species ``j`` (less than none is none) where it is already; what is nowhere yet goes to all
+    layers by their volume, an ion to water."""
+    chemistry = opened(RealChemistry, chem)
+    m, i = chemistry.role.shape[0], chemistry.species[j]
+    k, n_dissolved = chemistry.dissolved_at[i], chemistry.dissolved.shape[0]
+    before = _available(row, chem, j)
+    after = max(before + change, 0.0)
+    if k < 0:
+        row[AMOUNTS + i] = after
+        return
+    # Crystals of it stay as they are.
+    row[AMOUNTS + i] = max(row[AMOUNTS + i] - before, 0.0) + after
+    layers = (row.shape[0] - AMOUNTS - m) // n_dissolved
+    first = AMOUNTS + m + k * layers
+    if before > 0.0:
+        for layer in range(layers):
+            row[first + layer] *= after / before
+        return
+    litres = 0.0
+    for layer in range(1, layers):
+        row[first + layer] = 0.0
+        for d in range(n_dissolved):
+            held = row[AMOUNTS + m + d * layers + layer] * chemistry.molar_volume[chemistry.dissolved[d]]
+            row[first + layer] += held if d != k else 0.0
+        litres += row[first + layer]
+    water = 0.0
+    for d in range(n_dissolved):
+        water += row[AMOUNTS + m + d * layers] * chemistry.molar_volume[chemistry.dissolved[d]] if d != k else 0.0
+    alone = chemistry.role[i] == ROLE_ION or litres <= 0.0
+    row[first] = after
+    for layer in range(1, layers):
+        row[first + layer] = 0.0 if alone else after * row[first + layer] / (litres + water)
+        row[first] -= row[first + layer]
+
+
+# -- rates and their derivatives -------------------------------------------------------------------------------------
+
+
+@helper
+def _power(concentration: float, order: float, small: float) -> float:
+    """A concentration to the power of an order. Orders below 1, of which the slope at 0 is infinite, go over smoothly
+    to order 1 below ``small``; order 1 goes on below 0, where a trial step may be."""
+    if order == 1.0:
+        return concentration
+    if order < 1.0 and concentration < small:
+        bend = (order - 1.0) * max(concentration / small, 0.0)
+        return concentration * small ** (order - 1.0) * (2.0 - order + bend)
+    if concentration <= 0.0:
+        return 0.0
+    if order == 2.0:
+        return concentration * concentration
+    return concentration**order
+
+
+@helper
+def _slope(concentration: float, order: float, small: float) -> float:
+    """Derivative of :func:`_power` with the concentration."""
+    if order == 1.0:
+        return 1.0
+    if order < 1.0 and concentration < small:
+        bend = 2.0 * (order - 1.0) * max(concentration / small, 0.0)
+        return small ** (order - 1.0) * (2.0 - order + bend)
+    if concentration <= 0.0:
+        return 0.0
+    if order == 2.0:
+        return 2.0 * concentration
+    return order * concentration ** (order - 1.0)
+
+
+@inner
+def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, float]:
+    """(K, J/K/L) temperature and heat capacity at some extents and heat from the jacket, by the enthalpy balance."""
+    n_reactions = opened(RealChemistry, chem).stoichiometry.shape[0]
+    energy, capacity = vessel.energy, vessel.capacity
+    for r in range(n_reactions):
+        energy -= vessel.work[_HEAT, r] * y[r]
+        capacity += vessel.work[_CAPACITY, r] * y[r]
+    if vessel.transfer < 0.0:
+        return vessel.jacket, capacity
+    capacity = max(capacity, 1e-3 * vessel.capacity)
+    return STANDARD_K + (energy + y[n_reactions]) / capacity, capacity
+
+
+@inner
+def _set_constants(chem: Handle, work: FloatArray, temperature: float) -> None:
+    """Rate constants of all reactions and of their reverse at a temperature (K)."""
+    chemistry = opened(RealChemistry, chem)
+    bounded = min(max(temperature, _COLDEST_K), _HOTTEST_K)
+    inverse = (1.0 / bounded - 1.0 / STANDARD_K) / GAS_CONSTANT
+    for r in range(chemistry.stoichiometry.shape[0]):
+        forward = rate_constant(r, bounded, chem)
+        power = min(max(chemistry.equilibrium_heat[r] * inverse, _SMALLEST_POWER), _LARGEST_POWER)
+        work[_FORWARD, r] = forward
+        # Divided by infinity, nothing is left of it.
+        back = chemistry.equilibrium[r] < math.inf
+        work[_BACKWARD, r] = forward * (math.exp(power) / chemistry.equilibrium[r]) if back else 0.0
+
+
+@inner
+def _concentrations(chem: Handle, work: FloatArray, y: FloatArray) -> None:
+    """Concentrations at some extents."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    for j in range(n_species):
+        work[_CONC, j] = work[_START, j]
+    for r in range(n_reactions):
+        for c in range(chemistry.changes.shape[1]):
+            j = chemistry.changes[r, c]
+            if j >= 0:
+                work[_CONC, j] += chemistry.stoichiometry[r, j] * y[r]
+
+
+@inner
+def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
+    """What inhibitors leave of a rate."""
+    chemistry = opened(RealChemistry, chem)
+    total = 1.0
+    for f in range(chemistry.inhibitors.shape[1]):
+        j = chemistry.inhibitors[r, f]
+        if j >= 0:
+            total += chemistry.inhibition[r, f] * max(work[_CONC, j], 0.0)
+    return 1.0 / total
+
+
+@inner
+def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> None:
+    """Rates (mol/L per time unit) at some extents, and the heat that comes through the jacket (W/L)."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, work = chemistry.stoichiometry.shape[0], vessel.work
+    _concentrations(chem, work, y)
+    temperature = _temperature(chem, vessel, y)[0]
+    if vessel.transfer >= 0.0:
+        _set_constants(chem, work, temperature)
+        out[n_reactions] = vessel.transfer * (vessel.jacket - temperature)
+    for r in range(n_reactions):
+        ahead, back = work[_FORWARD, r], work[_BACKWARD, r]
+        for f in range(chemistry.forward.shape[1]):
+            j = chemistry.forward[r, f]
+            if j >= 0:
+                ahead *= _power(work[_CONC, j], chemistry.forward_order[r, f], vessel.small)
+        if back > 0.0:
+            for f in range(chemistry.backward.shape[1]):
+                j = chemistry.backward[r, f]
+                if j >= 0:
+                    back *= _power(work[_CONC, j], chemistry.backward_order[r, f], vessel.small)
+        out[r] = (ahead - back) * _slowing(chem, work, r)
+
+
+@inner
+def _spread(chem: Handle, matrix: FloatArray, r: int, j: int, slope: float) -> None:
+    """Add to row ``r`` of the Jacobian what a rate's slope with the concentration of species ``j`` makes."""
+    chemistry = opened(RealChemistry, chem)
+    for s in range(chemistry.stoichiometry.shape[0]):
+        matrix[r, s] += slope * chemistry.stoichiometry[s, j]
+
+
+@inner
+def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, constant: float) -> float:
+    """Add one direction of reaction ``r`` to the Jacobian; returns its rate. ``constant`` is its rate constant, with
+    its sign."""
+    chemistry = opened(RealChemistry, chem)
+    factors = chemistry.backward if backward else chemistry.forward
+    orders = chemistry.backward_order if backward else chemistry.forward_order
+    matrix = vessel.work[_VECTORS:]
+    rate = constant
+    for f in range(factors.shape[1]):
+        j = factors[r, f]
+        if j < 0:
+            continue
+        rate *= _power(vessel.work[_CONC, j], orders[r, f], vessel.small)
+        slope = constant * _slope(vessel.work[_CONC, j], orders[r, f], vessel.small)
+        for g in range(factors.shape[1]):
+            if g != f and factors[r, g] >= 0:
+                slope *= _power(vessel.work[_CONC, factors[r, g]], orders[r, g], vessel.small)
+        if slope != 0.0:
+            _spread(chem, matrix, r, j, slope)
+    return rate
+
+
+@inner
+def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
+    """Derivatives of :func:`_rates` with the extents and the heat; concentrations and constants are those at ``y``."""
+    chemistry = opened(RealChemistry, chem)
+    n, work = chemistry.stoichiometry.shape[0], vessel.work
+    matrix = work[_VECTORS:]
+    temperature, capacity = _temperature(chem, vessel, y)
+    per_square = 1.0 / (GAS_CONSTANT * temperature * temperature)
+    for r in range(n + 1):
+        for s in range(n + 1):
+            matrix[r, s] = 0.0
+    for r in range(n):
+        slowing = _slowing(chem, work, r)
+        ahead = _factor_slopes(chem, vessel, r, False, work[_FORWARD, r] * slowing)
+        back = _factor_slopes(chem, vessel, r, True, -work[_BACKWARD, r] * slowing) if work[_BACKWARD, r] > 0.0 else 0.0
+        for f in range(chemistry.inhibitors.shape[1]):
+            j = chemistry.inhibitors[r, f]
+            if j >= 0:
+                _spread(chem, matrix, r, j, -(ahead + back) * slowing * chemistry.inhibition[r, f])
+        if vessel.transfer >= 0.0:
+            energy = chemistry.activation_energy[r]
+            hotter = (ahead * energy + back * (energy - chemistry.equilibrium_heat[r])) * per_square / capacity
+            for s in range(n):
+                heat = work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K)
+                matrix[r, s] -= hotter * heat
+            matrix[r, n] = hotter
+    if vessel.transfer > 0.0:
+        for s in range(n):
+            heat = work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K)
+            matrix[n, s] = vessel.transfer * heat / capacity
+        matrix[n, n] = -vessel.transfer / capacity
+
+
+# -- one step --------------------------------------------------------------------------------------------------------
+
+
+@inner
+def _factorize(n: int, h: float, work: FloatArray) -> bool:
+    """LU factors of 1 / (gamma h) - Jacobian, with pivoting; False where it is singular."""
+    jacobian, lu, pivot = work[_VECTORS:], work[_VECTORS + n :], work[_PIVOT]
+    for r in range(n):
+        for s in range(n):
+            lu[r, s] = -jacobian[r, s]
+        lu[r, r] += 1.0 / (_GAMMA * h)
+    for c in range(n):
+        best = c
+        for r in range(c + 1, n):
+            if abs(lu[r, c]) > abs(lu[best, c]):
+                best = r
+        pivot[c] = best
+        if not 0.0 < abs(lu[best, c]) < math.inf:
+            return False
+        if best != c:
+            for s in range(n):
+                lu[c, s], lu[best, s] = lu[best, s], lu[c, s]
+        inverse = 1.0 / lu[c, c]
+        for r in range(c + 1, n):
+            if lu[r, c] != 0.0:
+                lu[r, c] *= inverse
+                for s in range(c + 1, n):
+                    lu[r, s] -= lu[r, c] * lu[c, s]
+    return True
+
+
+@inner
+def _solve(n: int, work: FloatArray, x: FloatArray) -> None:
+    """Solve in place with the factors of :func:`_factorize`."""
+    lu, pivot = work[_VECTORS + n :], work[_PIVOT]
+    for c in range(n):
+        best = int(pivot[c])
+        x[c], x[best] = x[best], x[c]
+    for r in range(1, n):
+        for s in range(r):
+            x[r] -= lu[r, s] * x[s]
+    for r in range(n - 1, -1, -1):
+        for s in range(r + 1, n):
+            x[r] -= lu[r, s] * x[s]
+        x[r] /= lu[r, r]
+
+
+@inner
+def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
+    """The four stages of RODAS3; leaves the new unknowns in the trial row, and the error estimate in that of k4."""
+    work = vessel.work
+    y, trial, rates = work[_EXTENT], work[_TRIAL], work[_RATES]
+    k1, k2, k3, k4 = work[_K1], work[_K2], work[_K3], work[_K4]
+    for u in range(n):
+        k1[u] = rates[u]
+    _solve(n, work, k1)
+    for u in range(n):
+        k2[u] = rates[u] + 4.0 / h * k1[u]
+    _solve(n, work, k2)
+    for u in range(n):
+        trial[u] = y[u] + 2.0 * k1[u]
+    _rates(chem, vessel, trial, k3)
+    for u in range(n):
+        k3[u] += (k1[u] - k2[u]) / h
+    _solve(n, work, k3)
+    for u in range(n):
+        trial[u] += k3[u]
+    _rates(chem, vessel, trial, k4)
+    for u in range(n):
+        k4[u] += (k1[u] - k2[u] - 8.0 / 3.0 * k3[u]) / h
+    _solve(n, work, k4)
+    for u in range(n):
+        trial[u] += k4[u]
+
+
+@inner
+def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
+    """Error of a trial step over what is allowed: root mean square over the concentrations, and the temperature."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    work = vessel.work
+    _concentrations(chem, work, work[_TRIAL])
+    total = 0.0
+    for j in range(n_species):
+        defect = 0.0
+        for r in range(n_reactions):
+            defect += chemistry.stoichiometry[r, j] * work[_K4, r]
+        ratio = defect / (atol + rtol * max(abs(work[_NOW, j]), abs(work[_CONC, j])))
+        total += ratio * ratio
+    worst = math.sqrt(total / n_species)
+    if vessel.transfer >= 0.0:
+        temperature, capacity = _temperature(chem, vessel, work[_TRIAL])
+        heat = work[_K4, n_reactions]
+        for r in range(n_reactions):
+            heat -= (work[_HEAT, r] + work[_CAPACITY, r] * (temperature - STANDARD_K)) * work[_K4, r]
+        off = abs(heat / capacity) / (rtol * _HEAT_SCALE_K)
+        # Not max(): it would hide what is no number.
+        worst = off if not off <= worst else worst
+    return worst
+
+
+@inner
+def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool:
+    """Take back from a trial step what would use up more of a species than there is, in all reactions that use it
+    alike. Where that is more than the tolerance, or does not end, the step is no good: False."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    y, trial = work[_EXTENT], work[_TRIAL]
+    for _ in range(_MOST_SWEEPS):
+        missing = False
+        for j in range(n_species):
+            lacking = -work[_CONC, j]
+            # Rounding in the sums may leave -1e-17 where the exact result is 0.
+            if lacking <= 1e-15 * (work[_START, j] + 1.0):
+                continue
+            if lacking > atol + rtol * work[_NOW, j]:
+                return False
+            used = 0.0
+            for r in range(n_reactions):
+                used += max(-chemistry.stoichiometry[r, j] * (trial[r] - y[r]), 0.0)
+            if used <= 0.0:
+                continue
+            missing = True
+            keep = max(1.0 - lacking / used, 0.0)
+            for r in range(n_reactions):
+                if chemistry.stoichiometry[r, j] * (trial[r] - y[r]) < 0.0:
+                    trial[r] = y[r] + keep * (trial[r] - y[r])
+        if not missing:
+            return True
+        _concentrations(chem, work, trial)
+    return False
+
+
+# -- a vessel --------------------------------------------------------------------------------------------------------
+
+
+@inner
+def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: float) -> float:
+    """Fill the scratch for the contents of a vessel; returns the first trial step, 0 where nothing runs."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    work = vessel.work
+    for j in range(n_species):
+        work[_START, j] = _available(row, chem, j) / litres
+        work[_NOW, j] = work[_START, j]
+    for r in range(n_reactions):
+        work[_HEAT, r], work[_CAPACITY, r] = 0.0, 0.0
+        for c in range(chemistry.changes.shape[1]):
+            j = chemistry.changes[r, c]
+            if j >= 0:
+                i = chemistry.species[j]
+                work[_HEAT, r] += chemistry.stoichiometry[r, j] * chemistry.formation[i]
+                work[_CAPACITY, r] += chemistry.stoichiometry[r, j] * chemistry.heat_capacity[i]
+    for u in range(n_reactions + 1):
+        work[_EXTENT, u], work[_TRIAL, u] = 0.0, 0.0
+    if vessel.transfer < 0.0:
+        _set_constants(chem, work, vessel.jacket)
+    rates, h, running = work[_RATES], dt, False
+    _rates(chem, vessel, work[_EXTENT], rates)
+    for r in range(n_reactions):
+        running = running or rates[r] != 0.0
+    if not running:
+        return 0.0
+    # A first step that would use up much of a reactant tells nothing about its own error.
+    for j in range(n_species):
+        change = 0.0
+        for r in range(n_reactions):
+            change += chemistry.stoichiometry[r, j] * rates[r]
+        if change < 0.0:
+            h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.small) / -change)
+    return h
+
+
+@inner
+def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: float, atol: float) -> int:
+    """Bring the extents from 0 to ``dt``; returns the number of steps, -1 where there would be too many."""
+    chemistry = opened(RealChemistry, chem)
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    n, work = n_reactions + (1 if vessel.transfer > 0.0 else 0), vessel.work
+    h, done, steps, fresh = first, 0.0, 0, True
+    while done < dt:
+        steps += 1
+        if steps > _MOST_STEPS:
+            return -1
+        last = h >= dt - done
+        h = min(h, dt - done)
+        if fresh:
+            _set_jacobian(chem, vessel, work[_EXTENT])
+        fresh = False
+        if not _factorize(n, h, work):
+            h *= 0.25
+            continue
+        _take_stages(chem, vessel, n, h)
+        error = _error(chem, vessel, rtol, atol)
+        if not error < math.inf:
+            h *= 0.25
+            continue
+        if error > 1.0:
+            h *= max(0.1, 0.9 * error ** (-1.0 / 3.0))
+            continue
+        if not _hold_back(chem, work, rtol, atol):
+            h *= 0.5
+            continue
+        done = dt if last else done + h
+        for u in range(n):
+            work[_EXTENT, u] = work[_TRIAL, u]
+        for j in range(n_species):
+            work[_NOW, j] = max(work[_CONC, j], 0.0)
+        _rates(chem, vessel, work[_EXTENT], work[_RATES])
+        fresh = True
+        h *= 8.0 if error < 1e-3 else min(8.0, 0.9 * error ** (-1.0 / 3.0))
+    return steps
+
+
+@kernel
+def react(
+    row: FloatArray,
+    chem: Handle,
+    dt: float,
+    jacket: float,
+    transfer: float,
+    rtol: float,
+    atol: float,
+    work: FloatArray,
+) -> int:
+    """Let the contents of one vessel react for ``dt`` and exchange heat with a jacket, at constant volume.
+
+    Args:
+        row: vessel row; its amounts (mol) and temperature (K) change in place.
+        chem: the chemistry.
+        dt: time, in the unit of the rate constants, which is the second where ``transfer`` is in W/K.
+        jacket: K.
+        transfer: W/K through the vessel's wall: 0 is a perfect insulator, infinity (or a negative number) keeps the
+            contents as warm as the jacket.
+        rtol, atol: error tolerances on concentrations (relative; mol/L), and on temperature (``rtol`` times 30 K).
+        work: scratch of shape :func:`react_work_size`.
+
+    Returns:
+        Number of steps taken, rejected ones included; -1 where that would have been more than 100,000 (nothing has
+        changed then).
+    """
+    chemistry = opened(RealChemistry, chem)
+    litres = 0.0
+    if dt > 0.0 and _can_react(row, chem):
+        litres = liquid_volume(row, chem)
+    if litres <= 0.0:
+        _exchange_heat(row, chem, dt, jacket, transfer)
+        return 0
+    capacity = heat_capacity(row, chem) / litres
+    through = transfer / litres if transfer < math.inf else -1.0
+    vessel = _Vessel(capacity * (row[TEMPERATURE] - STANDARD_K), capacity, jacket, through, atol, work)
+    first = _begin(row, chem, vessel, litres, dt)
+    if first <= 0.0:
+        _exchange_heat(row, chem, dt, jacket, transfer)
+        return 0
+    steps = _integrate(chem, vessel, first, dt, rtol, atol)
+    if steps < 0:
+        return -1
+    temperature = _temperature(chem, vessel, work[_EXTENT])[0]
+    for j in range(chemistry.species.shape[0]):
+        change = 0.0
+        for r in range(chemistry.stoichiometry.shape[0]):
+            change += chemistry.stoichiometry[r, j] * work[_EXTENT, r]
+        if change != 0.0:
+            _add_species(row, chem, j, litres * change)
+    row[TEMPERATURE] = temperature
+    return steps
