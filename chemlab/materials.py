@@ -7,20 +7,25 @@ adding one needs no code. Quantities: mol, g/mol, kg/L, J/mol/K, K, J/mol.
 from __future__ import annotations
 
 import functools
+import math
 import os.path
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from .datafile import DataError, read_toml, validated
+from .arrays import FloatArray
+from .datafile import DataError, Grown, read_toml, validated
 
 __all__ = [
     "AbsorptionPeak",
     "DataError",
     "Material",
+    "RealProperties",
     "Role",
+    "VaporPressure",
     "atoms_of",
     "load_materials",
     "read_toml",
@@ -36,9 +41,9 @@ _CITED = (
     "heat_capacity_j_mol_k",
     "boiling_point_k",
     "vaporization_enthalpy_j_mol",
-    "polarity",
 )
 _FILES = 100
+_ATMOSPHERE_KPA = 101.325
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or a formula."""
@@ -56,7 +61,97 @@ class AbsorptionPeak(BaseModel):
     width_nm: float = Field(ge=0.1, le=200.0)
 
 
-class Material(BaseModel):
+class VaporPressure(BaseModel):
+    """Vapour pressure of a liquid as a formula, p in Pa and T in K.
+
+    ``dippr101``, five coefficients: ln p = A + B / T + C ln T + D T^E; ``antoine``, three: log10 p = A - B / (T + C).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    form: Literal["dippr101", "antoine"]
+    coefficients: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(min_length=3, max_length=5)
+    low_k: float = Field(ge=1.0, le=5000.0)
+    high_k: float = Field(ge=1.0, le=5000.0)
+    """Where the formula holds, from ``low_k`` to ``high_k``."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> VaporPressure:
+        number = {"dippr101": 5, "antoine": 3}[self.form]
+        if len(self.coefficients) != number:
+            raise ValueError(f"coefficients: {self.form} has {number}, given {len(self.coefficients)}")
+        if self.low_k + 0.5 > self.high_k:
+            raise ValueError(f"high_k = {self.high_k} must be above low_k = {self.low_k} by 0.5 at least")
+        if self.form == "antoine" and self.low_k + self.coefficients[2] <= 0.0:
+            raise ValueError(f"low_k = {self.low_k} is beyond the pole of the Antoine equation")
+        with np.errstate(all="ignore"):
+            inside = self._log(np.linspace(self.low_k, self.high_k, 100))
+        if not np.isfinite(inside).all() or (np.diff(inside) <= 0.0).any() or np.abs(inside).max() > 100.0:
+            raise ValueError("must rise with temperature from low_k to high_k, and stay within e^-100 and e^100 Pa")
+        return self
+
+    def _log(self, temperature: FloatArray) -> FloatArray:
+        """ln(p / Pa) by the formula."""
+        if self.form == "antoine":
+            a, b, c = self.coefficients
+            return np.asarray(math.log(10.0) * (a - b / (temperature + c)))
+        a, b, c, d, e = self.coefficients
+        return np.asarray(a + b / temperature + c * np.log(temperature) + d * temperature**e)
+
+    def pascal(self, temperature_k: FloatArray | float) -> FloatArray:
+        """Vapour pressure.
+
+        Args:
+            temperature_k: K, of any shape. Below ``low_k`` and above ``high_k`` ln p goes on as the straight line over
+                1 / T that it is at that end (Clausius-Clapeyron with the heat of vaporization it has there).
+
+        Returns:
+            Pa, in the shape given.
+        """
+        temperature = np.asarray(temperature_k, dtype=np.float64)
+        inside = np.clip(temperature, self.low_k, self.high_k)
+        at_end, step = inside, 0.1
+        inward = np.where(inside - self.low_k < self.high_k - inside, step, -step)
+        slope = (self._log(at_end + inward) - self._log(at_end)) / (1.0 / (at_end + inward) - 1.0 / at_end)
+        return np.asarray(np.exp(self._log(at_end) + slope * (1.0 / temperature - 1.0 / at_end)))
+
+
+class RealProperties(BaseModel):
+    """What the laws of the tier ``real`` need to know of a material besides; every number has a ``source``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    vapor_pressure: VaporPressure | None = None
+    """Of the liquid, also where the pure material is a solid; without one it never evaporates. The heat of vaporization
+    is the material's own at its boiling point."""
+    critical_temperature_k: float | None = Field(default=None, ge=1.0, le=10_000.0)
+    """Carries the heat of vaporization to other temperatures (Watson 1943)."""
+    formation_enthalpy_j_mol: float = Field(ge=-1e7, le=1e7)
+    """At 298.15 K and 1 bar, from the elements."""
+    formation_state: Literal["l", "s", "g", "aq"]
+    """What that is the enthalpy of: the liquid, solid, gas, or the ion in water at infinite dilution (with H+ at 0)."""
+    fusion_enthalpy_j_mol: float | None = Field(default=None, ge=1.0, le=1e6)
+    """At the material's melting point; without one it does not crystallize."""
+    source: dict[Text, str] = Field(max_length=50)
+    """Where each number is from, by its key."""
+
+    @model_validator(mode="after")
+    def _cited(self) -> RealProperties:
+        optional = ("vapor_pressure", "critical_temperature_k", "fusion_enthalpy_j_mol")
+        cited = ["formation_enthalpy_j_mol", *(key for key in optional if getattr(self, key) is not None)]
+        missing = [key for key in cited if not self.source.get(key)]
+        if missing:
+            raise ValueError(f"source must cite {', '.join(missing)}")
+        if self.vapor_pressure is not None and self.critical_temperature_k is None:
+            raise ValueError("critical_temperature_k is needed: what evaporates takes its heat of vaporization along")
+        return self
+
+
+_BOILING_ERROR = 0.1
+"""How far, relatively, a vapour pressure may be from 101.325 kPa at the boiling point: 3 K; more is a mistake."""
+
+
+class Material(Grown):
     """One material's properties at 298.15 K and 101.325 kPa; every number has a ``source``.
 
     Ions carry the density, heat capacity and boiling point that make dissolving their parent salt leave
@@ -64,6 +159,7 @@ class Material(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    _later: ClassVar[tuple[str, ...]] = ("real",)
 
     name: Text
     formula: Text
@@ -80,8 +176,9 @@ class Material(BaseModel):
     point (but for gases, which may sublime)."""
     boiling_point_k: float = Field(ge=1.0, le=7000.0)
     vaporization_enthalpy_j_mol: float = Field(ge=1.0, le=1e6)
-    polarity: float = Field(ge=0.0, le=2.0)
-    """Reichardt's normalized solvent polarity E_T^N; above 1 for ions."""
+    polarity: float | None = Field(default=None, ge=0.0, le=2.0)
+    """Reichardt's normalized solvent polarity E_T^N; above 1 for ions. Only the tier ``paper`` reads it, and refuses a
+    material without."""
     role: Role
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     shade: float = Field(ge=0.0, le=1.0)
@@ -89,6 +186,8 @@ class Material(BaseModel):
     absorption: tuple[AbsorptionPeak, ...] = Field(default=(), max_length=50)
     source: dict[Text, str] = Field(max_length=50)
     """Where each number is from, by its key."""
+    real: RealProperties | None = None
+    """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
 
     @model_validator(mode="after")
     def _physical(self) -> Material:
@@ -97,11 +196,32 @@ class Material(BaseModel):
             raise ValueError(f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {melting}")
         if (self.role == "ion") != (self.charge != 0):
             raise ValueError(f"role {self.role!r} does not fit charge {self.charge}: ions, and only ions, are charged")
-        cited = [*_CITED, *(["melting_point_k"] if melting is not None else [])]
-        missing = [key for key in cited if not self.source.get(key)]
+        optional = [key for key in ("melting_point_k", "polarity") if getattr(self, key) is not None]
+        missing = [key for key in (*_CITED, *optional) if not self.source.get(key)]
         if missing:
             raise ValueError(f"source must cite {', '.join(missing)}")
+        if self.real is not None:
+            self._check_real(self.real)
         return self
+
+    def _check_real(self, real: RealProperties) -> None:
+        """Refuse properties of the tier ``real`` that contradict the others."""
+        if (real.formation_state == "aq") != (self.role == "ion"):
+            raise ValueError(f"real.formation_state = {real.formation_state!r} does not fit role {self.role!r}")
+        if real.fusion_enthalpy_j_mol is not None and self.melting_point_k is None:
+            raise ValueError("real.fusion_enthalpy_j_mol needs melting_point_k")
+        if real.critical_temperature_k is not None and real.critical_temperature_k <= self.boiling_point_k:
+            raise ValueError(
+                f"real.critical_temperature_k = {real.critical_temperature_k} must be above "
+                f"boiling_point_k = {self.boiling_point_k}"
+            )
+        if real.vapor_pressure is not None:
+            boiling = float(real.vapor_pressure.pascal(self.boiling_point_k)) / 1000.0
+            if abs(boiling / _ATMOSPHERE_KPA - 1.0) > _BOILING_ERROR:
+                raise ValueError(
+                    f"real.vapor_pressure is {boiling:.4g} kPa at boiling_point_k = {self.boiling_point_k}; "
+                    f"must be {_ATMOSPHERE_KPA} kPa within {_BOILING_ERROR:.0%}"
+                )
 
 
 def load_materials(paths: Iterable[Path]) -> dict[str, Material]:

@@ -8,12 +8,15 @@ their equilibrium with water at any time.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from .arrays import FloatArray
 from .datafile import DataError, Grown, read_toml, validated
 from .materials import Material, Text, atoms_of
 
@@ -25,6 +28,7 @@ __all__ = [
     "Reaction",
     "ReactionFamily",
     "Salt",
+    "Solubility",
     "Violent",
     "check_reactions",
     "check_without_real",
@@ -119,15 +123,51 @@ class Reaction(_Balanced, Grown):
         return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
 
 
-class Salt(BaseModel):
-    """A salt that dissolves in every solvent: ``solid <-> cation + anion`` (one of each), K = 1 mol/mol."""
+class Solubility(BaseModel):
+    """How much of a salt a kilogram of solvent takes up, by temperature; solvents add up by mass."""
 
     model_config = _FROZEN
+
+    temperature_k: tuple[Annotated[float, Field(ge=150.0, le=1000.0)], ...] = Field(min_length=1, max_length=50)
+    """K, rising; between two of them the solubility is a straight line, beyond the first and the last constant."""
+    solvents: dict[Text, tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...]] = Field(min_length=1, max_length=50)
+    """mol per kg of each solvent, a number for each temperature."""
+    elsewhere_mol_kg: float = Field(default=0.0, ge=0.0, le=100.0)
+    """mol per kg of any other solvent, at all temperatures."""
+    source: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Solubility:
+        if any(cold >= warm for cold, warm in itertools.pairwise(self.temperature_k)):
+            raise ValueError(f"temperature_k: must rise, given {list(self.temperature_k)}")
+        for name, numbers in self.solvents.items():
+            if len(numbers) != len(self.temperature_k):
+                raise ValueError(
+                    f"solvents.{name}: {len(numbers)} numbers for {len(self.temperature_k)} values of temperature_k"
+                )
+        return self
+
+    def mol_per_kg(self, solvent: str, temperature_k: FloatArray | float) -> FloatArray:
+        """Solubility in one solvent in mol/kg, in the shape of ``temperature_k``."""
+        temperature = np.asarray(temperature_k, dtype=np.float64)
+        if solvent not in self.solvents:
+            return np.full(temperature.shape, self.elsewhere_mol_kg)
+        return np.asarray(np.interp(temperature, self.temperature_k, self.solvents[solvent]))
+
+
+class Salt(Grown):
+    """A salt that dissolves as ``solid <-> cation + anion`` (one of each): in the tier ``paper`` in every solvent,
+    K = 1 mol/mol, in the tier ``real`` up to its solubility."""
+
+    model_config = _FROZEN
+    _later: ClassVar[tuple[str, ...]] = ("solubility",)
 
     solid: Text
     cation: Text
     anion: Text
     source: str = Field(min_length=1)
+    solubility: Solubility | None = None
+    """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
 
 
 class Violent(_Balanced, Grown):

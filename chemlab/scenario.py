@@ -569,12 +569,33 @@ def _equipped(spec: Scenario, known: Mapping[str, Material], family: ReactionFam
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
     if "air" not in known:
         raise DataError(f"{where}: material 'air' is missing; every vessel has some")
+    present = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     if spec.physics == "paper":
         check_without_real(kept, where)
-    spec._materials = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
+        present, kept = _of_paper(present, kept, where)
+    spec._materials = present
     spec._family = kept
     spec._origin = where
     return spec
+
+
+def _of_paper(
+    present: Mapping[str, Material], family: ReactionFamily, where: str
+) -> tuple[dict[str, Material], ReactionFamily]:
+    """Materials and reactions without what the tier ``paper`` does not know, so that its records stay as they are.
+
+    Raises:
+        DataError: a material has no polarity, which that tier's solvents are told apart by.
+    """
+    for name, material in present.items():
+        if material.polarity is None:
+            raise DataError(
+                f"{where}: materials: {name!r} has no polarity, which physics = 'paper' needs; "
+                "give it one with its source, or choose physics = 'real'"
+            )
+    plain = {name: material.model_copy(update={"real": None}) for name, material in present.items()}
+    salts = tuple(salt.model_copy(update={"solubility": None}) for salt in family.salt)
+    return plain, family.model_copy(update={"salt": salts})
 
 
 def dump_scenario(scenario: Scenario) -> dict[str, Any]:

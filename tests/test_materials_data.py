@@ -37,7 +37,7 @@ MELT, BOIL, VAPOR = "melting_point_k", "boiling_point_k", "vaporization_enthalpy
 PROPERTIES = (MASS, DENSITY, HEAT, MELT, BOIL, VAPOR)
 NUMERIC = (*PROPERTIES, "polarity")
 REQUIRED = {"name", "formula", "composition", "role", "color", "shade", "absorption", "source", *NUMERIC}
-OPTIONAL = {"charge", "cas", "smiles"}
+OPTIONAL = {"charge", "cas", "smiles", "real"}
 
 
 def _load() -> list[tuple[str, str, Material]]:
