@@ -8,6 +8,7 @@ world at a time, as a :class:`Chemistry`.
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, cast
 
@@ -143,6 +144,8 @@ class Layout:
     materials: tuple[str, ...]
     solvents: tuple[str, ...]
     dissolved: tuple[str, ...]
+    most_layers: int = 0
+    """Liquid layers there can be at most; 0: as many as there are solvents, or liquids."""
 
     @property
     def width(self) -> int:
@@ -152,7 +155,7 @@ class Layout:
     @property
     def fluid_columns(self) -> int:
         """Columns a layer profile can need: solids, the most layers there can be, air."""
-        return 2 + max(len(self.solvents), len(self.dissolved), 1)
+        return 2 + (self.most_layers or max(len(self.solvents), len(self.dissolved), 1))
 
     def index(self, material: str) -> int:
         """Column of ``material`` among the amounts."""
@@ -342,6 +345,9 @@ def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
         ambient_pressure=scenario.ambient_pressure_kpa,
     )
     layout = Layout(tuple(names), tuple(names[i] for i in solvents), tuple(names[i] for i in dissolved))
+    build = getattr(importlib.import_module(TIERS[scenario.physics]), "build", None)
+    if build is not None:  # the tier knows more of its materials
+        layout, values = build(scenario, layout, values)
     return ChemistryTable(layout, values, scenario.physics, worlds)
 
 

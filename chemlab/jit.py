@@ -263,6 +263,8 @@ else:
         """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
         constant; what a helper has asked for is its kernel's."""
         kind = _TYPES.Array(_TYPES.float64, 1, "C")
+        if not isinstance(count, _TYPES.IntegerLiteral):
+            return None  # numba says that no function takes it
         size = count.literal_value
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -86,7 +86,8 @@ class Reaction(_Balanced, Grown):
     inhibitors: Inhibition = {}
     """K in L/mol by material: the rate is divided by 1 + sum of K times its concentration."""
     equilibrium_constant: float | None = Field(default=None, ge=1e-50, le=1e50)
-    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K), and asks for mass action."""
+    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K), and asks for mass
+    action."""
     enthalpy_j_mol: Enthalpy | None = None
     """Heat of reaction at 298.15 K, which K follows with temperature (van 't Hoff); without it that of the materials'
     formation enthalpies, with which it must agree."""

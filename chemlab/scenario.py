@@ -26,6 +26,7 @@ from pydantic import (
 from .datafile import DataError, Grown, bounded, read_toml, validated
 from .inherit import completed, scenario_folder, scenario_names
 from .materials import Material, load_materials, shipped_materials
+from .pairs import Pair, load_pairs, shipped_pairs
 from .reactions import (
     HYDROXIDE,
     PROTON,
@@ -48,6 +49,7 @@ __all__ = [
     "InstrumentSpec",
     "LimitSpec",
     "ManagerSpec",
+    "RealSpec",
     "RewardSpec",
     "SafetySpec",
     "Scenario",
@@ -64,7 +66,7 @@ SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
 times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
 
-PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.laws.paper"}
+PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.laws.paper", "real": "chemlab.physics.laws.real"}
 """Tiers of physical laws that a scenario may name, with the module of each (see :mod:`chemlab.physics.laws`)."""
 
 _DATA = Path(__file__).resolve().parent / "data"
@@ -280,6 +282,21 @@ class ManagerSpec(BaseModel):
     """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
 
 
+class RealSpec(BaseModel):
+    """What only ``physics = "real"`` reads."""
+
+    model_config = _FROZEN
+
+    tick_s: float = Field(default=60.0, gt=0.0, le=1e6)
+    """Seconds that a tick of laboratory time takes."""
+    room_transfer_w_k_l: float = Field(default=0.5, ge=0.0, le=1e4)
+    """Heat that a litre of contents exchanges with the room, W/K: a flask in still air."""
+    crystal_rate: float = Field(default=2e-3, gt=0.0, le=1e3)
+    """1/s, at which a slurry approaches saturation."""
+    metastable: float = Field(default=1.3, ge=1.0, le=100.0)
+    """Ratio to saturation up to which a solution without crystals stays clear."""
+
+
 class Scenario(Grown):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
@@ -287,7 +304,7 @@ class Scenario(Grown):
     """
 
     model_config = _FROZEN
-    _later = ("physics", "manager")
+    _later = ("physics", "manager", "real", "pair_files")
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
@@ -301,6 +318,10 @@ class Scenario(Grown):
     """Reaction family: a shipped one's name, or the path of a file, from the scenario's folder."""
     material_files: tuple[str, ...] = Field(default=(), max_length=20)
     """Files with materials of your own, from the scenario's folder."""
+    pair_files: tuple[str, ...] = Field(default=(), max_length=20)
+    """Files with activity coefficients of your own pairs of liquids, from the scenario's folder (physics ``real``)."""
+    real: RealSpec = RealSpec()
+    """What only ``physics = "real"`` reads."""
     goals: Goals
     """Materials an experiment may be run for, in the order of every one-hot goal."""
     lab_goals: Goals
@@ -334,6 +355,7 @@ class Scenario(Grown):
 
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
+    _pairs: dict[frozenset[str], Pair] = PrivateAttr(default_factory=dict)
     _origin: str = PrivateAttr(default="(scenario built in code)")
 
     @field_validator("physics")
@@ -367,6 +389,11 @@ class Scenario(Grown):
     def materials(self) -> dict[str, Material]:
         """Materials that can occur here, by id, in the order of every amounts array."""
         return self._materials
+
+    @property
+    def pairs(self) -> dict[frozenset[str], Pair]:
+        """Activity coefficients of its liquids (physics ``real``)."""
+        return self._pairs
 
     @property
     def family(self) -> ReactionFamily:
@@ -552,10 +579,17 @@ def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
     family = load_reactions(spec.reactions, known, folder, where)
     # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
     _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
-    return _equipped(spec, known, family, where)
+    pairs = {**shipped_pairs(), **load_pairs(folder / file for file in spec.pair_files)}
+    return _equipped(spec, known, family, pairs, where)
 
 
-def _equipped(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> Scenario:
+def _equipped(
+    spec: Scenario,
+    known: Mapping[str, Material],
+    family: ReactionFamily,
+    pairs: Mapping[frozenset[str], Pair],
+    where: str,
+) -> Scenario:
     """``spec`` with the materials and reactions that can occur in it, all checked but for the family itself.
 
     Raises:
@@ -573,6 +607,8 @@ def _equipped(spec: Scenario, known: Mapping[str, Material], family: ReactionFam
     if spec.physics == "paper":
         check_without_real(kept, where)
         present, kept = _of_paper(present, kept, where)
+    else:
+        spec._pairs = {names: pair for names, pair in pairs.items() if names <= set(present)}
     spec._materials = present
     spec._family = kept
     spec._origin = where
@@ -604,6 +640,7 @@ def dump_scenario(scenario: Scenario) -> dict[str, Any]:
         "scenario": scenario.model_dump(mode="json"),
         "materials": {name: material.model_dump(mode="json") for name, material in scenario.materials.items()},
         "reactions": scenario.family.model_dump(mode="json"),
+        **({"pairs": [pair.model_dump(mode="json") for pair in scenario.pairs.values()]} if scenario.pairs else {}),
     }
 
 
@@ -623,4 +660,10 @@ def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
     known = {name: validated(Material, table, f"{where}: materials.{name}") for name, table in materials.items()}
     family = validated(ReactionFamily, reactions, f"{where}: reactions")
     check_reactions(family, known, f"{where}: reactions")
-    return _equipped(spec, known, family, where)
+    listed = data.get("pairs", [])
+    if not isinstance(listed, list):
+        raise DataError(f"{where}: pairs: must be a list")
+    made: list[Pair] = [
+        validated(Pair, bounded(pair, f"{where}: pairs.{i}"), f"{where}: pairs.{i}") for i, pair in enumerate(listed)
+    ]
+    return _equipped(spec, known, family, {frozenset(pair.of): pair for pair in made}, where)

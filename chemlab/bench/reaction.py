@@ -28,8 +28,7 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
-from ..physics.kinetics import react_work_size
-from ..physics.laws import partition, react, reflux, settle_phases, vent
+from ..physics.laws import partition, react, react_work_size, reflux, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
@@ -372,7 +371,7 @@ class ReactionBench(Bench):
             "reagents": np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64),
             "full": self._full,
             "penalty": penalty,
-            "scratch": np.zeros(react_work_size(self.known)),
+            "scratch": np.zeros(react_work_size(self.chemistry)),
         }
 
     def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 from numba.extending import overload
 
 from ...arrays import FloatArray, Handle, IntArray
-from ...chemistry import TIERS, tier_dimensions
+from ...chemistry import TIERS, ChemistryTable, tier_dimensions
 from ...jit import COMPILED, SETTINGS
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
+    "react_work_size",
     "reflux",
     "settle_phases",
     "solid_volume",
@@ -46,6 +47,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def _implementation(law: str, dimensions: int) -> Any:
     return getattr(importlib.import_module(list(TIERS.values())[dimensions - 1]), law)
+
+
+def react_work_size(chemistry: ChemistryTable) -> tuple[int, int]:
+    """Shape of the scratch array that :func:`react` and :func:`elapse` need."""
+    tier = importlib.import_module(TIERS[chemistry.tier])
+    size: tuple[int, int] = tier.react_work_size(chemistry.world())
+    return size
 
 
 def law(stub: F) -> F:
@@ -213,7 +221,7 @@ def react(
         jacket: K, temperature of what the vessel stands in.
         transfer: W/K, how well heat passes to it; below 0: at once, so that the contents keep its temperature.
         rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
-        work: scratch of shape :func:`chemlab.physics.kinetics.react_work_size`.
+        work: scratch of shape :func:`react_work_size`.
 
     Returns:
         Number of steps taken, rejected ones included; -1 where that would have been too many (nothing has changed
@@ -230,7 +238,9 @@ def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, even
 
 
 @law
-def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray) -> bool:
+def elapse(
+    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> bool:
     """Time passes for an open vessel, wherever it stands.
 
     Args:
@@ -239,6 +249,7 @@ def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, event
         chem: the chemistry.
         waste: [M] mol, receives what flies.
         events: safety events row.
+        work: scratch of shape :func:`react_work_size`.
 
     Returns:
         Whether its contents have changed.

@@ -4,6 +4,7 @@ Arguments and results are those of :mod:`chemlab.physics.laws`.
 """
 
 from ...kinetics import arrhenius as rate_constant
+from ...kinetics import react_work_size
 from .boiling import heat
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
 from .partition import partition
@@ -22,6 +23,7 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
+    "react_work_size",
     "reflux",
     "settle_phases",
     "solid_volume",

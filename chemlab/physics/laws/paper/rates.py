@@ -27,7 +27,9 @@ def react(
 
 
 @helper
-def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray) -> bool:
+def elapse(
+    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> bool:
     """Nothing happens in a vessel that nobody works on."""
     return False
 

@@ -1,1 +1,33 @@
-"""The tier ``real``: laws that a chemist knows (docs/physics_real.md)."""
+"""The tier ``real``: non-ideal liquids, heats, crystals, acids and bases (docs/physics_real.md).
+
+Arguments and results are those of :mod:`chemlab.physics.laws`.
+"""
+
+from ...kinetics import arrhenius as rate_constant
+from .boiling import heat
+from .chemistry import build
+from .kinetics import react, react_work_size
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
+from .partition import partition
+from .phases import elapse, settle_phases
+from .vapor import headspace_gas, reflux, vapor_pressure, vent
+
+__all__ = [
+    "build",
+    "drain_layer",
+    "elapse",
+    "find_layers",
+    "headspace_gas",
+    "heat",
+    "layer_density",
+    "layer_shade",
+    "partition",
+    "rate_constant",
+    "react",
+    "react_work_size",
+    "reflux",
+    "settle_phases",
+    "solid_volume",
+    "vapor_pressure",
+    "vent",
+]

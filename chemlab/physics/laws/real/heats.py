@@ -6,30 +6,30 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, TEMPERATURE
 from ....jit import helper, opened
 from ...transfer import heat_capacity
-from .chemistry import RealChemistry
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
 
-__all__ = ["enthalpy", "set_enthalpy"]
+__all__ = ["crystals", "enthalpy", "set_enthalpy"]
+
+
+@helper
+def crystals(row: FloatArray, chem: Handle, k: int) -> float:
+    """mol of fluid ``k`` (its place among the fluids) that is in no liquid."""
+    chemistry = opened(RealChemistry, chem)
+    at = AMOUNTS + chemistry.role.shape[0] + 2 * k
+    return max(row[AMOUNTS + chemistry.dissolved[k]] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0)
 
 
 @helper
 def _standard_enthalpy(row: FloatArray, chem: Handle) -> float:
     """What the contents of a vessel would have at 298.15 K, J."""
     chemistry = opened(RealChemistry, chem)
-    m, n_dissolved = chemistry.role.shape[0], chemistry.dissolved.shape[0]
     total = 0.0
-    for i in range(m):
+    for i in range(chemistry.role.shape[0]):
         total += row[AMOUNTS + i] * chemistry.formation[i]
-    if n_dissolved == 0:
-        return total
-    layers = (row.shape[0] - AMOUNTS - m) // n_dissolved
-    for k in range(n_dissolved):
-        i = chemistry.dissolved[k]
-        if chemistry.fusion[i] > 0.0:
-            crystals = row[AMOUNTS + i]
-            for layer in range(layers):
-                crystals -= row[AMOUNTS + m + k * layers + layer]
-            total -= max(crystals, 0.0) * chemistry.fusion[i]
+    for k in range(chemistry.dissolved.shape[0]):
+        if chemistry.fusion[chemistry.dissolved[k]] > 0.0:
+            total -= crystals(row, chem, k) * chemistry.fusion[chemistry.dissolved[k]]
     return total
 
 

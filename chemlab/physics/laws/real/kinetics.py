@@ -16,8 +16,8 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, ROLE_ION, TEMPERATURE
 from ....jit import helper, inner, kernel, opened
 from ...constants import GAS_CONSTANT
+from ...kinetics import arrhenius as rate_constant
 from ...transfer import heat_capacity, liquid_volume
-from ..paper.rates import rate_constant
 from .chemistry import RealChemistry
 from .fields import STANDARD_K
 

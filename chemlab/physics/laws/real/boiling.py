@@ -1,0 +1,159 @@
+"""Boiling: differential distillation (Rayleigh 1902) of a non-ideal pot, through a column of theoretical stages.
+
+The pot is stirred by its own boiling, so its phases are at equilibrium; its vapour has the bubble point's composition.
+A column has constant molar flows, holds nothing up and a total condenser.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import TEMPERATURE
+from ....jit import inner, kernel, opened, scratch
+from ...constants import TRACE_MOL
+from ...events import BOILED_DRY, DRY_HEATING
+from ...transfer import add, heat_capacity
+from .chemistry import MOST_FLUIDS, RealChemistry
+from .column import LADDER, MOST_STAGES, overhead
+from .liquids import Liquids, clear_liquids, gather, on_curve
+from .vapor import bubble_point, write_back
+
+__all__ = ["heat"]
+
+_STEP = 0.08
+"""Share of the liquid that may boil off in a step of the integration (second order)."""
+_MOST_STEPS = 400
+
+
+@inner
+def _evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
+    """Amounts after ``mol`` of vapour with the composition ``partial`` has left ``before``, each at the rate that it
+    has at the amounts ``at``: none becomes negative, however volatile."""
+    total = 0.0
+    for a in range(n):
+        total += partial[a]
+    for a in range(n):
+        rate = partial[a] / (total * at[a]) if at[a] > 0.0 else 0.0
+        liquids.mol[a] = before[a] * math.exp(-min(rate * mol, 700.0))
+
+
+@inner
+def _latent(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """J/mol of a vapour with the composition ``partial``."""
+    vaporizing = opened(RealChemistry, chem).vaporizing
+    total, latent = 0.0, 0.0
+    for a in range(n):
+        total += partial[a]
+        latent += partial[a] * on_curve(vaporizing, int(liquids.who[a]), temperature, chem)
+    return latent / total
+
+
+@kernel
+def heat(
+    row: FloatArray,
+    receiver: FloatArray,
+    joules: float,
+    limits: FloatArray,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+) -> tuple[float, float]:
+    """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature."""
+    chemistry = opened(RealChemistry, chem)
+    hottest, coolest = limits[0], limits[1]
+    capacity = heat_capacity(row, chem)
+    if joules == 0.0 or capacity <= 0.0:
+        if joules > 0.0:
+            events[DRY_HEATING] += 1.0
+        return 0.0, 0.0
+    if joules < 0.0:
+        target = max(row[TEMPERATURE] + joules / capacity, min(coolest, row[TEMPERATURE]))
+        taken = capacity * (target - row[TEMPERATURE])
+        row[TEMPERATURE] = target
+        return taken, 0.0
+    trays = int(min(max(limits[2] - 1.0, 0.0), MOST_STAGES))
+    returned = limits[3] if trays > 0 else 0.0
+    liquids = clear_liquids()
+    partial, before, halfway, distilled = (
+        scratch(MOST_FLUIDS),
+        scratch(MOST_FLUIDS),
+        scratch(MOST_FLUIDS),
+        scratch(MOST_FLUIDS),
+    )
+    ladder = scratch(LADDER)
+    n = gather(row, chem, liquids)
+    for a in range(n):
+        distilled[a] = 0.0
+    left, condenser, boiled, dry = joules, 0.0, False, n == 0
+    warm = False
+    for _step in range(_MOST_STEPS):
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        if everything <= 10.0 * n * TRACE_MOL:
+            dry = True
+            break
+        boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, liquids, partial)
+        if boiling > hottest:
+            break
+        needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])
+        if left < needed:
+            break
+        # Poured onto something hotter than its boiling point, a liquid boils from that heat first (needed < 0).
+        left -= needed
+        row[TEMPERATURE] = boiling
+        if left <= 0.0:
+            left = 0.0
+            break
+        mol = _STEP * everything
+        for a in range(n):
+            before[a] = liquids.mol[a]
+        for _attempt in range(4):
+            price = (1.0 + returned) * _latent(n, boiling, partial, chem, liquids)
+            mol = min(mol, left / price)
+            if trays > 0:
+                overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
+                warm = True
+            _evaporate(n, 0.5 * mol, partial, before, before, liquids)
+            for a in range(n):
+                halfway[a] = liquids.mol[a]
+            bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
+            if trays > 0:
+                overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
+            _evaporate(n, mol, partial, before, halfway, liquids)
+            spent, after = 0.0, heat_capacity(row, chem)
+            for a in range(n):
+                i = int(liquids.who[a])
+                gone = before[a] - liquids.mol[a]
+                spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
+                after -= gone * chemistry.heat_capacity[i]
+            spent *= 1.0 + returned
+            if spent <= left * (1.0 + 1e-12):
+                break
+            mol *= 0.98 * left / spent
+            for a in range(n):
+                liquids.mol[a] = before[a]
+            bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
+        for a in range(n):
+            gone = before[a] - liquids.mol[a]
+            distilled[a] += gone
+            sensible = chemistry.heat_capacity[int(liquids.who[a])] * (boiling - chemistry.ambient_temperature)
+            condenser += gone * sensible
+        condenser += spent
+        left -= spent
+        boiled = True
+        write_back(row, n, chem, liquids)
+    if boiled:
+        for a in range(n):
+            add(receiver, int(liquids.who[a]), distilled[a], chemistry.ambient_temperature, chem, waste, events)
+    if dry:
+        events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
+    capacity = heat_capacity(row, chem)
+    if capacity > 0.0 and left > 0.0:
+        target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
+        left -= capacity * (target - row[TEMPERATURE])
+        row[TEMPERATURE] = target
+    # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
+    refused = min(max(left, 0.0), joules)
+    return joules - refused, condenser + max(left - refused, 0.0)

@@ -1,0 +1,86 @@
+"""Where molecules are: equal activity in water and in the organic phase, as far as the layers have been mixed."""
+
+from __future__ import annotations
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
+from ....jit import helper, kernel, opened
+from ....shelf import CLOCK_SETTLED, T_MIX
+from ...constants import TRACE_MOL
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .liquids import clear_liquids, gather, split
+
+__all__ = ["crystallizes", "partition", "place_new"]
+
+
+@helper
+def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
+    """Whether a fluid is a solid of its own at the vessel's temperature, which may lie in it undissolved."""
+    chemistry = opened(RealChemistry, chem)
+    return bool(chemistry.fusion[material] > 0.0 and row[TEMPERATURE] < chemistry.melting[material])
+
+
+@helper
+def place_new(row: FloatArray, chem: Handle) -> float:
+    """Bring the phases of a row up to what it holds: what is new goes where the fluid is already, or else to the phase
+    it is most at home in; what is gone leaves both alike. Returns the mol that had no place of its own yet.
+
+    Crystals have none: what can crystallize stays undissolved until it is dissolved (:mod:`.phases`).
+    """
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    moved = 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        at = AMOUNTS + m + 2 * k
+        total, placed = row[AMOUNTS + i], row[at + AQUEOUS] + row[at + ORGANIC]
+        if placed > total:
+            scale = total / placed
+            row[at + AQUEOUS] *= scale
+            row[at + ORGANIC] *= scale
+        elif placed < total and not crystallizes(row, chem, i):
+            if placed > 0.0:
+                row[at + AQUEOUS] *= total / placed
+                row[at + ORGANIC] = total - row[at + AQUEOUS]
+            else:
+                home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
+                row[at + home] = total
+            moved += total - placed
+    return moved
+
+
+@kernel
+def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
+    """Bring the phases from CLOCK_WAS to CLOCK: the more the layers are stirred, the closer to equal activities.
+
+    With s the settling clock between mixed (0) and settled (1), what is there goes 1 - s^2 of the way; a settled
+    vessel keeps what each layer holds, and what is new in it goes to where it belongs at once.
+    """
+    chemistry = opened(RealChemistry, chem)
+    settled = (row[CLOCK] - T_MIX) / (CLOCK_SETTLED - T_MIX)
+    way = 1.0 - settled * settled
+    fresh = place_new(row, chem)
+    row[CLOCK_WAS] = row[CLOCK]
+    if way <= 1e-12 and fresh <= TRACE_MOL:
+        return
+    liquids = clear_liquids()
+    n = gather(row, chem, liquids)
+    if n == 0:
+        return
+    split(n, row[TEMPERATURE], chem, liquids)
+    total = 0.0
+    for a in range(n):
+        total += liquids.mol[a]
+    # What came in counts as stirred.
+    way = max(way, min(fresh / total, 1.0))
+    m = chemistry.role.shape[0]
+    for a in range(n):
+        at = AMOUNTS + m + 2 * chemistry.dissolved_at[int(liquids.who[a])]
+        mol = row[at + AQUEOUS] + row[at + ORGANIC]
+        row[at + ORGANIC] += way * (mol * liquids.share[a] - row[at + ORGANIC])
+        row[at + AQUEOUS] = mol - row[at + ORGANIC]
+    for k in range(chemistry.dissolved.shape[0]):  # ions follow the water
+        if chemistry.liquid[chemistry.dissolved[k]] == 2:
+            at = AMOUNTS + m + 2 * k
+            row[at + AQUEOUS] += row[at + ORGANIC]
+            row[at + ORGANIC] = 0.0

@@ -1,0 +1,240 @@
+"""What happens by itself in a vessel: violent reactions, salts, acids and bases, crystals, gas, heat to the room."""
+
+from __future__ import annotations
+
+import math
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
+from ....jit import inner, kernel, opened
+from ...constants import GAS_CONSTANT, TRACE_MOL
+from ...events import RELIEF
+from ...transfer import heat_capacity, volume
+from .acids import settle_acids
+from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
+from .heats import crystals, enthalpy, set_enthalpy
+from .kinetics import react
+from .liquids import Liquids, clear_liquids, gather, on_curve, split
+from .partition import crystallizes, place_new
+from .vapor import flash_off
+
+__all__ = ["elapse", "settle_phases"]
+
+_MOST_ROUNDS = 60
+_RTOL, _ATOL = 1e-3, 1e-6
+_CLOSE = 1e-12
+
+
+@inner
+def _change(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
+    """Add (or take away) a material; a fluid's phases follow, with what is new in water where there is any."""
+    chemistry = opened(RealChemistry, chem)
+    before = row[AMOUNTS + material]
+    after = max(before + mol, 0.0)
+    row[AMOUNTS + material] = after
+    k = chemistry.dissolved_at[material]
+    if k < 0:
+        return
+    at = AMOUNTS + chemistry.role.shape[0] + 2 * k
+    placed = row[at + AQUEOUS] + row[at + ORGANIC]
+    if mol < 0.0 and placed > 0.0:
+        scale = max(placed + mol, 0.0) / placed
+        row[at + AQUEOUS] *= scale
+        row[at + ORGANIC] *= scale
+    elif mol > 0.0:
+        home = AQUEOUS if chemistry.liquid[material] == 2 or material == chemistry.water or placed <= 0.0 else ORGANIC
+        if placed > 0.0 and home == ORGANIC:
+            row[at + AQUEOUS] += mol * row[at + AQUEOUS] / placed
+            row[at + ORGANIC] += mol * row[at + ORGANIC] / placed
+        else:
+            row[at + home] += mol
+
+
+@inner
+def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
+    """Run every violent reaction until one of its reactants is gone; the event that one counts as grows by the mol of
+    its first reactant. Says whether any ran."""
+    chemistry = opened(RealChemistry, chem)
+    n, ran = chemistry.role.shape[0], False
+    for v in range(chemistry.violent.shape[0]):
+        extent = math.inf
+        for i in range(n):
+            if chemistry.violent[v, i] < 0.0:
+                extent = min(extent, row[AMOUNTS + i] / -chemistry.violent[v, i])
+        if not 0.0 < extent < math.inf:
+            continue
+        ran, first = True, True
+        for i in range(n):
+            change = chemistry.violent[v, i] * extent
+            if change < 0.0 and first and chemistry.violent_event[v] >= 0:
+                events[chemistry.violent_event[v]] -= change
+                first = False
+            if change != 0.0:
+                _change(row, chem, i, change)
+    return ran
+
+
+@inner
+def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
+    """Solubility product of a salt in the aqueous phase, mol^2: (solubility x its kilograms of molecules)^2. In a
+    mixture the logarithms of the solubilities add up by mass (Yalkowsky's log-linear rule)."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    curves = chemistry.solubility[salt]
+    mass, weighted = 0.0, 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if chemistry.liquid[i] != 1:
+            continue
+        grams = row[AMOUNTS + m + 2 * k + AQUEOUS] * chemistry.molar_mass[i]
+        mass += grams
+        weighted += grams * on_curve(curves, i, row[TEMPERATURE], chem)
+    if mass <= 1e-9:
+        return 0.0
+    return (1e-3 * mass * math.exp(max(weighted / mass, -300.0))) ** 2
+
+
+@inner
+def _settle_salts(row: FloatArray, chem: Handle) -> bool:
+    """Take every salt to [cation][anion] = its solubility product, or until all of it is dissolved; says whether any
+    moved. Salts with an ion in common are gone over until none moves any more."""
+    chemistry = opened(RealChemistry, chem)
+    moved = False
+    for _round in range(_MOST_ROUNDS):
+        worst = 0.0
+        for s in range(chemistry.salts.shape[0]):
+            solid, cation, anion = chemistry.salts[s, 0], chemistry.salts[s, 1], chemistry.salts[s, 2]
+            undissolved, c, a = row[AMOUNTS + solid], row[AMOUNTS + cation], row[AMOUNTS + anion]
+            if undissolved <= 0.0 and (c <= 0.0 or a <= 0.0):
+                continue
+            product = _water_phase(row, chem, s)
+            # (c + x)(a + x) = product, of the two roots the one that leaves both ions.
+            gap = 0.5 * (c - a)
+            dissolving = math.sqrt(gap * gap + product) - 0.5 * (c + a)
+            dissolving = min(max(dissolving, -min(c, a)), undissolved)
+            if abs(dissolving) <= _CLOSE * (undissolved + c + a):
+                continue
+            _change(row, chem, solid, -dissolving)
+            _change(row, chem, cation, dissolving)
+            _change(row, chem, anion, dissolving)
+            worst = max(worst, abs(dissolving))
+            moved = True
+        if worst <= _CLOSE:
+            break
+    return moved
+
+
+@kernel
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+    """What is at equilibrium in any vessel at any time: violent reactions, acids and bases, salts. Heat content stays,
+    so the temperature follows. Gas leaves an open vessel, and so does what then is above its boiling point."""
+    chemistry = opened(RealChemistry, chem)
+    place_new(row, chem)
+    before = enthalpy(row, chem)
+    changed = _react_violently(row, chem, events)
+    if chemistry.ionization[0] >= 0:
+        settle_acids(row, chem, share)
+    if chemistry.salts.shape[0] > 0 and _settle_salts(row, chem):
+        changed = True
+    if changed:
+        set_enthalpy(row, before, chem)
+    if row[AIR] > 0.0:
+        return  # sealed
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_GAS and row[AMOUNTS + i] > 0.0:
+            waste[i] += row[AMOUNTS + i]
+            row[AMOUNTS + i] = 0.0
+    if changed:
+        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, chem, waste)
+
+
+@inner
+def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """mol of molecule ``at`` that the vessel's liquids hold in equilibrium with its crystals, by bisection."""
+    chemistry = opened(RealChemistry, chem)
+    i = int(liquids.who[at])
+    total = row[AMOUNTS + i]
+    target = -chemistry.fusion[i] / GAS_CONSTANT * (1.0 / row[TEMPERATURE] - 1.0 / chemistry.melting[i])
+    low, high = math.log(1e-9 * total), math.log(total)
+    for step in range(46):
+        middle = high if step == 0 else 0.5 * (low + high)
+        liquids.mol[at] = math.exp(middle)
+        split(n, row[TEMPERATURE], chem, liquids)
+        phase = n + at if liquids.share[at] > 0.5 else at
+        activity = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300))
+        if activity > target:
+            high = middle
+        elif step == 0:
+            return total
+        else:
+            low = middle
+        if high - low < 1e-9:
+            break
+    return math.exp(low)
+
+
+@inner
+def _crystallize(row: FloatArray, seconds: float, chem: Handle) -> bool:
+    """Crystals and what is dissolved of them approach saturation; says whether there are any that do."""
+    chemistry = opened(RealChemistry, chem)
+    m, changed = chemistry.role.shape[0], False
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if row[AMOUNTS + i] <= TRACE_MOL or not crystallizes(row, chem, i):
+            continue
+        liquids = clear_liquids()
+        n, at = gather(row, chem, liquids), -1
+        for a in range(n):
+            if int(liquids.who[a]) == i:
+                at = a
+        others = 0.0
+        for a in range(n):
+            others += liquids.mol[a] if a != at else 0.0
+        place = AMOUNTS + m + 2 * k
+        solid = crystals(row, chem, k)
+        dissolved = row[place + AQUEOUS] + row[place + ORGANIC]
+        if others <= TRACE_MOL:
+            saturated = 0.0  # a melt below its melting point
+        else:
+            if at < 0:
+                if n == MOST_FLUIDS:
+                    continue
+                at = n
+                liquids.who[at], liquids.share[at] = i, 0.5
+                n += 1
+            saturated = _dissolved_at_saturation(n, at, row, chem, liquids)
+        if solid <= TRACE_MOL and dissolved <= chemistry.metastable * saturated:
+            continue
+        moved = (saturated - dissolved) * -math.expm1(-chemistry.crystal_rate * seconds)
+        before = enthalpy(row, chem)
+        if dissolved > 0.0:
+            scale = (dissolved + moved) / dissolved
+            row[place + AQUEOUS] *= scale
+            row[place + ORGANIC] *= scale
+        elif moved > 0.0:
+            row[place + ORGANIC] = moved * liquids.share[at]
+            row[place + AQUEOUS] = moved - row[place + ORGANIC]
+        set_enthalpy(row, before, chem)
+        changed = changed or abs(moved) > TRACE_MOL
+    return changed
+
+
+@kernel
+def elapse(
+    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> bool:
+    """Time passes for an open vessel: slow reactions go on, crystals grow or dissolve, heat goes to the room; what is
+    above its boiling point by then boils off."""
+    chemistry = opened(RealChemistry, chem)
+    seconds = ticks * chemistry.tick_seconds
+    if heat_capacity(row, chem) <= 0.0:
+        return False
+    place_new(row, chem)
+    was = row[TEMPERATURE]
+    transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
+    changed = react(row, chem, seconds, chemistry.ambient_temperature, transfer, _RTOL, _ATOL, work) > 0
+    if _crystallize(row, seconds, chem):
+        changed = True
+    if changed and row[TEMPERATURE] > was:
+        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, chem, waste)
+    return changed
