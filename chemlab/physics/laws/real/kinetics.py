@@ -29,9 +29,10 @@ _USED_UP = 1e-15
 """mol; a reactant of which there is less is used up."""
 _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
-_HEAT_SCALE_K = 30.0
-"""Temperature error that weighs as much as an error of a whole concentration: at the default tolerance 0.03 K, which
-changes a rate of 60 kJ/mol at 300 K by 0.2 %."""
+_HEAT_SCALE_K = 10.0
+"""Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
+_SMALL = 1e-4
+"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, end."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
 """Of e in a rate constant; what is beyond is as good as zero or at once."""
@@ -411,7 +412,7 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
 
 @inner
 def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
-    """Error of a trial step over what is allowed: root mean square over the concentrations, and the temperature."""
+    """Error of a trial step over what is allowed: root mean square over the concentrations, or the temperature's."""
     chemistry = opened(RealChemistry, chem)
     n_reactions, n_species = chemistry.stoichiometry.shape
     work = vessel.work
@@ -421,7 +422,7 @@ def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
         defect = 0.0
         for r in range(n_reactions):
             defect += chemistry.stoichiometry[r, j] * work[_K4, r]
-        ratio = defect / (atol + rtol * max(abs(work[_NOW, j]), abs(work[_CONC, j])))
+        ratio = defect / (atol + rtol * max(work[_NOW, j], work[_CONC, j]))
         total += ratio * ratio
     worst = math.sqrt(total / n_species)
     if vessel.transfer >= 0.0:
@@ -503,7 +504,7 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
         for r in range(n_reactions):
             change += chemistry.stoichiometry[r, j] * rates[r]
         if change < 0.0:
-            h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.small) / -change)
+            h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.small / _SMALL) / -change)
     return h
 
 
@@ -568,7 +569,7 @@ def react(
         jacket: K.
         transfer: W/K through the vessel's wall: 0 is a perfect insulator, infinity (or a negative number) keeps the
             contents as warm as the jacket.
-        rtol, atol: error tolerances on concentrations (relative; mol/L), and on temperature (``rtol`` times 30 K).
+        rtol, atol: error tolerances on concentrations (relative; mol/L), and on temperature (``rtol`` times 10 K).
         work: scratch of shape :func:`react_work_size`.
 
     Returns:
@@ -584,7 +585,7 @@ def react(
         return 0
     capacity = heat_capacity(row, chem) / litres
     through = transfer / litres if transfer < math.inf else -1.0
-    vessel = _Vessel(capacity * (row[TEMPERATURE] - STANDARD_K), capacity, jacket, through, atol, work)
+    vessel = _Vessel(capacity * (row[TEMPERATURE] - STANDARD_K), capacity, jacket, through, _SMALL * atol, work)
     first = _begin(row, chem, vessel, litres, dt)
     if first <= 0.0:
         _exchange_heat(row, chem, dt, jacket, transfer)
