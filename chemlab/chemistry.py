@@ -205,7 +205,9 @@ class ChemistryTable:
             # Plain functions see the arrays themselves, of a class that says the tier.
             seen = type(self._declaration.__name__, (self._declaration,), {"TIER": self.tier})
             return [seen(*self.world(w)) for w in range(self.worlds)]
-        table = np.stack([addresses(self._row(w)) for w in range(self.worlds)])
+        laws: Any = importlib.import_module(f"{__package__}.physics.laws")
+        code = np.array(laws.law_addresses(tier_dimensions(self.tier)), dtype=np.int64)
+        table = np.stack([np.concatenate([addresses(self._row(w)), code]) for w in range(self.worlds)])
         # The number of dimensions tells kernels the tier: see chemlab.physics.laws.
         return table.reshape(self.worlds, *(1,) * (tier_dimensions(self.tier) - 1), -1)
 

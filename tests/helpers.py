@@ -209,7 +209,7 @@ class Glassware:
 
     def phases(self, position: int) -> None:
         """Violent reactions, then dissolution and precipitation."""
-        settle_phases(self.rows[position], self.chem, self.waste, self.events, self._scratch[0])
+        settle_phases(self.rows[position], self.chem, self.waste, self.events, self._scratch)
 
     def partition(self, position: int) -> None:
         """Bring the dissolved amounts up to the vessel's clock."""

@@ -28,7 +28,7 @@ from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layo
 from ..jit import helper, kernel, opened
 from ..materials import DataError, validated
 from ..parts import Part, PartError, blamed, checked, load_part
-from ..physics.laws import partition, settle_phases
+from ..physics.laws import partition, settle_phases, work_size
 from ..physics.transfer import place
 from ..scenario import BenchSpec, Scenario
 from ..shelf import Shelf, ShelfArrays
@@ -278,7 +278,7 @@ def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, 
         state.illegal[m] = False
         state.events[m, :] = 0.0
         main = arrays.rows[state.places[m, 0]]
-        settle_phases(main, chem, arrays.waste[m], state.events[m], rules.work[0])
+        settle_phases(main, chem, arrays.waste[m], state.events[m], rules.work)
         partition(main, chem, rules.work)
         for p in range(1, state.places.shape[1]):
             place(arrays.rows[state.places[m, p]], rules.auxiliary_capacity, chem)
@@ -400,7 +400,11 @@ class Bench(ABC):
             "illegal_price": scenario.costs.illegal_action,
             "step_limit": self.step_limit,
             "auxiliary_capacity": self.auxiliary_capacity_l,
-            "work": np.zeros((columns + 9, max(columns + 1, len(WAVELENGTHS_NM)))),
+            "work": np.zeros(
+                np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
+            ),
+                np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
+            ),
         }
         self.rules = Table(declaration(**values, **self.rules_values()))
 

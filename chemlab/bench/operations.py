@@ -22,7 +22,7 @@ from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
 from ..parts import PartError, blamed, checked, load_part
 from ..physics.constants import SOLIDS
-from ..physics.laws import elapse, find_layers, layer_density, partition, react_work_size, settle_phases, vapor_pressure
+from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, vapor_pressure
 from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
@@ -104,8 +104,6 @@ class ApparatusRules(NamedTuple):
     limits: Annotated[FloatArray, Array("4")]
     """K, temperatures of the heating mantle and of the coolant; theoretical stages; mol returned for each distilled"""
     settle_per_step: Annotated[float, Array("")]
-    scratch: Annotated[FloatArray, Array("x y")]
-    """see react_work_size"""
 
 
 OperationState: Any = merged(ExperimentState, ImageState)
@@ -164,8 +162,8 @@ def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: 
                 turn_clock(row, elapsed)
                 state.changed[m, p] = state.changed[m, p] or row[CLOCK] != before
             if state.changed[m, p]:
-                settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
-            if elapse(row, 1.0, chem, shelf.waste[m], state.events[m], rules.scratch):
+                settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work)
+            if elapse(row, 1.0, chem, shelf.waste[m], state.events[m], rules.work):
                 state.changed[m, p] = True
     state.steps[m] += 1
     state.ended[m] = ended or state.steps[m] >= rules.step_limit
@@ -317,7 +315,6 @@ class OperationBench(Bench):
             "gauges": self.gauges,
             "limits": np.array([options.hottest_k, options.coolest_k, options.stages, options.reflux]),
             "settle_per_step": options.settle_per_step,
-            "scratch": np.zeros(react_work_size(self.chemistry)),
         }
 
     def _gauges(self) -> FloatArray:

@@ -28,7 +28,7 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
-from ..physics.laws import partition, react, react_work_size, reflux, settle_phases, vent
+from ..physics.laws import partition, react, reflux, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
@@ -137,8 +137,6 @@ class ReactorRules(NamedTuple):
     """[Q] mol that an experiment may take"""
     penalty: Annotated[FloatArray, Array("G M")]
     """[G, M] score lost per mol, by goal"""
-    scratch: Annotated[FloatArray, Array("x y")]
-    """see react_work_size"""
 
 
 ReactionState: Any = merged(ExperimentState, SupplyState)
@@ -184,10 +182,10 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
     keeps its temperature."""
     row, jacket = shelf.rows[state.places[m, 0]], state.jacket[m]
     if rules.condenser < 0.0:
-        return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.scratch)
+        return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
     dt, worst = rules.tick / _REFLUX_PARTS, 0
     for _part in range(_REFLUX_PARTS):
-        worst = min(worst, react(row, chem, dt, jacket, rules.transfer, rules.rtol, rules.atol, rules.scratch))
+        worst = min(worst, react(row, chem, dt, jacket, rules.transfer, rules.rtol, rules.atol, rules.work))
         reflux(row, rules.condenser * dt, chem, shelf.waste[m], state.events[m])
     return worst
 
@@ -196,7 +194,7 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
 def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """After the reaction: phases, stirred contents, relief valve."""
     row = shelf.rows[state.places[m, 0]]
-    settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work[0])
+    settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work)
     row[CLOCK] = T_MIX
     partition(row, chem, rules.work)
     if rules.condenser < 0.0:
@@ -371,7 +369,6 @@ class ReactionBench(Bench):
             "reagents": np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64),
             "full": self._full,
             "penalty": penalty,
-            "scratch": np.zeros(react_work_size(self.chemistry)),
         }
 
     def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:

@@ -28,6 +28,7 @@ from ..instruments.table import InstrumentTable
 from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
 from ..parts import blamed, checked
+from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf
@@ -242,7 +243,7 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
-            work=np.zeros((2, max(len(layout.solvents), 1))),
+            work=np.zeros(work_size(self.shelf.chemistry)),
         )
 
     def _starting_shelf(self) -> FloatArray:
@@ -441,7 +442,7 @@ class Laboratories:
         ended = self._charge(b, members)
         if ended:
             self._end(b, self._ended[:ended].copy())
-        if advance(members, self.table.handle, self.rules.handle) & OVER:
+        if advance(members, *self._handles()) & OVER:
             self._settle_accounts(members)
 
     def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:

@@ -8,7 +8,7 @@ from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray
 from ..bench.base import ExperimentState, goal_amount, weighted_amount
 from ..chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from ..jit import helper, inner, kernel, opened
-from ..physics.laws import partition, settle_phases
+from ..physics.laws import elapse, partition, settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
 from ..shelf import CLOCK_SETTLED, ShelfArrays
 from .actions import DISCARD, MEASURE, RECALL, START, SUBMIT
@@ -108,10 +108,10 @@ def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Ha
 
 @kernel
 def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
-    """A vessel put on the shelf: ambient temperature, settled, at precipitation equilibrium. ``work`` is [2, L]."""
+    """A vessel put on the shelf: ambient temperature, settled, at precipitation equilibrium."""
     row[TEMPERATURE] = opened(Chemistry, chem).ambient_temperature
     row[CLOCK] = CLOCK_SETTLED
-    settle_phases(row, chem, waste, events, work[0])
+    settle_phases(row, chem, waste, events, work)
     partition(row, chem, work)
 
 
@@ -299,11 +299,21 @@ def charge_events(
     return count
 
 
+@inner
+def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
+    """A tick passes for the vessels that nobody works on; what flies counts among the episode's events."""
+    base = _first_row(n, shelf)
+    for s in range(rules.slots):
+        row = shelf.rows[base + s]
+        if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
+            partition(row, chem, rules.work)
+
+
 @kernel
-def advance(members: IntArray, manager: Handle, scenario: Handle) -> int:
+def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle) -> int:
     """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
     an experiment has ended. Returns OVER if an episode has been truncated by it."""
-    state, rules = opened(ManagerState, manager), opened(Rules, scenario)
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
     for i in range(members.shape[0]):
         n = members[i]
@@ -315,6 +325,7 @@ def advance(members: IntArray, manager: Handle, scenario: Handle) -> int:
             continue
         state.ticks[n] += 1
         state.charges[n, TIME] += rules.tick_price
+        _age_shelf(n, state, rules, arrays, chemistry[arrays.variant[n]])
         for s in range(state.age.shape[1]):
             for k in range(state.age.shape[2]):
                 if state.age[n, s, k] >= 0:

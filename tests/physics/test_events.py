@@ -35,7 +35,7 @@ def settled(family: str, events: dict[str, str], tmp_path: Any) -> np.ndarray[An
     shelf = Shelf(build_chemistry(scenario), 1, 1)
     shelf.fill(0, 0, 1.0, {"water": 10.0, "Na+": 0.3, "Cl-": 0.3})
     seen = np.zeros(len(scenario.safety_events))
-    settle_phases(shelf.rows[0], shelf.chem(), shelf.waste[0], seen, np.zeros(8))
+    settle_phases(shelf.rows[0], shelf.chem(), shelf.waste[0], seen, np.zeros((2, 8)))
     assert shelf.vessel(0, 0).amounts(1e-9)["NaCl"] == pytest.approx(0.3, rel=1e-12)
     return seen
 

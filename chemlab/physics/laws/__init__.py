@@ -16,62 +16,106 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 from numba.extending import overload
 
-from ...arrays import FloatArray, Handle, IntArray
-from ...chemistry import TIERS, ChemistryTable, tier_dimensions
-from ...jit import COMPILED, SETTINGS
+from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
+from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
+from ...jit import COMPILED, SETTINGS, address, calling
 
 __all__ = [
+    "distant_law",
     "drain_layer",
     "elapse",
     "find_layers",
     "headspace_gas",
     "heat",
     "law",
+    "law_addresses",
     "layer_density",
     "layer_shade",
     "partition",
     "rate_constant",
     "react",
-    "react_work_size",
     "reflux",
     "settle_phases",
     "solid_volume",
     "vapor_pressure",
     "vent",
+    "work_size",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _implementation(law: str, dimensions: int) -> Any:
-    return getattr(importlib.import_module(list(TIERS.values())[dimensions - 1]), law)
+_DISTANT: list[str] = []
+"""Laws that kernels of a tier other than the first call by their address, in the order of their addresses."""
+_KINDS: dict[str, tuple[Any, Any]] = {}
+"""Of each of them, numba types of its parameters but for ``chem``'s number of dimensions, and of its result."""
 
 
-def react_work_size(chemistry: ChemistryTable) -> tuple[int, int]:
-    """Shape of the scratch array that :func:`react` and :func:`elapse` need."""
-    tier = importlib.import_module(TIERS[chemistry.tier])
-    size: tuple[int, int] = tier.react_work_size(chemistry.world())
+def _tier(dimensions: int) -> Any:
+    return importlib.import_module(list(TIERS.values())[dimensions - 1])
+
+
+def work_size(chemistry: ChemistryTable) -> tuple[int, int]:
+    """Shape of the scratch array, ``work``, that a tier's laws need at least."""
+    size: tuple[int, int] = _tier(tier_dimensions(chemistry.tier)).work_size(chemistry.world())
     return size
 
 
-def law(stub: F) -> F:
+def _kinds(name: str, dimensions: int) -> tuple[tuple[Any, ...], Any]:
+    """numba types of the parameters of a distant law, and of its result."""
+    kinds, result = _KINDS[name]
+    handle = numba.types.Array(numba.types.int64, dimensions, "C")
+    return tuple(handle if kind is None else kind for kind in kinds), result
+
+
+def law_addresses(dimensions: int) -> list[int]:
+    """Where the code of a tier's distant laws is: what its handles end in. Compiles what is not compiled yet."""
+    if not COMPILED or dimensions == 1:
+        return []
+    return [address(getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT]
+
+
+def _numba_type(name: str, annotation: str) -> Any:
+    """The numba type of a law's parameter, by its annotation; None for the chemistry."""
+    array = numba.types.Array(numba.types.float64, 2 if name == "work" else 1, "C")
+    known = {"FloatArray": array, "float": numba.types.float64, "int": numba.types.int64, "Handle": None}
+    return known[annotation]
+
+
+def law(stub: F, distant: bool = False) -> F:
     """A law of which every tier has its own version; ``stub`` has its parameters, one of them called ``chem``."""
-    name, parameters = stub.__name__, list(inspect.signature(stub).parameters)
+    name, signature = stub.__name__, inspect.signature(stub)
+    parameters = list(signature.parameters)
     where = parameters.index("chem")
 
     @functools.wraps(stub)
     def call(*arguments: Any) -> Any:
         chem = arguments[where]
         dimensions = chem.ndim if COMPILED else tier_dimensions(getattr(chem, "TIER", "paper"))
-        return _implementation(name, dimensions)(*arguments)
+        return getattr(_tier(dimensions), name)(*arguments)
+
+    if distant and COMPILED:
+        results = {"float": numba.types.float64, "int": numba.types.int64, "bool": numba.types.boolean}
+        results |= {"None": numba.types.none, "tuple[float, float]": numba.types.UniTuple(numba.types.float64, 2)}
+        kinds = tuple(_numba_type(key, value.annotation) for key, value in signature.parameters.items())
+        _KINDS[name] = kinds, results[str(signature.return_annotation)]
+        _DISTANT.append(name)
 
     if COMPILED:
 
         def choose(*kinds: Any) -> Callable[..., Any]:
+            dimensions = kinds[where].ndim
+            if distant and dimensions > 1:
+                declaration = getattr(_tier(dimensions), "DECLARATION", Chemistry)
+                position = SLOT * len(declared(declaration)) + _DISTANT.index(name)
+                target = calling(parameters, where, position, *_kinds(name, dimensions))
+            else:
+                target = getattr(_tier(dimensions), name)
             # A function of the law's own parameters that calls the tier's, which keeps its place in the cache.
-            scope = {"_of_tier": _implementation(name, kinds[where].ndim)}
+            scope = {"_of_tier": target}
             listed = ", ".join(parameters)
             exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
             return cast(Callable[..., Any], scope[name])
@@ -80,7 +124,11 @@ def law(stub: F) -> F:
     return cast(F, call)
 
 
-@law
+distant_law = functools.partial(law, distant=True)
+"""A large law: kernels of tiers after the first call it by its address."""
+
+
+@distant_law
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Pressure of the vapour over the liquids in a vessel, kPa."""
     raise NotImplementedError
@@ -92,14 +140,14 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
     raise NotImplementedError
 
 
-@law
+@distant_law
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Relief valve: above ``rated`` kPa gas leaves until the pressure is back there; lost vapour comes from the liquid
     and goes to ``waste`` [M], and is an event."""
     raise NotImplementedError
 
 
-@law
+@distant_law
 def heat(
     row: FloatArray,
     receiver: FloatArray,
@@ -128,8 +176,8 @@ def heat(
     raise NotImplementedError
 
 
-@law
-def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+@distant_law
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """What happens by itself in any vessel, after any operation: violent reactions, dissolution, precipitation.
 
     Args:
@@ -137,19 +185,19 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
         chem: the chemistry.
         waste: [M] mol, receives vented gases.
         events: safety events row.
-        share: [L] scratch.
+        work: scratch of shape :func:`work_size`.
     """
     raise NotImplementedError
 
 
-@law
+@distant_law
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and none is lost.
 
     Args:
         row: vessel row, changed in place.
         chem: the chemistry.
-        work: [2, L] or larger scratch.
+        work: scratch of shape :func:`work_size`.
     """
     raise NotImplementedError
 
@@ -201,7 +249,7 @@ def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     raise NotImplementedError
 
 
-@law
+@distant_law
 def react(
     row: FloatArray,
     chem: Handle,
@@ -221,7 +269,7 @@ def react(
         jacket: K, temperature of what the vessel stands in.
         transfer: W/K, how well heat passes to it; below 0: at once, so that the contents keep its temperature.
         rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
-        work: scratch of shape :func:`react_work_size`.
+        work: scratch of shape :func:`work_size`.
 
     Returns:
         Number of steps taken, rejected ones included; -1 where that would have been too many (nothing has changed
@@ -230,14 +278,14 @@ def react(
     raise NotImplementedError
 
 
-@law
+@distant_law
 def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """A condenser above a boiling vessel, open to the room: it takes up to ``joules`` from what is above its boiling
     point and lets it run back; vapour beyond that is lost to ``waste`` [M], and is an event."""
     raise NotImplementedError
 
 
-@law
+@distant_law
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
@@ -249,7 +297,7 @@ def elapse(
         chem: the chemistry.
         waste: [M] mol, receives what flies.
         events: safety events row.
-        work: scratch of shape :func:`react_work_size`.
+        work: scratch of shape :func:`work_size`.
 
     Returns:
         Whether its contents have changed.

@@ -95,10 +95,10 @@ def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
 
 
 @helper
-def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """What happens by itself in any vessel, after any operation: violent reactions, then salts; gases leave."""
-    react_violently(row, chem, waste, events, share)
-    settle_salts(row, chem, share)
+    react_violently(row, chem, waste, events, work[0])
+    settle_salts(row, chem, work[0])
     role = opened(Chemistry, chem).role
     for i in range(role.shape[0]):
         if role[i] == ROLE_GAS:  # what reactions make of it does not stay

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from ....arrays import FloatArray, Handle
-from ....chemistry import TEMPERATURE
+from ....chemistry import TEMPERATURE, Chemistry
 from ....jit import helper
-from ...kinetics import integrate
+from ...kinetics import integrate, react_work_size
 from ...transfer import liquid_volume
 
-__all__ = ["elapse", "react", "reflux"]
+__all__ = ["elapse", "react", "reflux", "work_size"]
 
 
 @helper
@@ -37,3 +37,9 @@ def elapse(
 @helper
 def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Nothing: a reaction does not heat."""
+
+
+def work_size(chemistry: Chemistry) -> tuple[int, int]:
+    """Of the scratch of reactions and of the partition."""
+    rows, columns = react_work_size(chemistry)
+    return max(rows, 2), max(columns, len(chemistry.solvents))

@@ -5,14 +5,16 @@ Arguments and results are those of :mod:`chemlab.physics.laws`.
 
 from ...kinetics import arrhenius as rate_constant
 from .boiling import heat
+from .chemistry import RealChemistry as DECLARATION
 from .chemistry import build
-from .kinetics import react, react_work_size
+from .kinetics import react
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
 from .partition import partition
-from .phases import elapse, settle_phases
+from .phases import elapse, settle_phases, work_size
 from .vapor import headspace_gas, reflux, vapor_pressure, vent
 
 __all__ = [
+    "DECLARATION",
     "build",
     "drain_layer",
     "elapse",
@@ -24,10 +26,10 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
-    "react_work_size",
     "reflux",
     "settle_phases",
     "solid_volume",
     "vapor_pressure",
     "vent",
+    "work_size",
 ]

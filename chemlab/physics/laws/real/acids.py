@@ -119,8 +119,7 @@ def _log_water(temperature: float, chem: Handle) -> float:
     """ln Kw at a temperature (K)."""
     chemistry = opened(RealChemistry, chem)
     return float(
-        -_LN10 * chemistry.water_pk
-        + chemistry.water_heat / GAS_CONSTANT * (1.0 / STANDARD_K - 1.0 / temperature)
+        -_LN10 * chemistry.water_pk + chemistry.water_heat / GAS_CONSTANT * (1.0 / STANDARD_K - 1.0 / temperature)
     )
 
 

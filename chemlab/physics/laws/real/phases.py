@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
@@ -10,19 +11,25 @@ from ....jit import inner, kernel, opened
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
 from ...transfer import heat_capacity, volume
-from .acids import settle_acids
+from .acids import acid_work_size, settle_acids
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .heats import crystals, enthalpy, set_enthalpy
-from .kinetics import react
+from .kinetics import react, react_work_size
 from .liquids import Liquids, clear_liquids, gather, on_curve, split
 from .partition import crystallizes, place_new
 from .vapor import flash_off
 
-__all__ = ["elapse", "settle_phases"]
+__all__ = ["elapse", "settle_phases", "work_size"]
 
 _MOST_ROUNDS = 60
 _RTOL, _ATOL = 1e-3, 1e-6
 _CLOSE = 1e-12
+
+
+def work_size(chemistry: Any) -> tuple[int, int]:
+    """Of the scratch of reactions and of acids."""
+    sizes = react_work_size(chemistry), acid_work_size(chemistry)
+    return max(rows for rows, _ in sizes), max(columns for _, columns in sizes)
 
 
 @inner
@@ -125,7 +132,7 @@ def _settle_salts(row: FloatArray, chem: Handle) -> bool:
 
 
 @kernel
-def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """What is at equilibrium in any vessel at any time: violent reactions, acids and bases, salts. Heat content stays,
     so the temperature follows. Gas leaves an open vessel, and so does what then is above its boiling point."""
     chemistry = opened(RealChemistry, chem)
@@ -133,7 +140,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     before = enthalpy(row, chem)
     changed = _react_violently(row, chem, events)
     if chemistry.ionization[0] >= 0:
-        settle_acids(row, chem, share)
+        settle_acids(row, chem, work)
     if chemistry.salts.shape[0] > 0 and _settle_salts(row, chem):
         changed = True
     if changed:
