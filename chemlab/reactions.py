@@ -124,36 +124,36 @@ class Reaction(_Balanced, Grown):
         return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
 
 
+Point = tuple[Annotated[float, Field(ge=150.0, le=1000.0)], Annotated[float, Field(ge=0.0, le=100.0)]]
+"""A temperature in K and a solubility in mol/kg."""
+
+
 class Solubility(BaseModel):
-    """How much of a salt a kilogram of solvent takes up, by temperature; solvents add up by mass."""
+    """How much of a salt a kilogram of solvent takes up; a mixture takes up what its solvents do, by their mass."""
 
     model_config = _FROZEN
 
-    temperature_k: tuple[Annotated[float, Field(ge=150.0, le=1000.0)], ...] = Field(min_length=1, max_length=50)
-    """K, rising; between two of them the solubility is a straight line, beyond the first and the last constant."""
-    solvents: dict[Text, tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...]] = Field(min_length=1, max_length=50)
-    """mol per kg of each solvent, a number for each temperature."""
+    solvents: dict[Text, Annotated[tuple[Point, ...], Field(min_length=1, max_length=50)]] = Field(
+        min_length=1, max_length=50
+    )
+    """Points (K, mol/kg) by solvent, temperatures rising; between two of them it is a straight line, beyond the first
+    and the last constant."""
     elsewhere_mol_kg: float = Field(default=0.0, ge=0.0, le=100.0)
-    """mol per kg of any other solvent, at all temperatures."""
+    """In any other solvent, at all temperatures."""
     source: str = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _fits(self) -> Solubility:
-        if any(cold >= warm for cold, warm in itertools.pairwise(self.temperature_k)):
-            raise ValueError(f"temperature_k: must rise, given {list(self.temperature_k)}")
-        for name, numbers in self.solvents.items():
-            if len(numbers) != len(self.temperature_k):
-                raise ValueError(
-                    f"solvents.{name}: {len(numbers)} numbers for {len(self.temperature_k)} values of temperature_k"
-                )
+    def _rises(self) -> Solubility:
+        for name, points in self.solvents.items():
+            if any(cold[0] >= warm[0] for cold, warm in itertools.pairwise(points)):
+                raise ValueError(f"solvents.{name}: temperatures must rise, given {[point[0] for point in points]}")
         return self
 
     def mol_per_kg(self, solvent: str, temperature_k: FloatArray | float) -> FloatArray:
         """Solubility in one solvent in mol/kg, in the shape of ``temperature_k``."""
         temperature = np.asarray(temperature_k, dtype=np.float64)
-        if solvent not in self.solvents:
-            return np.full(temperature.shape, self.elsewhere_mol_kg)
-        return np.asarray(np.interp(temperature, self.temperature_k, self.solvents[solvent]))
+        points = np.array(self.solvents.get(solvent, ((298.15, self.elsewhere_mol_kg),)))
+        return np.asarray(np.interp(temperature, points[:, 0], points[:, 1]))
 
 
 class Salt(Grown):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-FOLDERS = ("chemlab", "agents", "scenarios", "tests", "docs", "experiments")
+FOLDERS = ("chemlab", "agents", "scenarios", "tests", "docs", "experiments", "tools", "validate")
 LITTER = ("__pycache__", "generated", "_build", "*.egg-info", "*.py[cod]", "*.nbi", "*.nbc")
 
 

@@ -1,0 +1,330 @@
+"""Activity coefficients: the NRTL equation, pair files and what they refuse, and the shipped pairs against UNIFAC and
+measured azeotropes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from chemlab.datafile import DataError
+from chemlab.materials import shipped_materials
+from chemlab.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
+
+ROOT = Path(__file__).parent.parent
+GAS_CONSTANT = 8.314462618
+ATMOSPHERE_PA = 101325.0
+MOLECULES = sorted(
+    name for name, material in shipped_materials().items() if material.role in ("solvent", "solute") and material.real
+)
+
+FILE = """
+pairs = [
+    { of = ["a", "b"], a = [1.0, 2.0], b = [10.0, 20.0], alpha = 0.3, low_k = 250.0, high_k = 400.0, error = 0.1, source = "made up" },
+    { of = ["c", "b"], a = [3.0, 4.0], b = [30.0, 40.0], c = [0.5, 0.25], alpha = 0.2, low_k = 250.0, high_k = 400.0, error = 0.1, source = "made up" },
+    { of = ["a", "c"], a = [5.0, 6.0], b = [50.0, 60.0], alpha = 0.4, low_k = 250.0, high_k = 400.0, error = 0.1, source = "made up" },
+]
+
+[lock]
+made = "by hand"
+"""  # noqa: E501
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "pairs.toml"
+    path.write_text(FILE)
+    return path
+
+
+# The equation -------------------------------------------------------------------------------------------------------
+
+
+def test_two_materials_at_infinite_dilution_follow_the_closed_form() -> None:
+    # ln gamma_1 = tau_21 + tau_12 exp(-alpha tau_12)
+    tau = np.array([[0.0, 0.7], [1.9, 0.0]])
+    dilute = log_activity_coefficients(np.array([0.0, 1.0]), tau, np.array(0.3))
+    assert dilute[0] == pytest.approx(1.9 + 0.7 * math.exp(-0.3 * 0.7), abs=1e-14)
+    assert dilute[1] == pytest.approx(0.0, abs=1e-14)
+
+
+def test_activity_coefficients_obey_gibbs_and_duhem() -> None:
+    # sum_i x_i d ln gamma_i = 0 along any way through a mixture.
+    generator = np.random.default_rng(5)
+    tau = generator.normal(0.0, 1.0, (4, 4)) * (1.0 - np.eye(4))
+    alpha = generator.uniform(0.1, 0.4, (4, 4))
+    alpha = (alpha + alpha.T) / 2.0
+    x = np.array([0.1, 0.2, 0.3, 0.4])
+    way = 1e-5 * np.array([1.0, -2.0, 0.5, 0.5])
+    change = log_activity_coefficients(x + way, tau, alpha) - log_activity_coefficients(x - way, tau, alpha)
+    assert abs(float(x @ change)) < 1e-12 < float(np.abs(change).max())
+
+
+def test_activity_coefficients_are_those_of_another_library() -> None:
+    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    generator = np.random.default_rng(3)
+    tau = generator.normal(0.5, 1.0, (5, 5)) * (1.0 - np.eye(5))
+    alpha = np.full((5, 5), 0.3) * (1.0 - np.eye(5))
+    x = generator.dirichlet(np.ones(5))
+    other = thermo.NRTL(T=300.0, xs=x.tolist(), tau_as=tau.tolist(), alpha_cs=alpha.tolist())
+    np.testing.assert_allclose(log_activity_coefficients(x, tau, alpha), np.log(other.gammas()), rtol=1e-12)
+
+
+# Files --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_has_every_parameter_at_its_place(file: Path) -> None:
+    table = pair_table(["b", "a", "c"], load_pairs([file]))
+    np.testing.assert_array_equal(table.a, [[0, 2, 4], [1, 0, 5], [3, 6, 0]])
+    np.testing.assert_array_equal(table.b, [[0, 20, 40], [10, 0, 50], [30, 60, 0]])
+    np.testing.assert_array_equal(table.c, [[0, 0, 0.25], [0, 0, 0], [0.5, 0, 0]])
+    np.testing.assert_array_equal(table.alpha, [[0, 0.3, 0.2], [0.3, 0, 0.4], [0.2, 0.4, 0]])
+    tau = table.tau(360.0)
+    assert tau[2, 0] == pytest.approx(3.0 + 30.0 / 360.0 + 0.5 * math.log(1.2))
+    assert (tau[2, 0], tau[0, 2]) == pytest.approx(load_pairs([file])[frozenset("bc")].tau(360.0))
+
+
+def test_a_missing_pair_is_named_with_what_makes_it(file: Path) -> None:
+    with pytest.raises(DataError) as caught:
+        pair_table(["a", "b", "d"], load_pairs([file]))
+    for part in ("'a' with 'd', 'b' with 'd'", "python tools/pairs.py 'a' 'b' 'd' --output", "pair_files"):
+        assert part in str(caught.value)
+    with pytest.raises(DataError, match="'d' with 'e', 'd' with 'f', 'd' with 'g' and 3 more"):
+        pair_table(["d", "e", "f", "g"], {})
+
+
+def test_a_later_file_replaces_what_an_earlier_one_says(file: Path, tmp_path: Path) -> None:
+    other = tmp_path / "mine.toml"
+    rows = FILE.splitlines()
+    other.write_text("\n".join([rows[1], rows[2].replace("alpha = 0.3", "alpha = 0.25"), *rows[5:]]))
+    pairs = load_pairs([file, other])
+    assert (len(pairs), pairs[frozenset("ab")].alpha, pairs[frozenset("bc")].alpha) == (3, 0.25, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('of = ["c", "b"]', 'of = ["b", "a"]', ["'a' with 'b' stands here twice"]),
+        ('of = ["c", "b"]', 'of = ["c", "c"]', ["pairs.1", "of two materials"]),
+        ("c = [0.5, 0.25]", "c = [0.5]", ["pairs.1.c"]),
+        ("alpha = 0.2", "alpha = 0.0", ["pairs.1.alpha", "0.01"]),
+        ("b = [30.0, 40.0]", "b = [90000.0, 40.0]", ["pairs.1", "tau is beyond 100 at 250.0 K"]),
+        ("alpha = 0.2, low_k = 250.0", "alpha = 0.2, low_k = 450.0", ["pairs.1", "must be above low_k = 450.0"]),
+        ("c = [0.5, 0.25]", "d = [0.5, 0.25]", ["pairs.1.d", "not permitted"]),
+    ],
+)
+def test_a_wrong_pair_is_refused(file: Path, old: str, new: str, parts: list[str]) -> None:
+    assert FILE.count(old) == 1
+    file.write_text(FILE.replace(old, new))
+    with pytest.raises(DataError) as caught:
+        load_pairs([file])
+    for part in (str(file), *parts):
+        assert part in str(caught.value)
+
+
+# The shipped pairs --------------------------------------------------------------------------------------------------
+
+
+def test_every_two_shipped_molecules_are_a_pair() -> None:
+    expected = {frozenset(two) for two in itertools.combinations(MOLECULES, 2)}
+    assert set(shipped_pairs()) == expected
+    assert np.isfinite(pair_table(MOLECULES, shipped_pairs()).tau(298.15)).all()
+
+
+def log_gamma(pair: Pair, temperature: float, x: float) -> np.ndarray:
+    """ln gamma of both at mole fraction x of the first."""
+    one, other = pair.tau(temperature)
+    return log_activity_coefficients(np.array([x, 1.0 - x]), np.array([[0.0, one], [other, 0.0]]), np.array(pair.alpha))
+
+
+GROUPS: dict[str, dict[int, int]] = {
+    # Numbers of the Dortmund form: CH3 1, CH2 2, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25, COOH 42,
+    # CH2Cl 44, CHCl 45.
+    "diethyl_ether": {1: 2, 2: 1, 25: 1},
+    "water": {16: 1},
+    "hexane": {1: 2, 2: 4},
+    "dodecane": {1: 2, 2: 10},
+    "ethyl_acetate": {1: 1, 2: 1, 21: 1},
+    "1-chlorohexane": {1: 1, 2: 4, 44: 1},
+    "2-chlorohexane": {1: 2, 2: 3, 45: 1},
+    "ethanol": {1: 1, 2: 1, 14: 1},
+    "toluene": {9: 5, 11: 1},
+    "acetic_acid": {1: 1, 42: 1},
+}
+MISCIBLE = [
+    ("diethyl_ether", "dodecane"),
+    ("diethyl_ether", "1-chlorohexane"),
+    ("1-chlorohexane", "dodecane"),
+    ("2-chlorohexane", "dodecane"),
+    ("diethyl_ether", "hexane"),
+    ("diethyl_ether", "ethanol"),
+    ("diethyl_ether", "toluene"),
+    ("ethyl_acetate", "ethanol"),
+    ("ethyl_acetate", "toluene"),
+    ("acetic_acid", "water"),
+]
+APART = [
+    ("hexane", "water"),
+    ("dodecane", "water"),
+    ("1-chlorohexane", "water"),
+    ("2-chlorohexane", "water"),
+    ("diethyl_ether", "water"),
+    ("ethyl_acetate", "water"),
+    ("toluene", "water"),
+]
+
+
+def unifac(one: str, other: str, temperature: float, x: float) -> np.ndarray:
+    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    thermo.unifac.load_unifac_ip()
+    model = thermo.unifac.UNIFAC.from_subgroups(
+        T=temperature,
+        xs=[x, 1.0 - x],
+        chemgroups=[GROUPS[one], GROUPS[other]],
+        version=1,
+        interaction_data=thermo.unifac.DOUFIP2016,
+        subgroups=thermo.unifac.DOUFSG,
+    )
+    return np.log(model.gammas())
+
+
+def oriented(one: str, other: str, temperature: float, x: float) -> np.ndarray:
+    """ln gamma of ``one`` and ``other`` by the shipped pair, whichever of them it names first."""
+    pair = shipped_pairs()[frozenset((one, other))]
+    return log_gamma(pair, temperature, x) if pair.of[0] == one else log_gamma(pair, temperature, 1.0 - x)[::-1]
+
+
+@pytest.mark.parametrize(("one", "other"), MISCIBLE)
+def test_what_mixes_has_the_activity_coefficients_of_unifac(one: str, other: str) -> None:
+    for temperature, x in itertools.product(
+        (275.0, 310.0, 360.0, 410.0, 475.0), (1e-10, 0.05, 0.3, 0.6, 0.9, 1 - 1e-10)
+    ):
+        np.testing.assert_allclose(
+            oriented(one, other, temperature, x),
+            unifac(one, other, temperature, x),
+            atol=0.05,
+            err_msg=f"{temperature}",
+        )
+
+
+@pytest.mark.parametrize(("one", "other"), APART)
+def test_what_stays_apart_has_the_infinite_dilution_of_unifac(one: str, other: str) -> None:
+    for temperature, x in itertools.product((275.0, 310.0, 360.0, 410.0, 475.0), (1e-10, 1.0 - 1e-10)):
+        dilute = 0 if x < 0.5 else 1
+        difference = (oriented(one, other, temperature, x) - unifac(one, other, temperature, x))[dilute]
+        assert abs(difference) < 0.2, (temperature, x)
+
+
+# Hydrogen bonds at high dilution, and how they change over 200 K, are beyond NRTL's reach.
+BONDING = {
+    "ethanol",
+    "acetic_acid",
+    "acetic_anhydride",
+    "acetanilide",
+    "benzoic_acid",
+    "salicylic_acid",
+    "acetylsalicylic_acid",
+}
+
+
+def test_stated_errors_are_small() -> None:
+    by_unifac = [pair for pair in shipped_pairs().values() if "UNIFAC" in pair.source]
+    errors = [pair.error for pair in by_unifac]
+    assert (np.median(errors), np.quantile(errors, 0.9), max(errors)) < (0.03, 0.2, 0.5)
+    plain = [pair for pair in by_unifac if not BONDING & set(pair.of)]
+    assert len(plain) > 120
+    assert all(pair.error < (0.2 if "water" in pair.of else 0.05) for pair in plain)
+
+
+def bubble(pair: Pair, x: float) -> tuple[float, np.ndarray]:
+    """Boiling temperature and vapour composition of a mixture under one atmosphere."""
+    curves = [shipped_materials()[name].real.vapor_pressure for name in pair.of]  # type: ignore[union-attr]
+
+    def partial(temperature: float) -> np.ndarray:
+        pure = np.array([float(curve.pascal(temperature)) for curve in curves if curve is not None])
+        return np.array([x, 1.0 - x]) * np.exp(log_gamma(pair, temperature, x)) * pure
+
+    temperature = float(brentq(lambda t: float(partial(t).sum()) - ATMOSPHERE_PA, 250.0, 500.0, xtol=1e-9))
+    return temperature, partial(temperature) / ATMOSPHERE_PA
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "temperature", "share"),
+    [
+        # Horsley, Azeotropic Data III (1973), and Gmehling et al., Azeotropic Data (2004).
+        ("ethanol", "water", 351.3, 0.894),
+        ("ethyl_acetate", "ethanol", 344.95, 0.54),
+    ],
+)
+def test_azeotropes_are_where_they_were_measured(first: str, second: str, temperature: float, share: float) -> None:
+    pair = shipped_pairs()[frozenset((first, second))]
+    x = float(brentq(lambda x: bubble(pair, x)[1][0] - x, 0.2, 0.999))
+    found, _ = bubble(pair, x)
+    assert found == pytest.approx(temperature, abs=1.5)
+    assert (x if pair.of[0] == first else 1.0 - x) == pytest.approx(share, abs=0.03)
+
+
+def solubility(solute: str, solvent: str, temperature: float) -> float:
+    """Mole fraction of a solid in its saturated solution: x gamma = exp(-H / R (1 / T - 1 / Tm))."""
+    material: Any = shipped_materials()[solute]
+    ideal = -material.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / temperature - 1.0 / material.melting_point_k)
+    return math.exp(
+        brentq(
+            lambda log_x: log_x + float(oriented(solute, solvent, temperature, math.exp(log_x))[0]) - ideal,
+            -20.0,
+            -1e-3,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("solute", "temperature", "grams_per_litre"),
+    [
+        # Aspirin: AAPS PharmSciTech 23 (2022), doi 10.1208/s12249-021-02192-7; the others as handbooks have them.
+        ("benzoic_acid", 298.15, 3.4),
+        ("salicylic_acid", 298.15, 2.4),
+        ("acetylsalicylic_acid", 310.15, 5.55),
+        ("acetanilide", 298.15, 5.4),
+        ("naphthalene", 298.15, 0.0317),
+    ],
+)
+def test_solids_dissolve_in_water_as_measured(solute: str, temperature: float, grams_per_litre: float) -> None:
+    x = solubility(solute, "water", temperature)
+    litre = x * shipped_materials()[solute].molar_mass_g_mol / (18.01528e-3 / 0.997)
+    assert litre == pytest.approx(grams_per_litre, rel=0.15)
+
+
+# The tool -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
+    pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    if not (ROOT / "tools" / "pairs.py").exists():
+        pytest.skip("tools/ is in the repository, not in what is installed")
+    made = tmp_path / "my_pairs.toml"
+    command = [sys.executable, "tools/pairs.py", "diethyl_ether", "dodecane", "--output", str(made)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    (pair,) = load_pairs([made]).values()
+    shipped = shipped_pairs()[frozenset(pair.of)]
+    for temperature, x in itertools.product((280.0, 400.0), (1e-9, 0.5)):
+        mine = log_gamma(pair, temperature, x) if pair.of == shipped.of else log_gamma(pair, temperature, 1.0 - x)[::-1]
+        np.testing.assert_allclose(mine, log_gamma(shipped, temperature, x), atol=0.02)
+
+
+def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
+    pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    if not (ROOT / "tools" / "pairs.py").exists():
+        pytest.skip("tools/ is in the repository, not in what is installed")
+    command = [sys.executable, "tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode != 0
+    assert "'water' with 'Na+'" in done.stderr
+    assert "Traceback" not in done.stderr
