@@ -403,8 +403,6 @@ class Bench(ABC):
             "work": np.zeros(
                 np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
             ),
-                np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
-            ),
         }
         self.rules = Table(declaration(**values, **self.rules_values()))
 
