@@ -21,6 +21,7 @@ from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
+from .heuristics.real import RealDistillationHeuristic, RealExtractionHeuristic, RealReactionHeuristic
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
@@ -40,12 +41,19 @@ __all__ = [
     "policy_names",
 ]
 
-_SCRIPTS: dict[str, type[Any]] = {
-    "reaction": ReactionHeuristic,
-    "extraction": ExtractionHeuristic,
-    "distillation": DistillationHeuristic,
+_SCRIPTS: dict[str, dict[str, type[Any]]] = {
+    "paper": {
+        "reaction": ReactionHeuristic,
+        "extraction": ExtractionHeuristic,
+        "distillation": DistillationHeuristic,
+    },
+    "real": {
+        "reaction": RealReactionHeuristic,
+        "extraction": RealExtractionHeuristic,
+        "distillation": RealDistillationHeuristic,
+    },
 }
-"""Scripted policies by kind of bench."""
+"""Scripted policies by tier of physics and kind of bench."""
 
 _UNSCRIPTED: set[str] = set()
 """Kinds of benches without a script that have been spoken of."""
@@ -270,7 +278,7 @@ def agent_policy(
 
 def is_scripted(bench: Bench) -> bool:
     """Whether there is a scripted policy for a kind of bench."""
-    return bench.spec.kind in _SCRIPTS
+    return bench.spec.kind in _SCRIPTS.get(bench.scenario.physics, {})
 
 
 def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
@@ -283,13 +291,13 @@ def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.Se
     """
     kind = bench.spec.kind
     if is_scripted(bench):
-        policy: Policy = _SCRIPTS[kind](bench, careful)
+        policy: Policy = _SCRIPTS[bench.scenario.physics][kind](bench, careful)
         return policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)
         warnings.warn(
             f"bench {bench.key!r} plays random legal actions: there is no scripted policy for kind {kind!r} "
-            f"(only for {', '.join(_SCRIPTS)})",
+            f"(only for {', '.join(_SCRIPTS.get(bench.scenario.physics, {}))})",
             stacklevel=2,
         )
     return RandomPolicy(_size(bench.action_space), seed)

@@ -91,8 +91,8 @@ def network(
     """A chemistry of reactions over materials 0, 1, ...
 
     Args:
-        steps: ``reactants`` and ``products`` (coefficients by number), ``k`` (pre-exponential), and optionally ``energy``
-            (J/mol), ``orders``, ``catalysts``, ``inhibitors``, ``equilibrium``.
+        steps: ``reactants`` and ``products`` (coefficients by number), ``k`` (pre-exponential), and optionally
+            ``energy`` (J/mol), ``orders``, ``catalysts``, ``inhibitors``, ``equilibrium``.
         species: how many materials.
         formation: J/mol, all 0 by default.
         fields: others of :class:`RealChemistry`.

@@ -117,7 +117,9 @@ class ManagerHeuristic:
         metal = {name for step in self._scenario.family.violent for name in step.reactants}
         plan = [self._rxn] if self._rxn else []
         if self._ext:
-            decant = self._careful and self._rxn is not None and bool(metal & set(self._scenario.stock))
+            # With real physics the reaction bench's script quenches it.
+            metals = self._scenario.physics == "paper" and bool(metal & set(self._scenario.stock))
+            decant = self._careful and self._rxn is not None and metals
             # Washing takes a salt away: where it is the goal, only the metal has to go.
             plan += [self._ext] * (2 if decant and goal not in self._salts else 1)
         return [*plan, *([self._dit] if self._dit else [])]

@@ -251,8 +251,8 @@ def _balance_species(chem: Handle, work: FloatArray) -> float:
 
 @inner
 def _heat_released(chem: Handle, work: FloatArray, proton: float, hydroxide: float) -> tuple[float, float]:
-    """(J at 298.15 K, change of heat capacity in J/K) of the change to the amounts in ``work``, with ``proton`` mol more
-    H+ and ``hydroxide`` mol more OH-, for which water went."""
+    """(J at 298.15 K, change of heat capacity in J/K) of the change to the amounts in ``work``, with ``proton`` mol
+    more H+ and ``hydroxide`` mol more OH-, for which water went."""
     chemistry = opened(RealChemistry, chem)
     h, oh, water = chemistry.ionization[0], chemistry.ionization[1], chemistry.ionization[2]
     heat = proton * chemistry.formation[h] + hydroxide * (chemistry.formation[oh] - chemistry.formation[water])

@@ -68,7 +68,7 @@ def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
         for i in range(n):
             if chemistry.violent[v, i] < 0.0:
                 extent = min(extent, row[AMOUNTS + i] / -chemistry.violent[v, i])
-        if not 0.0 < extent < math.inf:
+        if not TRACE_MOL < extent < math.inf:
             continue
         ran, first = True, True
         for i in range(n):
