@@ -22,11 +22,11 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..bench.base import CAMERA_PIXELS, Bench, Experiments
-from ..chemistry import ROLE_GAS, ROLE_ION, ROLE_SOLID
+from ..chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..laboratory.core import Laboratories
 from ..laboratory.experiments import ExperimentBatch
 from ..laboratory.state import COST_ITEMS, RUNNING
-from ..physics.constants import SOLIDS
+from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.layers import profile
 from ..scenario import Scenario
 from ..shelf import Shelf
@@ -289,7 +289,7 @@ class _Camera:
             layers, shares = self._layers, self._shares
             profile(vessel.row, self.shelf.chem(), layers, shares, self._work)
         volume, amounts = vessel.volume_l, vessel.amounts(_SHOWN_MOL)
-        listed, mixture = self._layered(amounts, layers, shares, max(vessel.capacity_l, volume))
+        listed, mixture = self._layered(vessel.row, amounts, layers, shares, max(vessel.capacity_l, volume))
         return VesselPicture(
             position=position,
             capacity_l=vessel.capacity_l,
@@ -303,7 +303,7 @@ class _Camera:
         )
 
     def _layered(
-        self, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
+        self, row: FloatArray, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
     ) -> tuple[list[LayerPicture], tuple[tuple[float, ...], ...]]:
         """Layers bottom first, and the mixture of the liquids if they are not separated."""
         names, chem = self.shelf.layout.materials, self.known
@@ -318,11 +318,31 @@ class _Camera:
             for name, mol in amounts.items():
                 i = names.index(name)
                 # Without a solvent ions are a crust of salt.
-                if chem.role[i] == ROLE_SOLID or (chem.role[i] == ROLE_ION and not self._wet(kinds)):
+                if self.shelf.layout.most_layers and chem.dissolved_at[i] >= 0:
+                    mol = max(mol - float(self._dissolved(row)[chem.dissolved_at[i]].sum()), 0.0)  # its crystals
+                elif chem.role[i] != ROLE_SOLID and (chem.role[i] != ROLE_ION or self._wet(kinds)):
+                    continue
+                if mol > _SHOWN_MOL:
                     solids.append((float(chem.density[i]), i, mol * float(chem.molar_volume[i])))
             listed = [self._layer(i, "solid", v) for _, i, v in sorted(solids, reverse=True)]
-        listed += [self._layer(int(kinds[c]), "liquid", float(volumes[c])) for c in liquids]
+        listed += [self._liquid(row, int(kinds[c]), float(volumes[c])) for c in liquids]
         return listed, _mixture(columns[liquids]) if len(liquids) > 1 else ()
+
+    def _dissolved(self, row: FloatArray) -> FloatArray:
+        """[K, L] mol of what dissolves, in each solvent or phase."""
+        layout = self.shelf.layout
+        return row[AMOUNTS + len(layout.materials) :].reshape(len(layout.dissolved), -1)
+
+    def _liquid(self, row: FloatArray, kind: int, volume_l: float) -> LayerPicture:
+        """A layer of one liquid; or of a phase, in the colour of what it holds, by volume."""
+        if kind > FIRST_PHASE:
+            return self._layer(kind, "liquid", volume_l)
+        phase = FIRST_PHASE - kind
+        litres = self._dissolved(row)[:, phase] * self.known.molar_volume[self.known.dissolved]
+        colors = np.array([list(bytes.fromhex(self.colors[i][1:])) for i in self.known.dissolved])
+        mixed = litres @ colors / max(litres.sum(), 1e-300)
+        color = "#" + bytes(np.rint(mixed).astype(np.uint8).tolist()).hex()
+        return LayerPicture(self.shelf.layout.solvents[phase], "liquid", volume_l, color)
 
     def _wet(self, kinds: IntArray) -> bool:
         return bool(np.isin(kinds, self.known.solvents).any())

@@ -5,15 +5,11 @@ from __future__ import annotations
 from ....arrays import FloatArray, Handle, IntArray
 from ....chemistry import AMOUNTS, CAPACITY, ROLE_SOLID
 from ....jit import helper, opened
-from ...constants import SOLIDS, TRACE_MOL
+from ...constants import FIRST_PHASE, SOLIDS, TRACE_MOL
 from .chemistry import RealChemistry
 from .heats import crystals
 
 __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_volume"]
-
-_PHASES = -3
-"""Code of the aqueous layer; the organic one is the next below."""
-
 
 @helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
@@ -34,7 +30,7 @@ def solid_volume(row: FloatArray, chem: Handle) -> float:
 def _phase(row: FloatArray, code: int, weights: FloatArray, chem: Handle) -> float:
     """Sum of mol x weight over what a liquid layer holds."""
     chemistry = opened(RealChemistry, chem)
-    at = AMOUNTS + chemistry.role.shape[0] + (_PHASES - code)
+    at = AMOUNTS + chemistry.role.shape[0] + (FIRST_PHASE - code)
     total = 0.0
     for k in range(chemistry.dissolved.shape[0]):
         total += row[at + 2 * k] * weights[chemistry.dissolved[k]]
@@ -45,7 +41,7 @@ def _phase(row: FloatArray, code: int, weights: FloatArray, chem: Handle) -> flo
 def layer_density(row: FloatArray, code: int, chem: Handle) -> float:
     """kg/L of a layer."""
     chemistry = opened(RealChemistry, chem)
-    if code > _PHASES:
+    if code > FIRST_PHASE:
         return float(chemistry.density[code])
     litres = _phase(row, code, chemistry.molar_volume, chem)
     return 1e-3 * _phase(row, code, chemistry.molar_mass, chem) / litres if litres > 0.0 else 0.0
@@ -55,9 +51,9 @@ def layer_density(row: FloatArray, code: int, chem: Handle) -> float:
 def layer_shade(row: FloatArray, code: int, chem: Handle) -> float:
     """Grey value of a layer: its materials', by volume."""
     chemistry = opened(RealChemistry, chem)
-    if code > _PHASES:
+    if code > FIRST_PHASE:
         return float(chemistry.shade[code])
-    at = AMOUNTS + chemistry.role.shape[0] + (_PHASES - code)
+    at = AMOUNTS + chemistry.role.shape[0] + (FIRST_PHASE - code)
     litres, shade = 0.0, 0.0
     for k in range(chemistry.dissolved.shape[0]):
         i = chemistry.dissolved[k]
@@ -74,9 +70,9 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     layers[1], volumes[0] = SOLIDS, solid_volume(row, chem)
     count = 1
     for phase in range(2):
-        litres = _phase(row, _PHASES - phase, chemistry.molar_volume, chem)
+        litres = _phase(row, FIRST_PHASE - phase, chemistry.molar_volume, chem)
         if litres > TRACE_MOL:
-            layers[1 + count], volumes[count] = _PHASES - phase, litres
+            layers[1 + count], volumes[count] = FIRST_PHASE - phase, litres
             count += 1
     if count == 3 and layer_density(row, layers[2], chem) < layer_density(row, layers[3], chem):
         layers[2], layers[3] = layers[3], layers[2]
@@ -106,7 +102,7 @@ def drain_layer(source: FloatArray, target: FloatArray, code: int, share: float,
         if code == SOLIDS:
             moved = crystals(source, chem, k) * share if chemistry.fusion[i] > 0.0 else 0.0
         else:
-            at = AMOUNTS + m + 2 * k + (_PHASES - code)
+            at = AMOUNTS + m + 2 * k + (FIRST_PHASE - code)
             moved = min(source[at] * share, source[AMOUNTS + i])
             source[at] -= moved
             target[at] += moved
