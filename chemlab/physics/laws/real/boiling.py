@@ -24,6 +24,10 @@ __all__ = ["heat"]
 _STEP = 0.08
 """Share of the liquid that may boil off in a step of the integration (second order)."""
 _MOST_STEPS = 400
+_SHORT = 0.999
+"""Of the heat that is left, what a step may take that would have taken more."""
+_TRIFLE = 2e-3
+"""Of the heat, what may go into warmth alone at the end."""
 
 
 @inner
@@ -109,7 +113,7 @@ def heat(
         mol = _STEP * everything
         for a in range(n):
             before[a] = liquids.mol[a]
-        for _attempt in range(4):
+        for _attempt in range(6):
             price = (1.0 + returned) * _latent(n, boiling, partial, chem, liquids)
             mol = min(mol, left / price)
             if trays > 0:
@@ -118,7 +122,7 @@ def heat(
             _evaporate(n, 0.5 * mol, partial, before, before, liquids)
             for a in range(n):
                 halfway[a] = liquids.mol[a]
-            bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
+            warmer = bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
             if trays > 0:
                 overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
             _evaporate(n, mol, partial, before, halfway, liquids)
@@ -129,9 +133,11 @@ def heat(
                 spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
                 after -= gone * chemistry.heat_capacity[i]
             spent *= 1.0 + returned
-            if spent <= left * (1.0 + 1e-12):
+            # The pot goes along with its boiling point.
+            warming = 2.0 * max(min(warmer, hottest) - boiling, 0.0) * max(after, 0.0)
+            if spent + warming <= left * (1.0 + 1e-12):
                 break
-            mol *= 0.98 * left / spent
+            mol *= _SHORT * left / (spent + warming)
             for a in range(n):
                 liquids.mol[a] = before[a]
             bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
@@ -144,6 +150,11 @@ def heat(
         left -= spent
         boiled = True
         write_back(row, n, chem, liquids)
+        warming = min(warming, max(left, 0.0))
+        left -= warming
+        row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
+        if left <= _TRIFLE * joules:
+            break
     if boiled:
         for a in range(n):
             add(receiver, int(liquids.who[a]), distilled[a], chemistry.ambient_temperature, chem, waste, events)
