@@ -145,11 +145,12 @@ def log_gamma(pair: Pair, temperature: float, x: float) -> np.ndarray:
 
 
 GROUPS: dict[str, dict[int, int]] = {
-    # Numbers of the Dortmund form: CH3 1, CH2 2, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25, COOH 42,
-    # CH2Cl 44, CHCl 45.
+    # Numbers of the Dortmund form: CH3 1, CH2 2, CH2=CH 5, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25,
+    # COOH 42, CH2Cl 44, CHCl 45.
     "diethyl_ether": {1: 2, 2: 1, 25: 1},
     "water": {16: 1},
     "hexane": {1: 2, 2: 4},
+    "1-hexene": {1: 1, 2: 3, 5: 1},
     "dodecane": {1: 2, 2: 10},
     "ethyl_acetate": {1: 1, 2: 1, 21: 1},
     "1-chlorohexane": {1: 1, 2: 4, 44: 1},
@@ -175,8 +176,7 @@ APART = [
     ("dodecane", "water"),
     ("1-chlorohexane", "water"),
     ("2-chlorohexane", "water"),
-    ("diethyl_ether", "water"),
-    ("ethyl_acetate", "water"),
+    ("1-hexene", "water"),
     ("toluene", "water"),
 ]
 

@@ -46,8 +46,11 @@ ALPHAS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.47, 0.55, 0.65)
 """Renon and Prausnitz propose 0.2 to 0.47; mixtures of alcohols often want more, those that hardly mix less."""
 _DILUTE = 0.03
 _LIGHT = 0.1
-_SHAPE = 0.05
+_MEASURED_ALPHAS = (0.2, 0.3, 0.4, 0.47)
+_SHAPE = 0.02
 """Weight of UNIFAC's ln gamma of the solvent beside a measured solubility."""
+_SMALL = 0.01
+"""Weight of the parameters there."""
 _ENDS = 3.0
 """Weight of infinite dilution against one mixture."""
 _PASSES = 6
@@ -216,14 +219,26 @@ class Measured:
     source: str
 
 
-def measured_pairs(path: Path = SOLUBILITIES) -> dict[frozenset[str], Measured]:
+@dataclass(frozen=True)
+class Mutual:
+    """What two liquids take up of each other: mole fractions by temperature."""
+
+    first: str
+    second: str
+    temperature_k: Array
+    first_in_second: Array
+    second_in_first: Array
+    source: str
+
+
+def measured_pairs(path: Path = SOLUBILITIES) -> dict[frozenset[str], Measured | Mutual]:
     """What was measured, by pair."""
-    out = {}
-    for row in read_toml(path)["solubility"]:
-        numbers = {key: np.array(row[key]) for key in ("temperature_k", "mole_fraction")}
-        out[frozenset((row["solute"], row["solvent"]))] = Measured(
-            row["solute"], row["solvent"], numbers["temperature_k"], numbers["mole_fraction"], row["source"]
-        )
+    out: dict[frozenset[str], Measured | Mutual] = {}
+    tables = read_toml(path)
+    for row in [*tables["solubility"], *tables["mutual"]]:
+        arrays: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in row.items()}
+        made = Measured(**arrays) if "solute" in row else Mutual(**arrays)
+        out[frozenset((made.solute, made.solvent) if isinstance(made, Measured) else (made.first, made.second))] = made
     return out
 
 
@@ -236,33 +251,60 @@ def ideal_solubility(material: Material, temperature_k: Array) -> Array:
     return np.asarray(-heat * (1.0 / temperature_k - 1.0 / material.melting_point_k))
 
 
-def fit_measured(measured: Measured, solute: Material, log_gamma: Array, alpha: float = 0.3) -> Fit:
-    """NRTL parameters that give the measured solubilities, and otherwise stay as close to ``log_gamma`` (of solute and
-    solvent) as that allows. The error is that of the measured ln gamma."""
+def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
+    """NRTL parameters that give the measured solubilities, and are otherwise small, with little of them independent of
+    temperature; where the two do not mix, the solvent has the ``log_gamma`` (of solute and solvent) of UNIFAC as far as
+    that allows. The error is that of the measured ln gamma."""
     temperature, x = measured.temperature_k, measured.mole_fraction
     wanted = ideal_solubility(solute, temperature) - np.log(x)
     near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
-    kept = stable(log_gamma)[near]
+    one_liquid = stable(log_gamma)
+    kept = one_liquid[near]
+    apart = 0.0 if one_liquid.all() else _SHAPE
+    scale = np.array([0.3, 0.3, 300.0, 300.0])
 
-    def off(p: Array) -> Array:
+    def off(p: Array, alpha: float) -> Array:
         return np.array([nrtl(p, alpha, temperature[i : i + 1], x[i : i + 1])[0, 0, 0] for i in range(len(x))]) - wanted
 
-    def residuals(p: Array) -> Array:
-        full = np.array([*p, 0.0, 0.0])
-        shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
-        return np.concatenate([off(full), _SHAPE * np.where(kept, shape, 0.0).ravel(), _RIDGE * p / scale])
+    scored: list[tuple[float, Fit]] = []
+    for alpha in _MEASURED_ALPHAS:
 
-    scale = np.array([1.0, 1.0, 300.0, 300.0])
-    found = least_squares(residuals, np.array([1.0, 1.0, 100.0, 100.0]), x_scale=scale, max_nfev=500)
-    parameters = np.array([*found.x, 0.0, 0.0])
-    return Fit(parameters, alpha, float(np.abs(off(parameters)).max()))
+        def residuals(p: Array, alpha: float = alpha) -> Array:
+            full = np.array([*p, 0.0, 0.0])
+            shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
+            return np.concatenate([off(full, alpha), apart * np.where(kept, shape, 0.0).ravel(), _SMALL * p / scale])
+
+        found = least_squares(residuals, np.array([0.1, 0.1, 100.0, 100.0]), x_scale=scale, max_nfev=500)
+        parameters = np.array([*found.x, 0.0, 0.0])
+        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, TEMPERATURES_K, FRACTIONS)), axis=1)
+        made = Fit(parameters, alpha, float(np.abs(off(parameters, alpha)).max()))
+        scored.append((float(found.cost) + _MADE_UP * int(np.sum(made_up & np.all(one_liquid, axis=1))), made))
+    return min(scored, key=lambda pair: pair[0])[1]
+
+
+def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
+    """NRTL parameters by which both liquids have equal activities in the two layers; Renon and Prausnitz propose this
+    alpha for what does not mix. The error is that of ln of the activities."""
+    temperature = mutual.temperature_k
+    poor, rich = mutual.first_in_second, 1.0 - mutual.second_in_first
+    ideal = np.log(np.stack([poor / rich, (1.0 - poor) / (1.0 - rich)], axis=-1))
+
+    def off(p: Array) -> Array:
+        full, out = np.array([*p, 0.0, 0.0]), np.array(ideal)
+        for i in range(len(poor)):
+            layers = nrtl(full, alpha, temperature[i : i + 1], np.array([poor[i], rich[i]]))[0]
+            out[i] += layers[0] - layers[1]
+        return out.ravel()
+
+    found = least_squares(off, np.array([0.0, 0.0, 300.0, 1000.0]), x_scale=np.array([1.0, 1.0, 300.0, 300.0]))
+    return Fit(np.array([*found.x, 0.0, 0.0]), alpha, float(np.abs(off(found.x)).max()))
 
 
 def described(
     names: tuple[str, str],
     materials: Mapping[str, Material],
     forms: list[Model],
-    measured: Mapping[frozenset[str], Measured],
+    measured: Mapping[frozenset[str], Measured | Mutual],
     known: dict[Any, Fit],
 ) -> dict[str, Any]:
     """A row of the pair file.
@@ -282,15 +324,19 @@ def described(
         borrowed = [name for name in names if name in GROUPS]
         if borrowed:
             source += f", {' and '.join(borrowed)} by the groups of an isomer"
-        if given is not None:
+        if isinstance(given, Measured):
             if given.solute != names[0]:
                 log_gamma = log_gamma[:, ::-1, ::-1]
             found = fit_measured(given, materials[given.solute], log_gamma)
             names, source = (given.solute, given.solvent), f"solubility of {given.solute}: {given.source}"
-            low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
+        elif isinstance(given, Mutual):
+            found = fit_mutual(given)
+            names, source = (given.first, given.second), f"mutual solubilities: {given.source}"
         else:
             key = (form.name, *(tuple(sorted(g.items())) for g in both))
             found = known[key] = known.get(key) or fit(log_gamma)
+        if given is not None:
+            low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
         p = [float(f"{v:.7g}") for v in found.parameters]
         return {
             "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
