@@ -24,6 +24,7 @@ __all__ = ["heat"]
 _STEP = 0.08
 """Share of the liquid that may boil off in a step of the integration (second order)."""
 _MOST_STEPS = 400
+_MOST_ATTEMPTS = 6
 _SHORT = 0.999
 """Of the heat that is left, what a step may take that would have taken more."""
 _TRIFLE = 2e-3
@@ -113,7 +114,7 @@ def heat(
         mol = _STEP * everything
         for a in range(n):
             before[a] = liquids.mol[a]
-        for _attempt in range(6):
+        for attempt in range(_MOST_ATTEMPTS):
             price = (1.0 + returned) * _latent(n, boiling, partial, chem, liquids)
             mol = min(mol, left / price)
             if trays > 0:
@@ -135,7 +136,7 @@ def heat(
             spent *= 1.0 + returned
             # The pot goes along with its boiling point.
             warming = 2.0 * max(min(warmer, hottest) - boiling, 0.0) * max(after, 0.0)
-            if spent + warming <= left * (1.0 + 1e-12):
+            if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
                 break
             mol *= _SHORT * left / (spent + warming)
             for a in range(n):
@@ -150,7 +151,7 @@ def heat(
         left -= spent
         boiled = True
         write_back(row, n, chem, liquids)
-        warming = min(warming, max(left, 0.0))
+        warming = min(warming, left)  # below 0 if the vapour took more than there was: from the pot's own heat
         left -= warming
         row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
         if left <= _TRIFLE * joules:

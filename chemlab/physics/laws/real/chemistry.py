@@ -98,8 +98,12 @@ def _curves(materials: list[Material]) -> dict[str, FloatArray]:
     return {"vapor": vapor, "vaporizing": vaporizing, "curve": np.array([_INVERSE[0], _INVERSE[1] - _INVERSE[0]])}
 
 
-def _heats(names: list[str], materials: list[Material], where: str) -> dict[str, FloatArray]:
-    """Formation enthalpies (of fluids: liquid), heats of fusion, melting points."""
+def _heats(names: list[str], materials: list[Material], ambient: float, where: str) -> dict[str, FloatArray]:
+    """Formation enthalpies (of fluids: liquid), heats of fusion, melting points.
+
+    What is liquid at room temperature does not freeze: what is poured into a cold vessel would have to say whether it
+    is a liquid or its crystals.
+    """
     formation, fusion, melting = np.zeros((3, len(names)))
     for i, (name, material) in enumerate(zip(names, materials, strict=True)):
         real = material.real
@@ -110,10 +114,11 @@ def _heats(names: list[str], materials: list[Material], where: str) -> dict[str,
             )
         formation[i] = real.formation_enthalpy_j_mol
         fluid = material.role in ("solvent", "solute")
-        if real.fusion_enthalpy_j_mol is not None and material.melting_point_k is not None and fluid:
-            fusion[i], melting[i] = real.fusion_enthalpy_j_mol, material.melting_point_k
+        melts, heat = material.melting_point_k, real.fusion_enthalpy_j_mol
+        if fluid and heat is not None and melts is not None and melts > ambient:
+            fusion[i], melting[i] = heat, melts
         if fluid and real.formation_state == "s":
-            formation[i] += fusion[i]
+            formation[i] += heat or 0.0
         if fluid and real.formation_state == "g":
             raise DataError(f"{where}: materials: {name!r}: real.formation_state: of a liquid it must be 'l' or 's'")
     return {"formation": formation, "fusion": fusion, "melting": melting}
@@ -160,7 +165,7 @@ def build(scenario: Scenario, layout: Layout, values: Chemistry) -> tuple[Layout
     for part, matrix in enumerate(pair_table([names[i] for i in molecules], scenario.pairs)):
         nrtl[np.ix_(molecules, molecules, [part])] = np.asarray(matrix)[:, :, None]
     every = np.arange(len(names))
-    heats = _heats(names, table, scenario.origin)
+    heats = _heats(names, table, scenario.ambient_temperature_k, scenario.origin)
     water = names.index("water") if "water" in names else -1
     first = molecules[0] if molecules else 0
     made: Mapping[str, Any] = {

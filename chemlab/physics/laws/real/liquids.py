@@ -242,7 +242,7 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
             fraction = liquids.mol[a] / total / (1.0 + beta * (ratio[a] - 1.0))
             liquids.x[a] = fraction
             liquids.x[n + a] = fraction * ratio[a]
-            liquids.share[a] = beta * fraction * ratio[a] * total / liquids.mol[a]
+            liquids.share[a] = beta * ratio[a] / (1.0 + beta * (ratio[a] - 1.0))
             aqueous += (1.0 - beta) * fraction * total
         nrtl(n, AQUEOUS, liquids)
         nrtl(n, ORGANIC, liquids)

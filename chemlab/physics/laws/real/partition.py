@@ -12,6 +12,9 @@ from .liquids import clear_liquids, gather, split
 
 __all__ = ["crystallizes", "partition", "place_new"]
 
+_LEAST_SHARE = 1e-9
+"""Of a fluid; where less of it has a place, that says nothing about where the rest belongs."""
+
 
 @helper
 def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
@@ -39,12 +42,13 @@ def place_new(row: FloatArray, chem: Handle) -> float:
             row[at + AQUEOUS] *= scale
             row[at + ORGANIC] *= scale
         elif placed < total and not crystallizes(row, chem, i):
-            if placed > 0.0:
+            if placed > _LEAST_SHARE * total:
                 row[at + AQUEOUS] *= total / placed
                 row[at + ORGANIC] = total - row[at + AQUEOUS]
             else:
                 home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
                 row[at + home] = total
+                row[at + AQUEOUS + ORGANIC - home] = 0.0
             moved += total - placed
     return moved
 
