@@ -1,0 +1,324 @@
+"""The laws of the tier ``real`` together: against independent integrations, closed forms and conservation."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.chemistry import AIR, AMOUNTS, CLOCK, TEMPERATURE, element_matrix
+from chemlab.pairs import log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.physics import laws
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.physics.laws.real.heats import enthalpy
+from chemlab.physics.laws.real.partition import place_new
+from chemlab.physics.thermal import pressure
+from chemlab.physics.transfer import pour
+from chemlab.scenario import Scenario, load_scenario
+from chemlab.shelf import T_MIX, Shelf
+
+VALIDATION = Path(__file__).resolve().parents[2] / "validate"
+
+
+def scenario(*names: str, reactions: str = "salt_water") -> Scenario:
+    """A laboratory of the real tier with some materials in its bottles."""
+    return load_scenario(
+        {
+            "name": "glass",
+            "title": "glass",
+            "summary": "glass",
+            "physics": "real",
+            "reactions": reactions,
+            "goals": [names[0]],
+            "lab_goals": [names[0]],
+            "theoretical_maximum_mol": {names[0]: 1.0},
+            "stock": dict.fromkeys(names, 1.0),
+            "shelf": {"slots": 2, "vessel": [{"capacity_l": 1.0}]},
+            "benches": {"dit": {"kind": "distillation"}},
+            "limits": {"manager_actions": 10, "ticks": 10},
+        }
+    )
+
+
+class Glass:
+    """Three vessels of one chemistry, and the laws by name."""
+
+    def __init__(self, *names: str, reactions: str = "salt_water") -> None:
+        self.scenario = scenario(*names, reactions=reactions)
+        self.shelf = Shelf.empty(self.scenario, 1, 3)
+        self.names = list(self.shelf.layout.materials)
+        self.chem: Any = self.shelf.chem()
+        self.rows, self.waste = self.shelf.rows, self.shelf.waste[0]
+        self.events = np.zeros(len(self.scenario.safety_events))
+        self.work = np.zeros(np.maximum(laws.work_size(self.shelf.chemistry), (4, 64)))
+
+    def fill(self, position: int, contents: dict[str, float], capacity_l: float = 5.0, kelvin: float = 298.15) -> None:
+        """Contents at equilibrium at a temperature."""
+        self.shelf.fill(0, position, capacity_l, contents)
+        self.rows[position, TEMPERATURE] = kelvin
+        self.stir(position)
+
+    def stir(self, position: int) -> None:
+        """Bring the phases to equilibrium."""
+        self.rows[position, CLOCK] = T_MIX
+        laws.partition(self.rows[position], self.chem, self.work)
+
+    def mol(self, position: int, name: str) -> float:
+        """mol of a material."""
+        return float(self.rows[position, AMOUNTS + self.names.index(name)])
+
+    def phases(self, position: int) -> dict[str, tuple[float, float]]:
+        """{fluid: (mol in water, mol in the organic phase)}."""
+        dissolved = self.shelf.dissolved[0, position]
+        return {n: (float(a), float(b)) for n, (a, b) in zip(self.shelf.layout.dissolved, dissolved, strict=True)}
+
+    def heat(self, joules: float, stages: int = 1, reflux: float = 0.0) -> tuple[float, float]:
+        """Boil vessel 0 into vessel 1."""
+        limits = np.array([850.0, 250.0, stages, reflux])
+        made: Any = laws.heat(self.rows[0], self.rows[1], joules, limits, self.chem, self.waste, self.events)
+        return float(made[0]), float(made[1])
+
+
+# -- distillation -----------------------------------------------------------------------------------------------------
+
+CHARGES = {
+    "ether, dodecane": ({"diethyl_ether": 4.0, "dodecane": 0.45}, "dodecane"),
+    "ether, 1-chlorohexane, dodecane": ({"diethyl_ether": 4.0, "1-chlorohexane": 0.5, "dodecane": 0.25}, "dodecane"),
+}
+
+
+def judged(charge: str) -> list[tuple[float, float, float]]:
+    """(purity, recovery, K) of an independent integration with UNIFAC (validate/distillation.py)."""
+    with (VALIDATION / "distillation.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["charge"] == charge]
+    return [(float(r["purity"]), float(r["recovery"]), float(r["pot_k"])) for r in rows if float(r["purity"]) >= 0.95]
+
+
+@pytest.mark.parametrize("charge", CHARGES)
+def test_distillation_follows_an_independent_rayleigh_integration(charge: str) -> None:
+    contents, kept = CHARGES[charge]
+    glass = Glass(*contents)
+    glass.fill(0, contents)
+    glass.fill(1, {})
+    for purity, recovery, kelvin in judged(charge)[:4]:
+        while glass.mol(0, kept) / sum(glass.mol(0, name) for name in contents) < purity:
+            glass.heat(100.0)
+        assert glass.mol(0, kept) / contents[kept] == pytest.approx(recovery, abs=0.1)
+        assert glass.rows[0, TEMPERATURE] == pytest.approx(kelvin, abs=2.0)
+
+
+def test_a_step_of_heating_may_be_cut_in_parts() -> None:
+    contents = {"diethyl_ether": 4.0, "1-chlorohexane": 0.5, "dodecane": 0.25}
+    left = []
+    for parts in (1, 40):
+        glass = Glass(*contents)
+        glass.fill(0, contents)
+        glass.fill(1, {})
+        for _ in range(parts):
+            glass.heat(120_000.0 / parts)
+        left.append([glass.mol(0, name) for name in contents] + [glass.rows[0, TEMPERATURE] / 300.0])
+    np.testing.assert_allclose(left[0], left[1], rtol=0.01, atol=2e-3)
+
+
+AZEOTROPES = {
+    # literature: Gmehling et al., Azeotropic Data, as in the CRC Handbook of Chemistry and Physics
+    ("ethanol", "water"): (351.3, 0.894),
+    ("ethyl_acetate", "ethanol"): (344.9, 0.54),
+}
+
+
+@pytest.mark.parametrize("pair", AZEOTROPES)
+def test_azeotropes(pair: tuple[str, str]) -> None:
+    kelvin, fraction = AZEOTROPES[pair]
+    first, second = pair
+
+    def boiled(x: float) -> tuple[float, float]:
+        """(boiling point, enrichment of the first in the vapour) of a mixture."""
+        glass = Glass(*pair)
+        glass.fill(0, {first: 10.0 * x, second: 10.0 * (1.0 - x)}, kelvin=330.0)
+        glass.fill(1, {})
+        while glass.mol(1, first) + glass.mol(1, second) < 0.05:
+            glass.heat(1000.0)
+        over = glass.mol(1, first) / (glass.mol(1, first) + glass.mol(1, second))
+        return float(glass.rows[0, TEMPERATURE]), over - x
+
+    low, high = 0.3, 0.98
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if boiled(middle)[1] > 0.0 else (low, middle)
+    assert low == pytest.approx(fraction, abs=0.03)
+    assert boiled(low)[0] == pytest.approx(kelvin, abs=1.5)
+
+
+@pytest.mark.parametrize("stages", [1, 3, 6])
+def test_a_column_at_high_reflux_separates_as_fenske_says(stages: int) -> None:
+    # Isomers: all but ideal, and of nearly constant relative volatility, so Fenske's equation (1932) holds.
+    glass = Glass("1-chlorohexane", "3-chlorohexane")
+    glass.fill(0, {"1-chlorohexane": 20.0, "3-chlorohexane": 20.0}, kelvin=400.0)
+    glass.fill(1, {})
+    while glass.mol(1, "3-chlorohexane") == 0.0:
+        glass.heat(20_000.0, stages=stages, reflux=100.0)
+    over = glass.mol(1, "3-chlorohexane") / glass.mol(1, "1-chlorohexane")
+    materials = glass.scenario.materials
+
+    def pascal(name: str, kelvin: float) -> float:
+        real = materials[name].real
+        assert real is not None and real.vapor_pressure is not None
+        return float(real.vapor_pressure.pascal(kelvin))
+
+    alpha = pascal("3-chlorohexane", glass.rows[0, TEMPERATURE]) / pascal("1-chlorohexane", glass.rows[0, TEMPERATURE])
+    assert np.log(over) == pytest.approx(stages * np.log(alpha), rel=0.05)
+
+
+def test_boiling_closes_the_energy_balance() -> None:
+    contents = {"water": 5.0, "diethyl_ether": 2.0, "1-chlorohexane": 0.5}
+    for stages, reflux in ((1, 0.0), (4, 2.0)):
+        glass = Glass(*contents)
+        glass.fill(0, contents)
+        glass.fill(1, {})
+        before = enthalpy(glass.rows[0], glass.chem)
+        for joules in (20_000.0, 100_000.0, -30_000.0, 300_000.0):
+            taken, condensed = glass.heat(joules, stages, reflux)
+            before += taken - condensed
+        place_new(glass.rows[1], glass.chem)
+        after = enthalpy(glass.rows[0], glass.chem) + enthalpy(glass.rows[1], glass.chem)
+        assert after == pytest.approx(before, rel=1e-12)
+
+
+# -- liquids and solids ----------------------------------------------------------------------------------------------
+
+
+def test_what_water_dissolves() -> None:
+    glass = Glass("water", "diethyl_ether", "NaCl", "1-chlorohexane", "dodecane")
+    glass.fill(0, {"water": 1000.0 / 18.01528, "NaCl": 20.0})
+    laws.settle_phases(glass.rows[0], glass.chem, glass.waste, glass.events, glass.work)
+    assert glass.mol(0, "Na+") == pytest.approx(6.15, rel=0.02)  # CRC Handbook: 26.4 % by mass at 298 K
+    glass.fill(1, {"diethyl_ether": 9.6, "NaCl": 1.0})
+    laws.settle_phases(glass.rows[1], glass.chem, glass.waste, glass.events, glass.work)
+    assert glass.mol(1, "Na+") < 1e-6
+    glass.fill(2, {"water": 20.0, "diethyl_ether": 4.0, "1-chlorohexane": 0.1, "dodecane": 0.1})
+    phases = glass.phases(2)
+    for name in ("1-chlorohexane", "dodecane"):
+        assert phases[name][0] < 2e-3 * phases[name][1]
+
+
+@pytest.mark.parametrize("solute", ["1-chlorohexane", "ethanol", "benzoic_acid"])
+@pytest.mark.parametrize("solvent", ["diethyl_ether", "toluene"])
+def test_distribution_is_that_of_the_pairs(solute: str, solvent: str) -> None:
+    # validate/distribution.csv: the same pairs, at infinite dilution, by plain Python.
+    with (VALIDATION / "distribution.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if (row["solute"], row["solvent"]) == (solute, solvent)]
+    glass = Glass("water", solvent, solute)
+    glass.fill(0, {"water": 20.0, solvent: 20.0, solute: 1e-6})
+    if solute == "benzoic_acid":  # it lies in the vessel as crystals
+        for _ in range(200):
+            laws.elapse(glass.rows[0], 1.0, glass.chem, glass.waste, glass.events, glass.work)
+        glass.stir(0)
+    phases, known = glass.phases(0), glass.shelf.known()
+    litres = [sum(phases[n][p] * known.molar_volume[glass.names.index(n)] for n in phases) for p in range(2)]
+    aqueous, organic = (phases[solute][p] / litres[p] for p in range(2))
+    assert np.log10(organic / aqueous) == pytest.approx(float(rows[0]["shipped"]), abs=0.1)
+
+
+def test_molecules_have_one_activity_in_both_phases() -> None:
+    contents = {"water": 10.0, "diethyl_ether": 3.0, "ethanol": 1.0, "1-chlorohexane": 0.3, "benzoic_acid": 0.05}
+    names = list(contents)
+    glass = Glass(*names)
+    glass.fill(0, contents, kelvin=400.0)  # above its melting point benzoic acid is a liquid like the others
+    phases = glass.phases(0)
+    table = pair_table(names, shipped_pairs())
+    activities = []
+    for phase in range(2):
+        x = np.array([phases[name][phase] for name in names])
+        x /= x.sum()
+        activities.append(np.log(x) + log_activity_coefficients(x, table.tau(400.0), table.alpha))
+    np.testing.assert_allclose(activities[0], activities[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("solvent", ["water", "ethanol", "toluene"])
+def test_a_slurry_comes_to_saturation_from_both_sides(solvent: str) -> None:
+    # x gamma = exp(-dHfus / R (1/T - 1/Tm)), with the activity coefficients of an independent function.
+    names = ("benzoic_acid", solvent)
+    glass = Glass(*names)
+    material = glass.scenario.materials["benzoic_acid"]
+    assert material.real is not None and material.real.fusion_enthalpy_j_mol is not None
+    assert material.melting_point_k is not None
+    table = pair_table(names, shipped_pairs())
+    for begin in (298.15, 340.0):
+        glass.fill(0, {solvent: 10.0, "benzoic_acid": 6.0}, kelvin=begin)
+        for tick in range(3000):
+            glass.rows[0, TEMPERATURE] = 298.15 if tick else begin
+            laws.elapse(glass.rows[0], 1.0, glass.chem, glass.waste, glass.events, glass.work)
+        dissolved = sum(glass.phases(0)["benzoic_acid"])
+        x = np.array([dissolved, 10.0]) / (dissolved + 10.0)
+        kelvin = float(glass.rows[0, TEMPERATURE])
+        activity = np.log(x) + log_activity_coefficients(x, table.tau(kelvin), table.alpha)
+        ideal = -material.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / kelvin - 1.0 / material.melting_point_k)
+        assert activity[0] == pytest.approx(ideal, abs=1e-3)
+
+
+# -- everything at once ----------------------------------------------------------------------------------------------
+
+
+def test_random_operations_keep_atoms_and_energy() -> None:
+    glass = Glass(
+        "dodecane", "1-chlorohexane", "ethanol", "water", "diethyl_ether", "Na", "sodium_ethoxide", "NaCl", "NaOH",
+        reactions="wurtz_real",
+    )  # fmt: skip
+    atoms = element_matrix(glass.scenario)
+    rng = np.random.default_rng(5)
+    bottles = list(glass.scenario.stock)
+
+    def heat_content() -> float:
+        total = 0.0
+        for row in glass.rows:
+            place_new(row, glass.chem)
+            total += enthalpy(row, glass.chem)
+        return total
+
+    for _episode in range(150):
+        for position in range(3):
+            chosen = rng.choice(bottles, rng.integers(0, 5), replace=False)
+            glass.fill(position, {str(name): float(rng.exponential(0.5)) for name in chosen}, rng.uniform(0.5, 3.0))
+        glass.waste[:] = 0.0
+        for _turn in range(20):
+            one, other = (int(i) for i in rng.choice(3, 2, replace=False))
+            row, kind = glass.rows[one], int(rng.integers(6))
+            before = atoms @ (glass.shelf.amounts[0].sum(axis=0) + glass.waste)
+            content, lost = heat_content(), glass.waste.copy()
+            balance: float | None = 0.0
+            if kind == 0:
+                laws.settle_phases(row, glass.chem, glass.waste, glass.events, glass.work)
+            elif kind == 1:
+                row[CLOCK] = rng.uniform(T_MIX, T_MIX + 6.0)
+                laws.partition(row, glass.chem, glass.work)
+            elif kind == 2:
+                limits = np.array([800.0, 250.0, rng.integers(1, 5), 1.0])
+                made: Any = laws.heat(
+                    row, glass.rows[other], rng.normal(0, 3e4), limits, glass.chem, glass.waste, glass.events
+                )
+                balance = float(made[0] - made[1])
+            elif kind == 3:
+                laws.elapse(row, rng.uniform(0, 5), glass.chem, glass.waste, glass.events, glass.work)
+                balance = None  # heat goes to the room
+            elif kind == 4:
+                laws.react(row, glass.chem, rng.uniform(0, 300), 300.0, 0.0, 1e-3, 1e-6, glass.work)
+            else:
+                pour(row, glass.rows[other], rng.uniform(), glass.chem, glass.waste, glass.events)
+            assert np.isfinite(glass.rows).all() and glass.rows[:, AMOUNTS:].min() >= -1e-15
+            after = atoms @ (glass.shelf.amounts[0].sum(axis=0) + glass.waste)
+            np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-12)
+            if balance is not None and (glass.waste == lost).all():
+                assert heat_content() - content == pytest.approx(balance, abs=1e-9 * max(abs(content), 1e3))
+
+
+def test_gas_in_a_sealed_vessel() -> None:
+    glass = Glass("diethyl_ether", "ethanol", "Na", reactions="wurtz_real")
+    glass.fill(0, {}, capacity_l=1.0)
+    row = glass.rows[0]
+    row[AIR] = 0.04  # sealed
+    row[AMOUNTS + glass.names.index("H2")] = 0.3
+    assert pressure(row, glass.chem) == pytest.approx(0.34 * GAS_CONSTANT * 298.15 / 1.0)
