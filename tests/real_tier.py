@@ -11,6 +11,7 @@ import numpy.typing as npt
 from chemlab.arrays import declared
 from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_ION, ROLE_SOLVENT, TEMPERATURE, network_fields
 from chemlab.physics.laws.real.chemistry import RealChemistry
+from chemlab.physics.laws.real.fields import independent_reactions
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
@@ -42,6 +43,8 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
         "fusion": np.zeros(materials),
         "charge": np.zeros(materials),
         "ionization": np.full(3, -1),
+        "independent": np.zeros(0),
+        "parts": nothing,
         "forward": nothing.astype(np.int64),
         "forward_order": nothing,
         "backward": nothing.astype(np.int64),
@@ -118,6 +121,7 @@ def network(
     forward, forward_order = sparse(ahead)
     backward, backward_order = sparse(back)
     inhibitors, inhibition = sparse([step.get("inhibitors", {}) for step in steps])
+    independent, parts = independent_reactions(stoichiometry)
     values = network_fields(
         np.arange(species),
         stoichiometry,
@@ -129,6 +133,8 @@ def network(
         species,
         **{
             **values,
+            "independent": independent,
+            "parts": parts,
             "forward": forward,
             "forward_order": forward_order,
             "backward": backward,

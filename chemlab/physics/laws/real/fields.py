@@ -16,7 +16,7 @@ from ....reactions import HYDROXIDE, PROTON, WATER
 if TYPE_CHECKING:
     from ....scenario import Scenario
 
-__all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "kinetic_fields"]
+__all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "independent_reactions", "kinetic_fields"]
 
 STANDARD_K = 298.15
 """Temperature of tabulated constants and formation enthalpies, K."""
@@ -34,14 +34,18 @@ OH- -230.015, H2O -285.830 kJ/mol)."""
 class KineticFields(NamedTuple):
     """What :class:`~chemlab.chemistry.Chemistry` does not say of its R reactions over S species."""
 
+    independent: Annotated[IntArray, Structure("B")]
+    """[B] reactions that the others are made of, as far as what they change goes"""
+    parts: Annotated[FloatArray, Structure("R B")]
+    """[R, B] how each reaction is made of these"""
     forward: Annotated[IntArray, Structure("R F")]
     """[R, F] species whose concentrations multiply to the rate, catalysts too, then -1"""
     forward_order: Annotated[FloatArray, Structure("R F")]
     """[R, F] their orders"""
-    backward: Annotated[IntArray, Structure("R B")]
-    """[R, B] the same of the reverse reaction; -1 everywhere where there is none"""
-    backward_order: Annotated[FloatArray, Structure("R B")]
-    """[R, B] their orders"""
+    backward: Annotated[IntArray, Structure("R G")]
+    """[R, G] the same of the reverse reaction; -1 everywhere where there is none"""
+    backward_order: Annotated[FloatArray, Structure("R G")]
+    """[R, G] their orders"""
     inhibitors: Annotated[IntArray, Structure("R I")]
     """[R, I] species that slow a reaction down, then -1"""
     inhibition: Annotated[FloatArray, Parameter("R I")]
@@ -71,6 +75,25 @@ class AcidFields(NamedTuple):
     """J/mol, with which it follows temperature"""
     debye: Annotated[float, Parameter("")]
     """A in the Davies equation at 298.15 K, (kg/mol)^(1/2); 0 makes solutions ideal"""
+
+
+def independent_reactions(stoichiometry: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The first reactions that are no combination of those before them, and all as combinations of these.
+
+    Args:
+        stoichiometry: [R, S].
+
+    Returns:
+        [B] reactions, [R, B] factors.
+    """
+    chosen: list[int] = []
+    for r in range(len(stoichiometry)):
+        if np.linalg.matrix_rank(stoichiometry[[*chosen, r]]) > len(chosen):
+            chosen.append(r)
+    factors = np.ascontiguousarray(np.linalg.lstsq(stoichiometry[chosen].T, stoichiometry.T, rcond=None)[0].T)
+    factors[np.abs(factors) < 1e-12] = 0.0
+    factors[chosen] = np.eye(len(chosen))
+    return np.array(chosen, dtype=np.int64), factors
 
 
 def _padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
@@ -127,7 +150,14 @@ def kinetic_fields(
         [indexed(_summed(s.products, s.catalysts)) if back else {} for s, back in zip(steps, reversible, strict=True)]
     )
     inhibitors, inhibition = _padded([indexed(step.inhibitors) for step in steps])
+    stoichiometry = np.zeros((len(steps), len(taking_part)))
+    for row, step in zip(stoichiometry, steps, strict=True):
+        for j, number in indexed(_summed(step.products, {k: -x for k, x in step.reactants.items()})).items():
+            row[j] = number
+    independent, parts = independent_reactions(stoichiometry)
     return {
+        "independent": independent,
+        "parts": parts,
         "forward": forward,
         "forward_order": forward_order,
         "backward": backward,
