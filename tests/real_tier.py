@@ -11,7 +11,7 @@ import numpy.typing as npt
 from chemlab.arrays import declared
 from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_ION, ROLE_SOLVENT, TEMPERATURE, network_fields
 from chemlab.physics.laws.real.chemistry import RealChemistry
-from chemlab.physics.laws.real.fields import independent_reactions
+from chemlab.physics.laws.real.fields import independent_reactions, padded
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,7 +44,8 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
         "charge": np.zeros(materials),
         "ionization": np.full(3, -1),
         "independent": np.zeros(0),
-        "parts": nothing,
+        "parts": nothing.astype(np.int64),
+        "part_numbers": nothing,
         "forward": nothing.astype(np.int64),
         "forward_order": nothing,
         "backward": nothing.astype(np.int64),
@@ -74,15 +75,6 @@ def filled(
         first = AMOUNTS + materials + known.dissolved_at[material] * layers
         row[first : first + layers] = parts
     return row
-
-
-def sparse(rows: Sequence[Mapping[int, float]]) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """([R, F] keys, then -1; [R, F] values, then 0)."""
-    width = max((len(row) for row in rows), default=0)
-    keys, values = np.full((len(rows), width), -1), np.zeros((len(rows), width))
-    for r, row in enumerate(rows):
-        keys[r, : len(row)], values[r, : len(row)] = list(row), list(row.values())
-    return keys, values
 
 
 def network(
@@ -118,10 +110,9 @@ def network(
                 behind[j] = behind.get(j, 0.0) + x
         ahead.append(order)
         back.append(behind)
-    forward, forward_order = sparse(ahead)
-    backward, backward_order = sparse(back)
-    inhibitors, inhibition = sparse([step.get("inhibitors", {}) for step in steps])
-    independent, parts = independent_reactions(stoichiometry)
+    forward, forward_order = padded(ahead)
+    backward, backward_order = padded(back)
+    inhibitors, inhibition = padded([step.get("inhibitors", {}) for step in steps])
     values = network_fields(
         np.arange(species),
         stoichiometry,
@@ -133,8 +124,7 @@ def network(
         species,
         **{
             **values,
-            "independent": independent,
-            "parts": parts,
+            **independent_reactions(stoichiometry),
             "forward": forward,
             "forward_order": forward_order,
             "backward": backward,
@@ -149,4 +139,4 @@ def network(
     )
 
 
-__all__ = ["ROLE_ION", "filled", "network", "real_table", "sparse"]
+__all__ = ["ROLE_ION", "filled", "network", "real_table"]

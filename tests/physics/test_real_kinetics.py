@@ -283,7 +283,7 @@ def problem(seed: int) -> Problem:
     )
 
 
-def by_cantera(given: Problem, start: float, rtol: float = 1e-9, atol: float = 1e-15) -> tuple[FloatArray, float]:
+def by_cantera(given: Problem, start: float) -> tuple[FloatArray, float]:
     """(mol, K) at the end: an ideal gas of constant volume whose internal energy is our enthalpy."""
     ct = pytest.importorskip("cantera")
     names = [f"S{j}" for j in range(len(given.masses))]
@@ -323,21 +323,18 @@ def by_cantera(given: Problem, start: float, rtol: float = 1e-9, atol: float = 1
         outside.TPX = given.jacket, 1e5, {names[0]: 1.0}
         wall = ct.Wall(ct.Reservoir(outside, clone=False), reactor, A=1.0, U=given.transfer)  # noqa: F841 - holds heat
     simulation = ct.ReactorNet([reactor])
-    simulation.rtol, simulation.atol, simulation.max_steps = rtol, atol, 1_000_000
+    simulation.rtol, simulation.atol, simulation.max_steps = 1e-9, 1e-15, 1_000_000
     simulation.advance(given.dt)
     return np.asarray(reactor.phase.concentrations) * litres, float(reactor.phase.T)
 
 
-@pytest.mark.parametrize("seed", range(100))
+# Of the first 102 Cantera's integrator gives two up.
+@pytest.mark.parametrize("seed", sorted({*range(102)} - {10, 13}))
 def test_random_stiff_networks_agree_with_cantera(seed: int) -> None:
     """Every species within 0.5 % (of the largest hundredth where there is less), at the default tolerance."""
-    ct = pytest.importorskip("cantera")
     given = problem(seed)
     start = given.jacket if given.transfer == math.inf else 300.0
-    try:
-        expected, temperature = by_cantera(given, start)
-    except ct.CanteraError:  # some are too stiff for its integrator at that tolerance
-        expected, temperature = by_cantera(given, start, 1e-6, 1e-11)
+    expected, temperature = by_cantera(given, start)
     done = run(given.table(), given.amounts, given.dt, given.jacket, given.transfer, DEFAULT, start=300.0)
     np.testing.assert_allclose(done.amounts, expected, rtol=5e-3, atol=5e-5 * given.amounts.sum())
     assert done.temperature == pytest.approx(temperature, abs=0.1)

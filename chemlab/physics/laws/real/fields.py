@@ -36,8 +36,10 @@ class KineticFields(NamedTuple):
 
     independent: Annotated[IntArray, Structure("B")]
     """[B] reactions that the others are made of, as far as what they change goes"""
-    parts: Annotated[FloatArray, Structure("R B")]
-    """[R, B] how each reaction is made of these"""
+    parts: Annotated[IntArray, Structure("R P")]
+    """[R, P] which of these each reaction is made of, then -1"""
+    part_numbers: Annotated[FloatArray, Structure("R P")]
+    """[R, P] how many of each"""
     forward: Annotated[IntArray, Structure("R F")]
     """[R, F] species whose concentrations multiply to the rate, catalysts too, then -1"""
     forward_order: Annotated[FloatArray, Structure("R F")]
@@ -77,26 +79,20 @@ class AcidFields(NamedTuple):
     """A in the Davies equation at 298.15 K, (kg/mol)^(1/2); 0 makes solutions ideal"""
 
 
-def independent_reactions(stoichiometry: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The first reactions that are no combination of those before them, and all as combinations of these.
-
-    Args:
-        stoichiometry: [R, S].
-
-    Returns:
-        [B] reactions, [R, B] factors.
-    """
+def independent_reactions(stoichiometry: FloatArray) -> dict[str, npt.NDArray[Any]]:
+    """The first reactions that are no combination of those before them, and all as combinations of these: the fields
+    ``independent``, ``parts`` and ``part_numbers``, from the stoichiometry [R, S]."""
     chosen: list[int] = []
     for r in range(len(stoichiometry)):
         if np.linalg.matrix_rank(stoichiometry[[*chosen, r]]) > len(chosen):
             chosen.append(r)
-    factors = np.ascontiguousarray(np.linalg.lstsq(stoichiometry[chosen].T, stoichiometry.T, rcond=None)[0].T)
-    factors[np.abs(factors) < 1e-12] = 0.0
-    factors[chosen] = np.eye(len(chosen))
-    return np.array(chosen, dtype=np.int64), factors
+    numbers = np.linalg.lstsq(stoichiometry[chosen].T, stoichiometry.T, rcond=None)[0].T
+    numbers[chosen] = np.eye(len(chosen))
+    parts, part_numbers = padded([{int(b): row[b] for b in np.flatnonzero(np.abs(row) > 1e-12)} for row in numbers])
+    return {"independent": np.array(chosen, dtype=np.int64), "parts": parts, "part_numbers": part_numbers}
 
 
-def _padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
+def padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
     """([n, width] keys, then -1; [n, width] values, then 0) of some mappings."""
     width = max((len(row) for row in rows), default=0)
     keys, values = np.full((len(rows), width), -1, dtype=np.int64), np.zeros((len(rows), width))
@@ -145,19 +141,17 @@ def kinetic_fields(
         return {taking_part.index(name): value for name, value in values.items()}
 
     reversible = [step.equilibrium_constant is not None for step in steps]
-    forward, forward_order = _padded([indexed(_summed(step.orders, step.catalysts)) for step in steps])
-    backward, backward_order = _padded(
+    forward, forward_order = padded([indexed(_summed(step.orders, step.catalysts)) for step in steps])
+    backward, backward_order = padded(
         [indexed(_summed(s.products, s.catalysts)) if back else {} for s, back in zip(steps, reversible, strict=True)]
     )
-    inhibitors, inhibition = _padded([indexed(step.inhibitors) for step in steps])
+    inhibitors, inhibition = padded([indexed(step.inhibitors) for step in steps])
     stoichiometry = np.zeros((len(steps), len(taking_part)))
     for row, step in zip(stoichiometry, steps, strict=True):
         for j, number in indexed(_summed(step.products, {k: -x for k, x in step.reactants.items()})).items():
             row[j] = number
-    independent, parts = independent_reactions(stoichiometry)
     return {
-        "independent": independent,
-        "parts": parts,
+        **independent_reactions(stoichiometry),
         "forward": forward,
         "forward_order": forward_order,
         "backward": backward,

@@ -3,8 +3,8 @@
 The unknowns are the extents of independent reactions (of A -> B, B -> C and A -> C the first two: where matter goes in
 circles, extents of all of them would grow without bound, and rounding with them) and the heat that has come through
 the jacket; temperature follows from them by the enthalpy balance. So atoms and energy are conserved to rounding,
-whatever the integrator's error. The integrator is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable
-and stiffly accurate (Sandu et al., Atmos. Environ. 31 (1997) 3459; for such methods Hairer and Wanner, Solving Ordinary
+whatever the integrator's error. It is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
+stiffly accurate (Sandu et al., Atmos. Environ. 31 (1997) 3459; for such methods Hairer and Wanner, Solving Ordinary
 Differential Equations II, 2nd ed. 1996, section IV.7).
 """
 
@@ -283,19 +283,20 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
                 if j >= 0:
                     back *= _power(work[_CONC, j], chemistry.backward_order[r, f], vessel.small)
         rate = (ahead - back) * _slowing(chem, work, r)
-        for b in range(n):
-            out[b] += chemistry.parts[r, b] * rate
+        for p in range(chemistry.parts.shape[1]):
+            if chemistry.parts[r, p] >= 0:
+                out[chemistry.parts[r, p]] += chemistry.part_numbers[r, p] * rate
 
 
 @inner
 def _spread(chem: Handle, matrix: FloatArray, r: int, j: int, slope: float) -> None:
     """Add to the Jacobian what the slope of rate ``r`` with the concentration of species ``j`` makes."""
     chemistry = opened(RealChemistry, chem)
-    n = chemistry.independent.shape[0]
-    for b in range(n):
-        part = slope * chemistry.parts[r, b]
-        if part != 0.0:
-            for s in range(n):
+    for p in range(chemistry.parts.shape[1]):
+        b = chemistry.parts[r, p]
+        if b >= 0:
+            part = slope * chemistry.part_numbers[r, p]
+            for s in range(chemistry.independent.shape[0]):
                 matrix[b, s] += part * chemistry.stoichiometry[chemistry.independent[s], j]
 
 
@@ -343,8 +344,9 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
                 _spread(chem, matrix, r, j, -(ahead + back) * slowing * chemistry.inhibition[r, f])
         energy = chemistry.activation_energy[r]
         hotter = (ahead * energy + back * (energy - chemistry.equilibrium_heat[r])) * per_square
-        for b in range(n):
-            matrix[b, n] += chemistry.parts[r, b] * hotter
+        for p in range(chemistry.parts.shape[1]):
+            if chemistry.parts[r, p] >= 0:
+                matrix[chemistry.parts[r, p], n] += chemistry.part_numbers[r, p] * hotter
     matrix[n, n] = -vessel.transfer
     # So far the last column is the slope with temperature; that follows from extents and heat.
     for b in range(n + 1):
