@@ -9,12 +9,26 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import declared
-from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_ION, ROLE_SOLVENT, TEMPERATURE, network_fields
+from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
+from chemlab.jit import kernel
 from chemlab.physics.laws.real.chemistry import RealChemistry
 from chemlab.physics.laws.real.fields import independent_reactions, padded
+from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@kernel
+def enthalpy_of(row: FloatArray, chem: Any) -> float:
+    """J, of the contents of a vessel."""
+    return enthalpy(row, chem)
+
+
+@kernel
+def give_enthalpy(row: FloatArray, value: float, chem: Any) -> None:
+    """Set the temperature of a vessel by the enthalpy of its contents."""
+    set_enthalpy(row, value, chem)
 
 
 def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, **fields: Any) -> Table[Any]:
@@ -139,4 +153,4 @@ def network(
     )
 
 
-__all__ = ["ROLE_ION", "filled", "network", "real_table"]
+__all__ = ["enthalpy_of", "filled", "give_enthalpy", "network", "real_table"]

@@ -11,14 +11,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_tier import filled, network
+from real_tier import enthalpy_of, filled, give_enthalpy, network
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 from chemlab.chemistry import AMOUNTS, TEMPERATURE
-from chemlab.jit import kernel
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
 from chemlab.physics.laws.real.kinetics import react, react_work_size
 from chemlab.tables import Table
 
@@ -27,16 +25,6 @@ Step = Mapping[str, Any]
 
 ROOM = 298.15
 DEFAULT, TIGHT = (1e-3, 1e-6), (1e-8, 1e-11)
-
-
-@kernel
-def enthalpy_of(row: FloatArray, chem: Any) -> float:
-    return enthalpy(row, chem)
-
-
-@kernel
-def give_enthalpy(row: FloatArray, value: float, chem: Any) -> None:
-    set_enthalpy(row, value, chem)
 
 
 class Result(NamedTuple):

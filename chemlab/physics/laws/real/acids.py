@@ -84,7 +84,7 @@ def _kilograms(row: FloatArray, chem: Handle) -> float:
             return 0.0
     water = chemistry.ionization[2]
     mol = row[_column(row, chem, water)]
-    return 1e-3 * mol * chemistry.molar_mass[water] if mol > TRACE_MOL else 0.0
+    return float(1e-3 * mol * chemistry.molar_mass[water]) if mol > TRACE_MOL else 0.0
 
 
 @helper

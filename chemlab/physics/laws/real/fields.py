@@ -126,15 +126,15 @@ def kinetic_fields(
     steps = scenario.family.reaction
     taking_part = [name for name in names if any(name in step.materials() for step in steps)]
     heats = []
-    for r, step in enumerate(steps):
+    for step in steps:
         formed = sum(x * formation[names.index(name)] for name, x in step.products.items())
         formed -= sum(x * formation[names.index(name)] for name, x in step.reactants.items())
         heats.append(formed if step.enthalpy_j_mol is None else step.enthalpy_j_mol)
         if abs(heats[-1] - formed) > _HEAT_TOLERANCE:
             raise DataError(
-                f"{scenario.origin}: reactions {scenario.family.name!r}: reaction.{r}.enthalpy_j_mol = {heats[-1]:g}: "
-                f"the formation enthalpies of its materials make {formed:.0f}, and may differ by {_HEAT_TOLERANCE:g}; "
-                "leave it out, or correct real.formation_enthalpy_j_mol of a material"
+                f"{scenario.origin}: reactions {scenario.family.name!r}: reaction {step.words}: enthalpy_j_mol = "
+                f"{heats[-1]:g}: the formation enthalpies of its materials make {formed:.0f}, and may differ by "
+                f"{_HEAT_TOLERANCE:g}; leave it out, or correct real.formation_enthalpy_j_mol of a material"
             )
 
     def indexed(values: Mapping[str, float]) -> dict[int, float]:

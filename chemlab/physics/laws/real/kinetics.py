@@ -171,12 +171,12 @@ def _power(concentration: float, order: float, small: float) -> float:
         return concentration
     if order < 1.0 and concentration < small:
         bend = (order - 1.0) * max(concentration / small, 0.0)
-        return concentration * small ** (order - 1.0) * (2.0 - order + bend)
+        return float(concentration * small ** (order - 1.0) * (2.0 - order + bend))
     if concentration <= 0.0:
         return 0.0
     if order == 2.0:
         return concentration * concentration
-    return concentration**order
+    return float(concentration**order)
 
 
 @helper
@@ -186,12 +186,12 @@ def _slope(concentration: float, order: float, small: float) -> float:
         return 1.0
     if order < 1.0 and concentration < small:
         bend = 2.0 * (order - 1.0) * max(concentration / small, 0.0)
-        return small ** (order - 1.0) * (2.0 - order + bend)
+        return float(small ** (order - 1.0) * (2.0 - order + bend))
     if concentration <= 0.0:
         return 0.0
     if order == 2.0:
         return 2.0 * concentration
-    return order * concentration ** (order - 1.0)
+    return float(order * concentration ** (order - 1.0))
 
 
 @inner
