@@ -28,12 +28,15 @@ _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15
 """mol; a reactant of which there is less is used up."""
+_ROUNDING = 4e-15
+"""mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
+where what a species catalyses itself would run away."""
 _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
 _HEAT_SCALE_K = 10.0
 """Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
-_SMALL = 1e-4
-"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, end."""
+_SMALL = 0.01
+"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, become 1."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
 """Of e in a rate constant; what is beyond is as good as zero or at once."""
@@ -59,7 +62,7 @@ class _Vessel(NamedTuple):
     transfer: float
     """W/K/L; < 0: the contents are as warm as the jacket"""
     small: float
-    """mol/L, below which orders under 1 are taken to be 1"""
+    """mol/L, below which orders under 1 become 1"""
     work: FloatArray
 
 
@@ -235,6 +238,9 @@ def _concentrations(chem: Handle, work: FloatArray, y: FloatArray) -> None:
             j = chemistry.changes[r, c]
             if j >= 0:
                 work[_CONC, j] += chemistry.stoichiometry[r, j] * y[b]
+    for j in range(chemistry.species.shape[0]):
+        if abs(work[_CONC, j]) < _ROUNDING * (1.0 + work[_START, j]):
+            work[_CONC, j] = 0.0
 
 
 @inner
@@ -464,8 +470,7 @@ def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool
         missing = False
         for j in range(chemistry.species.shape[0]):
             lacking = -work[_CONC, j]
-            # Rounding in the sums may leave -1e-17 where the exact result is 0.
-            if lacking <= 1e-15 * (work[_START, j] + 1.0):
+            if lacking <= 0.0:
                 continue
             if lacking > atol + rtol * work[_NOW, j]:
                 return False
