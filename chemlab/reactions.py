@@ -51,6 +51,7 @@ Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(
 """Orders by reactant; together at most 20."""
 _HIGHEST_ORDER = 20.0
 """Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
+_SMALLEST_CONSTANT = 1e-50
 Inhibition = Annotated[dict[Text, Annotated[float, Field(gt=0.0, le=1e12)]], Field(max_length=20)]
 """Inhibition constants in L/mol, by material."""
 Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
@@ -85,9 +86,9 @@ class Reaction(_Balanced, Grown):
     """Order in each material that is not used up; without it the reaction does not run, in neither direction."""
     inhibitors: Inhibition = {}
     """K in L/mol by material: the rate is divided by 1 + sum of K times its concentration."""
-    equilibrium_constant: float | None = Field(default=None, ge=1e-50, le=1e50)
-    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K), and asks for mass
-    action."""
+    equilibrium_constant: float | None = Field(default=None, gt=0.0, le=1e50)
+    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K) and asks for mass action.
+    Between 1e-50 and 1e50."""
     enthalpy_j_mol: Enthalpy | None = None
     """Heat of reaction at 298.15 K, which K follows with temperature (van 't Hoff); without it that of the materials'
     formation enthalpies, with which it must agree."""
@@ -108,6 +109,11 @@ class Reaction(_Balanced, Grown):
         orders = self.orders or dict(self.reactants)
         forward, backward = sum(orders.values()), 0.0
         if self.equilibrium_constant is not None:
+            if self.equilibrium_constant < _SMALLEST_CONSTANT:
+                raise ValueError(
+                    f"equilibrium_constant: at least {_SMALLEST_CONSTANT:g}, given {self.equilibrium_constant:g}; "
+                    "what does not go forward is better left out"
+                )
             if orders != self.reactants:
                 raise ValueError(
                     "equilibrium_constant: only mass action leads to it: leave out orders, or write the reverse "
@@ -122,6 +128,12 @@ class Reaction(_Balanced, Grown):
     def materials(self) -> set[str]:
         """Every material this reaction changes or depends on."""
         return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
+
+    @property
+    def words(self) -> str:
+        """By what messages call it: it has no name, and its place is another where reactions that cannot run are left
+        out."""
+        return f"{' + '.join(self.reactants)} -> {' + '.join(self.products)}"
 
 
 Point = tuple[Annotated[float, Field(ge=150.0, le=1000.0)], Annotated[float, Field(ge=0.0, le=100.0)]]
@@ -332,8 +344,8 @@ def check_without_real(family: ReactionFamily, where: str) -> None:
         DataError: a reaction with a catalyst, an inhibitor, an equilibrium or a heat, or an acid.
     """
     keys = [
-        f"reaction.{i}.{key}"
-        for i, step in enumerate(family.reaction)
+        f"reaction {step.words}: {key}"
+        for step in family.reaction
         for key in Reaction._later
         if getattr(step, key) != Reaction.model_fields[key].default
     ]

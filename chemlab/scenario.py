@@ -500,7 +500,8 @@ def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], R
     while True:
         known = set(order)
         new: list[str] = []
-        for step in (*family.reaction, *family.violent):
+        steps: list[Reaction | Violent] = [*family.reaction, *family.violent]
+        for step in steps:
             if _can_run(step, known):
                 new += [name for name in (*step.reactants, *step.products) if name not in known]
         for salt in family.salt:

@@ -9,11 +9,26 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import declared
-from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_ION, ROLE_SOLVENT, TEMPERATURE, network_fields
+from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
+from chemlab.jit import kernel
 from chemlab.physics.laws.real.chemistry import RealChemistry
+from chemlab.physics.laws.real.fields import independent_reactions, padded
+from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@kernel
+def enthalpy_of(row: FloatArray, chem: Any) -> float:
+    """J, of the contents of a vessel."""
+    return enthalpy(row, chem)
+
+
+@kernel
+def give_enthalpy(row: FloatArray, value: float, chem: Any) -> None:
+    """Set the temperature of a vessel by the enthalpy of its contents."""
+    set_enthalpy(row, value, chem)
 
 
 def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, **fields: Any) -> Table[Any]:
@@ -42,6 +57,9 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
         "fusion": np.zeros(materials),
         "charge": np.zeros(materials),
         "ionization": np.full(3, -1),
+        "independent": np.zeros(0),
+        "parts": nothing.astype(np.int64),
+        "part_numbers": nothing,
         "forward": nothing.astype(np.int64),
         "forward_order": nothing,
         "backward": nothing.astype(np.int64),
@@ -71,15 +89,6 @@ def filled(
         first = AMOUNTS + materials + known.dissolved_at[material] * layers
         row[first : first + layers] = parts
     return row
-
-
-def sparse(rows: Sequence[Mapping[int, float]]) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """([R, F] keys, then -1; [R, F] values, then 0)."""
-    width = max((len(row) for row in rows), default=0)
-    keys, values = np.full((len(rows), width), -1), np.zeros((len(rows), width))
-    for r, row in enumerate(rows):
-        keys[r, : len(row)], values[r, : len(row)] = list(row), list(row.values())
-    return keys, values
 
 
 def network(
@@ -115,9 +124,9 @@ def network(
                 behind[j] = behind.get(j, 0.0) + x
         ahead.append(order)
         back.append(behind)
-    forward, forward_order = sparse(ahead)
-    backward, backward_order = sparse(back)
-    inhibitors, inhibition = sparse([step.get("inhibitors", {}) for step in steps])
+    forward, forward_order = padded(ahead)
+    backward, backward_order = padded(back)
+    inhibitors, inhibition = padded([step.get("inhibitors", {}) for step in steps])
     values = network_fields(
         np.arange(species),
         stoichiometry,
@@ -129,6 +138,7 @@ def network(
         species,
         **{
             **values,
+            **independent_reactions(stoichiometry),
             "forward": forward,
             "forward_order": forward_order,
             "backward": backward,
@@ -143,4 +153,4 @@ def network(
     )
 
 
-__all__ = ["ROLE_ION", "filled", "network", "real_table", "sparse"]
+__all__ = ["enthalpy_of", "filled", "give_enthalpy", "network", "real_table"]

@@ -164,3 +164,113 @@ def test_shipped_families_conserve_atoms_charge_and_mass(name: str) -> None:
                 change["charge"] += sign * number * table[material].charge
                 change["mass in g"] += sign * number * table[material].molar_mass_g_mol
         assert change == pytest.approx(dict.fromkeys(change, 0.0), abs=1e-3)
+
+
+# -- what the tier ``real`` knows besides ------------------------------------------------------------------------------
+
+REAL = """
+name = "mine"
+
+[[reaction]]
+reactants = { A = 1 }
+products = { B = 2 }
+catalysts = { "H+" = 0.5 }
+inhibitors = { B = 3.0 }
+equilibrium_constant = 2.5
+enthalpy_j_mol = -1e4
+pre_exponential = 10.0
+activation_energy_j_mol = 6000.0
+source = "made up"
+
+[[acid]]
+species = ["H2X", "HX-", "X--"]
+pka = [2.0, 7.0]
+enthalpy_j_mol = [-500.0, 1000.0]
+source = "made up"
+"""
+
+WORLD = {
+    "A": ({"E": 2}, 0, "solvent"),
+    "B": ({"E": 1}, 0, "solvent"),
+    "H2X": ({"X": 1, "H": 2}, 0, "solute"),
+    "HX-": ({"X": 1, "H": 1}, -1, "ion"),
+    "X--": ({"X": 1}, -2, "ion"),
+    "H+": ({"H": 1}, 1, "ion"),
+    "OH-": ({"O": 1, "H": 1}, -1, "ion"),
+    "water": ({"H": 2, "O": 1}, 0, "solvent"),
+}
+
+
+def load_real(folder: Path, text: str, **roles: str) -> ReactionFamily:
+    """The family in ``text``, over the materials above, some of other roles."""
+    (folder / "mine.toml").write_text(text)
+    like = shipped_materials()["water"]
+    materials = {
+        name: like.model_copy(update={"composition": atoms, "charge": charge, "role": roles.get(name, role)})
+        for name, (atoms, charge, role) in WORLD.items()
+    }
+    return load_reactions("mine.toml", materials, folder)
+
+
+def test_a_real_family_arrives_as_written_and_is_dumped_whole(tmp_path: Path) -> None:
+    family = load_real(tmp_path, REAL)
+    (step,), (acid,) = family.reaction, family.acid
+    assert (step.catalysts, step.inhibitors) == ({"H+": 0.5}, {"B": 3.0})
+    assert (step.equilibrium_constant, step.enthalpy_j_mol) == (2.5, -1e4)
+    assert step.materials() == {"A", "B", "H+"}
+    assert (acid.species, acid.pka, acid.enthalpy_j_mol) == (("H2X", "HX-", "X--"), (2.0, 7.0), (-500.0, 1000.0))
+    assert family.materials() == set(WORLD)
+    assert ReactionFamily.model_validate(family.model_dump(mode="json")) == family
+
+
+def test_what_a_family_does_not_use_is_not_in_its_dump() -> None:
+    """Records of families from before are the same bytes."""
+    old = {"reactants", "products", "source", "orders", "pre_exponential", "activation_energy_j_mol"}
+    for name in ("fictitious", "salt_water", "wurtz"):
+        family = load_reactions(name, shipped_materials())
+        dumped = family.model_dump(mode="json")
+        assert set(dumped) == {"name", "summary", "reaction", "salt", "violent"}
+        assert all(set(step) == old for step in dumped["reaction"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('catalysts = { "H+" = 0.5 }', "catalysts = { A = 1 }", ["reaction.0: catalysts.A: is a reactant"]),
+        ('catalysts = { "H+" = 0.5 }', "catalysts = { Z = 1 }", ["unknown material 'Z'"]),
+        ('catalysts = { "H+" = 0.5 }', 'catalysts = { "H+" = 0 }', ["reaction.0.catalysts.H+", "or equal to 0.01"]),
+        ('catalysts = { "H+" = 0.5 }', 'catalysts = { "H+" = 19 }', ["orders: add up to 21; at most 20"]),
+        ("inhibitors = { B = 3.0 }", "inhibitors = { B = -3.0 }", ["reaction.0.inhibitors.B", "greater than 0"]),
+        ("inhibitors = { B = 3.0 }", 'inhibitors = { "H+" = 1 }', ["inhibitors.H+: is a catalyst"]),
+        ("inhibitors = { B = 3.0 }", "inhibitors = { Z = 1 }", ["unknown material 'Z'"]),
+        ("= 2.5", "= 0", ["reaction.0.equilibrium_constant", "greater than 0"]),
+        ("= 2.5", "= 1e-60", ["reaction.0: equilibrium_constant: at least 1e-50, given 1e-60"]),
+        ("= 2.5", "= inf", ["reaction.0.equilibrium_constant"]),
+        ("= 2.5", "= 2.5\norders = { A = 0.5 }", ["equilibrium_constant: only mass action leads to it"]),
+        ("enthalpy_j_mol = -1e4", "enthalpy_j_mol = -1e9", ["reaction.0.enthalpy_j_mol", "-10000000"]),
+        ('"H2X", "HX-", "X--"', '"H2X", "X--", "HX-"', ["acid.0: H2X to X--: not balanced"]),
+        ('"H2X", "HX-", "X--"', '"H2X"', ["acid.0.species", "at least 2 items"]),
+        ('"H2X", "HX-", "X--"', '"H2X", "HX-", "HX-"', ["acid.0: species: one is listed twice"]),
+        ('"H2X", "HX-", "X--"', '"H2X", "HX-"', ["acid.0: pka: 2 species have 1 steps, given 2"]),
+        ("pka = [2.0, 7.0]", "pka = [2.0, 70.0]", ["acid.0.pka.1", "less than or equal to 40"]),
+        ("[-500.0, 1000.0]", "[-500.0]", ["acid.0: enthalpy_j_mol: 3 species have 2 steps, given 1"]),
+        ('"H2X", "HX-", "X--"', '"water", "OH-"', ["pka: 2 species have 1 steps"]),
+        ("pka = [2.0, 7.0]\nenthalpy_j_mol = [-500.0, 1000.0]", "pka = [2.0, 7.0]\nenthalpy = 1", ["acid.0.enthalpy"]),
+    ],
+)  # fmt: skip
+def test_a_wrong_real_family_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
+    assert REAL.count(old) == 1, old
+    with pytest.raises(DataError) as caught:
+        load_real(tmp_path, REAL.replace(old, new))
+    for part in [str(tmp_path / "mine.toml"), *parts]:
+        assert part in str(caught.value)
+
+
+def test_a_species_is_of_one_acid_and_dissolved(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"acid\.1: species: 'HX-' is part of acid\.0 already"):
+        load_real(tmp_path, REAL + '\n[[acid]]\nspecies = ["HX-", "X--"]\npka = [7.0]\nsource = "made up"\n')
+    water = REAL + '\n[[acid]]\nspecies = ["water", "OH-"]\npka = [14.0]\nsource = "made up"\n'
+    with pytest.raises(DataError, match=r"acid\.1: species: 'water' is part of water already"):
+        load_real(tmp_path, water)
+    with pytest.raises(DataError, match=r"acid\.0: species: 'H2X' is a solid; it must be dissolved in water"):
+        load_real(tmp_path, REAL, H2X="solid")

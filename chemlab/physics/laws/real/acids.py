@@ -84,7 +84,7 @@ def _kilograms(row: FloatArray, chem: Handle) -> float:
             return 0.0
     water = chemistry.ionization[2]
     mol = row[_column(row, chem, water)]
-    return 1e-3 * mol * chemistry.molar_mass[water] if mol > TRACE_MOL else 0.0
+    return float(1e-3 * mol * chemistry.molar_mass[water]) if mol > TRACE_MOL else 0.0
 
 
 @helper
@@ -111,7 +111,7 @@ def _log_gamma(strength: float, temperature: float, chem: Handle) -> float:
     closer = 78.304 * STANDARD_K / (permittivity * (t + 273.15))
     root = math.sqrt(min(strength, _SALTIEST))
     davies = root / (1.0 + root) - 0.3 * root * root
-    return -_LN10 * opened(RealChemistry, chem).debye * closer * math.sqrt(closer) * davies
+    return float(-_LN10 * opened(RealChemistry, chem).debye * closer * math.sqrt(closer) * davies)
 
 
 @helper

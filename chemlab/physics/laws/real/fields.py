@@ -16,7 +16,7 @@ from ....reactions import HYDROXIDE, PROTON, WATER
 if TYPE_CHECKING:
     from ....scenario import Scenario
 
-__all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "kinetic_fields"]
+__all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "independent_reactions", "kinetic_fields"]
 
 STANDARD_K = 298.15
 """Temperature of tabulated constants and formation enthalpies, K."""
@@ -34,14 +34,20 @@ OH- -230.015, H2O -285.830 kJ/mol)."""
 class KineticFields(NamedTuple):
     """What :class:`~chemlab.chemistry.Chemistry` does not say of its R reactions over S species."""
 
+    independent: Annotated[IntArray, Structure("B")]
+    """[B] reactions that the others are made of, as far as what they change goes"""
+    parts: Annotated[IntArray, Structure("R P")]
+    """[R, P] which of these each reaction is made of, then -1"""
+    part_numbers: Annotated[FloatArray, Structure("R P")]
+    """[R, P] how many of each"""
     forward: Annotated[IntArray, Structure("R F")]
     """[R, F] species whose concentrations multiply to the rate, catalysts too, then -1"""
     forward_order: Annotated[FloatArray, Structure("R F")]
     """[R, F] their orders"""
-    backward: Annotated[IntArray, Structure("R B")]
-    """[R, B] the same of the reverse reaction; -1 everywhere where there is none"""
-    backward_order: Annotated[FloatArray, Structure("R B")]
-    """[R, B] their orders"""
+    backward: Annotated[IntArray, Structure("R G")]
+    """[R, G] the same of the reverse reaction; -1 everywhere where there is none"""
+    backward_order: Annotated[FloatArray, Structure("R G")]
+    """[R, G] their orders"""
     inhibitors: Annotated[IntArray, Structure("R I")]
     """[R, I] species that slow a reaction down, then -1"""
     inhibition: Annotated[FloatArray, Parameter("R I")]
@@ -73,7 +79,20 @@ class AcidFields(NamedTuple):
     """A in the Davies equation at 298.15 K, (kg/mol)^(1/2); 0 makes solutions ideal"""
 
 
-def _padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
+def independent_reactions(stoichiometry: FloatArray) -> dict[str, npt.NDArray[Any]]:
+    """The first reactions that are no combination of those before them, and all as combinations of these: the fields
+    ``independent``, ``parts`` and ``part_numbers``, from the stoichiometry [R, S]."""
+    chosen: list[int] = []
+    for r in range(len(stoichiometry)):
+        if np.linalg.matrix_rank(stoichiometry[[*chosen, r]]) > len(chosen):
+            chosen.append(r)
+    numbers = np.linalg.lstsq(stoichiometry[chosen].T, stoichiometry.T, rcond=None)[0].T
+    numbers[chosen] = np.eye(len(chosen))
+    parts, part_numbers = padded([{int(b): row[b] for b in np.flatnonzero(np.abs(row) > 1e-12)} for row in numbers])
+    return {"independent": np.array(chosen, dtype=np.int64), "parts": parts, "part_numbers": part_numbers}
+
+
+def padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
     """([n, width] keys, then -1; [n, width] values, then 0) of some mappings."""
     width = max((len(row) for row in rows), default=0)
     keys, values = np.full((len(rows), width), -1, dtype=np.int64), np.zeros((len(rows), width))
@@ -107,27 +126,32 @@ def kinetic_fields(
     steps = scenario.family.reaction
     taking_part = [name for name in names if any(name in step.materials() for step in steps)]
     heats = []
-    for r, step in enumerate(steps):
+    for step in steps:
         formed = sum(x * formation[names.index(name)] for name, x in step.products.items())
         formed -= sum(x * formation[names.index(name)] for name, x in step.reactants.items())
         heats.append(formed if step.enthalpy_j_mol is None else step.enthalpy_j_mol)
         if abs(heats[-1] - formed) > _HEAT_TOLERANCE:
             raise DataError(
-                f"{scenario.origin}: reactions {scenario.family.name!r}: reaction.{r}.enthalpy_j_mol = {heats[-1]:g}: "
-                f"the formation enthalpies of its materials make {formed:.0f}, and may differ by {_HEAT_TOLERANCE:g}; "
-                "leave it out, or correct real.formation_enthalpy_j_mol of a material"
+                f"{scenario.origin}: reactions {scenario.family.name!r}: reaction {step.words}: enthalpy_j_mol = "
+                f"{heats[-1]:g}: the formation enthalpies of its materials make {formed:.0f}, and may differ by "
+                f"{_HEAT_TOLERANCE:g}; leave it out, or correct real.formation_enthalpy_j_mol of a material"
             )
 
     def indexed(values: Mapping[str, float]) -> dict[int, float]:
         return {taking_part.index(name): value for name, value in values.items()}
 
     reversible = [step.equilibrium_constant is not None for step in steps]
-    forward, forward_order = _padded([indexed(_summed(step.orders, step.catalysts)) for step in steps])
-    backward, backward_order = _padded(
+    forward, forward_order = padded([indexed(_summed(step.orders, step.catalysts)) for step in steps])
+    backward, backward_order = padded(
         [indexed(_summed(s.products, s.catalysts)) if back else {} for s, back in zip(steps, reversible, strict=True)]
     )
-    inhibitors, inhibition = _padded([indexed(step.inhibitors) for step in steps])
+    inhibitors, inhibition = padded([indexed(step.inhibitors) for step in steps])
+    stoichiometry = np.zeros((len(steps), len(taking_part)))
+    for row, step in zip(stoichiometry, steps, strict=True):
+        for j, number in indexed(_summed(step.products, {k: -x for k, x in step.reactants.items()})).items():
+            row[j] = number
     return {
+        **independent_reactions(stoichiometry),
         "forward": forward,
         "forward_order": forward_order,
         "backward": backward,

@@ -37,7 +37,7 @@ def _standard_enthalpy(row: FloatArray, chem: Handle) -> float:
 def enthalpy(row: FloatArray, chem: Handle) -> float:
     """Enthalpy of the contents of a vessel without air, J: the sum of n (formation + Cp (T - 298.15 K)), less the heat
     of fusion of what has crystallized."""
-    return _standard_enthalpy(row, chem) + heat_capacity(row, chem) * (row[TEMPERATURE] - STANDARD_K)
+    return _standard_enthalpy(row, chem) + float(heat_capacity(row, chem) * (row[TEMPERATURE] - STANDARD_K))
 
 
 @helper

@@ -1,10 +1,11 @@
 """Reactions with their heat: reversible, catalysed, inhibited, stiff or not, in a vessel that a jacket heats or cools.
 
-The unknowns are the extents of the reactions and the heat that has come through the jacket; temperature follows from
-them by the enthalpy balance. So atoms and energy are conserved to rounding whatever the integrator's error. The
-integrator is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and stiffly accurate (Sandu et
-al., Atmos. Environ. 31 (1997) 3459, and Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996,
-section IV.7).
+The unknowns are the extents of independent reactions (of A -> B, B -> C and A -> C the first two: where matter goes in
+circles, extents of all of them would grow without bound, and rounding with them) and the heat that has come through
+the jacket; temperature follows from them by the enthalpy balance. So atoms and energy are conserved to rounding,
+whatever the integrator's error. It is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
+stiffly accurate (Sandu et al., Atmos. Environ. 31 (1997) 3459; for such methods Hairer and Wanner, Solving Ordinary
+Differential Equations II, 2nd ed. 1996, section IV.7).
 """
 
 from __future__ import annotations
@@ -27,21 +28,25 @@ _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15
 """mol; a reactant of which there is less is used up."""
+_ROUNDING = 4e-15
+"""mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
+where what a species catalyses itself would run away."""
 _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
 _HEAT_SCALE_K = 10.0
 """Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
-_SMALL = 1e-4
-"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, end."""
+_SMALL = 0.01
+"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, become 1."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
 """Of e in a rate constant; what is beyond is as good as zero or at once."""
 _COLDEST_K, _HOTTEST_K = 50.0, 5000.0
 """Between which rate constants are worked out: a trial step may err further."""
 
-_EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT = range(8)  # rows of the scratch, of length U = R + 1
-_FORWARD, _BACKWARD, _HEAT, _CAPACITY = range(8, 12)
-_START, _NOW, _CONC = range(12, 15)  # of length S
+# Rows of the scratch: of length B + 1, the unknowns; R, reactions; S, species. The Jacobian and its factors follow.
+_EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT, _HEAT, _CAPACITY = range(10)
+_FORWARD, _BACKWARD = range(10, 12)
+_START, _NOW, _CONC = range(12, 15)
 _VECTORS = 15
 
 
@@ -57,14 +62,14 @@ class _Vessel(NamedTuple):
     transfer: float
     """W/K/L; < 0: the contents are as warm as the jacket"""
     small: float
-    """mol/L, below which orders under 1 are taken to be 1"""
+    """mol/L, below which orders under 1 become 1"""
     work: FloatArray
 
 
 def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
     """Shape of the scratch array :func:`react` needs."""
-    unknowns = chemistry.stoichiometry.shape[0] + 1
-    return _VECTORS + 2 * unknowns, max(unknowns, chemistry.species.shape[0])
+    unknowns = chemistry.independent.shape[0] + 1
+    return _VECTORS + 2 * unknowns, max(unknowns, *chemistry.stoichiometry.shape)
 
 
 # -- what is there ---------------------------------------------------------------------------------------------------
@@ -169,12 +174,12 @@ def _power(concentration: float, order: float, small: float) -> float:
         return concentration
     if order < 1.0 and concentration < small:
         bend = (order - 1.0) * max(concentration / small, 0.0)
-        return concentration * small ** (order - 1.0) * (2.0 - order + bend)
+        return float(concentration * small ** (order - 1.0) * (2.0 - order + bend))
     if concentration <= 0.0:
         return 0.0
     if order == 2.0:
         return concentration * concentration
-    return concentration**order
+    return float(concentration**order)
 
 
 @helper
@@ -184,26 +189,26 @@ def _slope(concentration: float, order: float, small: float) -> float:
         return 1.0
     if order < 1.0 and concentration < small:
         bend = 2.0 * (order - 1.0) * max(concentration / small, 0.0)
-        return small ** (order - 1.0) * (2.0 - order + bend)
+        return float(small ** (order - 1.0) * (2.0 - order + bend))
     if concentration <= 0.0:
         return 0.0
     if order == 2.0:
         return 2.0 * concentration
-    return order * concentration ** (order - 1.0)
+    return float(order * concentration ** (order - 1.0))
 
 
 @inner
 def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, float]:
     """(K, J/K/L) temperature and heat capacity at some extents and heat from the jacket, by the enthalpy balance."""
-    n_reactions = opened(RealChemistry, chem).stoichiometry.shape[0]
+    n = opened(RealChemistry, chem).independent.shape[0]
     energy, capacity = vessel.energy, vessel.capacity
-    for r in range(n_reactions):
-        energy -= vessel.work[_HEAT, r] * y[r]
-        capacity += vessel.work[_CAPACITY, r] * y[r]
+    for b in range(n):
+        energy -= vessel.work[_HEAT, b] * y[b]
+        capacity += vessel.work[_CAPACITY, b] * y[b]
     if vessel.transfer < 0.0:
         return vessel.jacket, capacity
     capacity = max(capacity, 1e-3 * vessel.capacity)
-    return STANDARD_K + (energy + y[n_reactions]) / capacity, capacity
+    return STANDARD_K + (energy + y[n]) / capacity, capacity
 
 
 @inner
@@ -225,14 +230,27 @@ def _set_constants(chem: Handle, work: FloatArray, temperature: float) -> None:
 def _concentrations(chem: Handle, work: FloatArray, y: FloatArray) -> None:
     """Concentrations at some extents."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
-    for j in range(n_species):
+    for j in range(chemistry.species.shape[0]):
         work[_CONC, j] = work[_START, j]
-    for r in range(n_reactions):
+    for b in range(chemistry.independent.shape[0]):
+        r = chemistry.independent[b]
         for c in range(chemistry.changes.shape[1]):
             j = chemistry.changes[r, c]
             if j >= 0:
-                work[_CONC, j] += chemistry.stoichiometry[r, j] * y[r]
+                work[_CONC, j] += chemistry.stoichiometry[r, j] * y[b]
+    for j in range(chemistry.species.shape[0]):
+        if abs(work[_CONC, j]) < _ROUNDING * (1.0 + work[_START, j]):
+            work[_CONC, j] = 0.0
+
+
+@inner
+def _change(chem: Handle, extents: FloatArray, j: int) -> float:
+    """What some extents (or their rates) make of species ``j``."""
+    chemistry = opened(RealChemistry, chem)
+    total = 0.0
+    for b in range(chemistry.independent.shape[0]):
+        total += chemistry.stoichiometry[chemistry.independent[b], j] * extents[b]
+    return total
 
 
 @inner
@@ -249,15 +267,17 @@ def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
 
 @inner
 def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> None:
-    """Rates (mol/L per time unit) at some extents, and the heat that comes through the jacket (W/L)."""
+    """Rates of the unknowns: of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, work = chemistry.stoichiometry.shape[0], vessel.work
+    n, work = chemistry.independent.shape[0], vessel.work
     _concentrations(chem, work, y)
     temperature = _temperature(chem, vessel, y)[0]
     if vessel.transfer >= 0.0:
         _set_constants(chem, work, temperature)
-        out[n_reactions] = vessel.transfer * (vessel.jacket - temperature)
-    for r in range(n_reactions):
+        out[n] = vessel.transfer * (vessel.jacket - temperature)
+    for b in range(n):
+        out[b] = 0.0
+    for r in range(chemistry.stoichiometry.shape[0]):
         ahead, back = work[_FORWARD, r], work[_BACKWARD, r]
         for f in range(chemistry.forward.shape[1]):
             j = chemistry.forward[r, f]
@@ -268,15 +288,22 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
                 j = chemistry.backward[r, f]
                 if j >= 0:
                     back *= _power(work[_CONC, j], chemistry.backward_order[r, f], vessel.small)
-        out[r] = (ahead - back) * _slowing(chem, work, r)
+        rate = (ahead - back) * _slowing(chem, work, r)
+        for p in range(chemistry.parts.shape[1]):
+            if chemistry.parts[r, p] >= 0:
+                out[chemistry.parts[r, p]] += chemistry.part_numbers[r, p] * rate
 
 
 @inner
 def _spread(chem: Handle, matrix: FloatArray, r: int, j: int, slope: float) -> None:
-    """Add to row ``r`` of the Jacobian what a rate's slope with the concentration of species ``j`` makes."""
+    """Add to the Jacobian what the slope of rate ``r`` with the concentration of species ``j`` makes."""
     chemistry = opened(RealChemistry, chem)
-    for s in range(chemistry.stoichiometry.shape[0]):
-        matrix[r, s] += slope * chemistry.stoichiometry[s, j]
+    for p in range(chemistry.parts.shape[1]):
+        b = chemistry.parts[r, p]
+        if b >= 0:
+            part = slope * chemistry.part_numbers[r, p]
+            for s in range(chemistry.independent.shape[0]):
+                matrix[b, s] += part * chemistry.stoichiometry[chemistry.independent[s], j]
 
 
 @inner
@@ -306,14 +333,14 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
 def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     """Derivatives of :func:`_rates` with the extents and the heat; concentrations and constants are those at ``y``."""
     chemistry = opened(RealChemistry, chem)
-    n, work = chemistry.stoichiometry.shape[0], vessel.work
+    n, work = chemistry.independent.shape[0], vessel.work
     matrix = work[_VECTORS:]
     temperature, capacity = _temperature(chem, vessel, y)
     per_square = 1.0 / (GAS_CONSTANT * temperature * temperature)
-    for r in range(n + 1):
+    for b in range(n + 1):
         for s in range(n + 1):
-            matrix[r, s] = 0.0
-    for r in range(n):
+            matrix[b, s] = 0.0
+    for r in range(chemistry.stoichiometry.shape[0]):
         slowing = _slowing(chem, work, r)
         ahead = _factor_slopes(chem, vessel, r, False, work[_FORWARD, r] * slowing)
         back = _factor_slopes(chem, vessel, r, True, -work[_BACKWARD, r] * slowing) if work[_BACKWARD, r] > 0.0 else 0.0
@@ -321,18 +348,18 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
             j = chemistry.inhibitors[r, f]
             if j >= 0:
                 _spread(chem, matrix, r, j, -(ahead + back) * slowing * chemistry.inhibition[r, f])
-        if vessel.transfer >= 0.0:
-            energy = chemistry.activation_energy[r]
-            hotter = (ahead * energy + back * (energy - chemistry.equilibrium_heat[r])) * per_square / capacity
-            for s in range(n):
-                heat = work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K)
-                matrix[r, s] -= hotter * heat
-            matrix[r, n] = hotter
-    if vessel.transfer > 0.0:
+        energy = chemistry.activation_energy[r]
+        hotter = (ahead * energy + back * (energy - chemistry.equilibrium_heat[r])) * per_square
+        for p in range(chemistry.parts.shape[1]):
+            if chemistry.parts[r, p] >= 0:
+                matrix[chemistry.parts[r, p], n] += chemistry.part_numbers[r, p] * hotter
+    matrix[n, n] = -vessel.transfer
+    # So far the last column is the slope with temperature; that follows from extents and heat.
+    for b in range(n + 1):
+        slope = matrix[b, n] / capacity if vessel.transfer >= 0.0 else 0.0
         for s in range(n):
-            heat = work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K)
-            matrix[n, s] = vessel.transfer * heat / capacity
-        matrix[n, n] = -vessel.transfer / capacity
+            matrix[b, s] -= slope * (work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K))
+        matrix[b, n] = slope
 
 
 # -- one step --------------------------------------------------------------------------------------------------------
@@ -414,22 +441,19 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
 def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
     """Error of a trial step over what is allowed: root mean square over the concentrations, or the temperature's."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
+    n, n_species = chemistry.independent.shape[0], chemistry.species.shape[0]
     work = vessel.work
     _concentrations(chem, work, work[_TRIAL])
     total = 0.0
     for j in range(n_species):
-        defect = 0.0
-        for r in range(n_reactions):
-            defect += chemistry.stoichiometry[r, j] * work[_K4, r]
-        ratio = defect / (atol + rtol * max(work[_NOW, j], work[_CONC, j]))
+        ratio = _change(chem, work[_K4], j) / (atol + rtol * max(work[_NOW, j], work[_CONC, j]))
         total += ratio * ratio
     worst = math.sqrt(total / n_species)
     if vessel.transfer >= 0.0:
         temperature, capacity = _temperature(chem, vessel, work[_TRIAL])
-        heat = work[_K4, n_reactions]
-        for r in range(n_reactions):
-            heat -= (work[_HEAT, r] + work[_CAPACITY, r] * (temperature - STANDARD_K)) * work[_K4, r]
+        heat = work[_K4, n] if vessel.transfer > 0.0 else 0.0
+        for b in range(n):
+            heat -= (work[_HEAT, b] + work[_CAPACITY, b] * (temperature - STANDARD_K)) * work[_K4, b]
         off = abs(heat / capacity) / (rtol * _HEAT_SCALE_K)
         # Not max(): it would hide what is no number.
         worst = off if not off <= worst else worst
@@ -438,30 +462,28 @@ def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
 
 @inner
 def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool:
-    """Take back from a trial step what would use up more of a species than there is, in all reactions that use it
-    alike. Where that is more than the tolerance, or does not end, the step is no good: False."""
+    """Take back from a trial step what would use up more of a species than there is, of all that uses it alike. Where
+    that is more than the tolerance, or does not end, the step is no good: False."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
     y, trial = work[_EXTENT], work[_TRIAL]
     for _ in range(_MOST_SWEEPS):
         missing = False
-        for j in range(n_species):
+        for j in range(chemistry.species.shape[0]):
             lacking = -work[_CONC, j]
-            # Rounding in the sums may leave -1e-17 where the exact result is 0.
-            if lacking <= 1e-15 * (work[_START, j] + 1.0):
+            if lacking <= 0.0:
                 continue
             if lacking > atol + rtol * work[_NOW, j]:
                 return False
             used = 0.0
-            for r in range(n_reactions):
-                used += max(-chemistry.stoichiometry[r, j] * (trial[r] - y[r]), 0.0)
+            for b in range(chemistry.independent.shape[0]):
+                used += max(-chemistry.stoichiometry[chemistry.independent[b], j] * (trial[b] - y[b]), 0.0)
             if used <= 0.0:
                 continue
             missing = True
             keep = max(1.0 - lacking / used, 0.0)
-            for r in range(n_reactions):
-                if chemistry.stoichiometry[r, j] * (trial[r] - y[r]) < 0.0:
-                    trial[r] = y[r] + keep * (trial[r] - y[r])
+            for b in range(chemistry.independent.shape[0]):
+                if chemistry.stoichiometry[chemistry.independent[b], j] * (trial[b] - y[b]) < 0.0:
+                    trial[b] = y[b] + keep * (trial[b] - y[b])
         if not missing:
             return True
         _concentrations(chem, work, trial)
@@ -475,34 +497,32 @@ def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool
 def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: float) -> float:
     """Fill the scratch for the contents of a vessel; returns the first trial step, 0 where nothing runs."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
-    work = vessel.work
-    for j in range(n_species):
+    n, work = chemistry.independent.shape[0], vessel.work
+    for j in range(chemistry.species.shape[0]):
         work[_START, j] = _available(row, chem, j) / litres
         work[_NOW, j] = work[_START, j]
-    for r in range(n_reactions):
-        work[_HEAT, r], work[_CAPACITY, r] = 0.0, 0.0
+    for b in range(n):
+        r = chemistry.independent[b]
+        work[_HEAT, b], work[_CAPACITY, b] = 0.0, 0.0
         for c in range(chemistry.changes.shape[1]):
             j = chemistry.changes[r, c]
             if j >= 0:
                 i = chemistry.species[j]
-                work[_HEAT, r] += chemistry.stoichiometry[r, j] * chemistry.formation[i]
-                work[_CAPACITY, r] += chemistry.stoichiometry[r, j] * chemistry.heat_capacity[i]
-    for u in range(n_reactions + 1):
+                work[_HEAT, b] += chemistry.stoichiometry[r, j] * chemistry.formation[i]
+                work[_CAPACITY, b] += chemistry.stoichiometry[r, j] * chemistry.heat_capacity[i]
+    for u in range(n + 1):
         work[_EXTENT, u], work[_TRIAL, u] = 0.0, 0.0
     if vessel.transfer < 0.0:
         _set_constants(chem, work, vessel.jacket)
     rates, h, running = work[_RATES], dt, False
     _rates(chem, vessel, work[_EXTENT], rates)
-    for r in range(n_reactions):
-        running = running or rates[r] != 0.0
+    for b in range(n):
+        running = running or rates[b] != 0.0
     if not running:
         return 0.0
     # A first step that would use up much of a reactant tells nothing about its own error.
-    for j in range(n_species):
-        change = 0.0
-        for r in range(n_reactions):
-            change += chemistry.stoichiometry[r, j] * rates[r]
+    for j in range(chemistry.species.shape[0]):
+        change = _change(chem, rates, j)
         if change < 0.0:
             h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.small / _SMALL) / -change)
     return h
@@ -512,8 +532,7 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
 def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: float, atol: float) -> int:
     """Bring the extents from 0 to ``dt``; returns the number of steps, -1 where there would be too many."""
     chemistry = opened(RealChemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
-    n, work = n_reactions + (1 if vessel.transfer > 0.0 else 0), vessel.work
+    n, work = chemistry.independent.shape[0] + (1 if vessel.transfer > 0.0 else 0), vessel.work
     h, done, steps, fresh = first, 0.0, 0, True
     while done < dt:
         steps += 1
@@ -541,7 +560,7 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: flo
         done = dt if last else done + h
         for u in range(n):
             work[_EXTENT, u] = work[_TRIAL, u]
-        for j in range(n_species):
+        for j in range(chemistry.species.shape[0]):
             work[_NOW, j] = max(work[_CONC, j], 0.0)
         _rates(chem, vessel, work[_EXTENT], work[_RATES])
         fresh = True
@@ -595,9 +614,7 @@ def react(
         return -1
     temperature = _temperature(chem, vessel, work[_EXTENT])[0]
     for j in range(chemistry.species.shape[0]):
-        change = 0.0
-        for r in range(chemistry.stoichiometry.shape[0]):
-            change += chemistry.stoichiometry[r, j] * work[_EXTENT, r]
+        change = _change(chem, work[_EXTENT], j)
         if change != 0.0:
             _add_species(row, chem, j, litres * change)
     row[TEMPERATURE] = temperature
