@@ -106,7 +106,7 @@ def test_distillation_follows_an_independent_rayleigh_integration(charge: str) -
     for purity, recovery, kelvin in judged(charge)[:4]:
         while glass.mol(0, kept) / sum(glass.mol(0, name) for name in contents) < purity:
             glass.heat(100.0)
-        assert glass.mol(0, kept) / contents[kept] == pytest.approx(recovery, abs=0.1)
+        assert glass.mol(0, kept) / contents[kept] == pytest.approx(recovery, abs=0.02)
         assert glass.rows[0, TEMPERATURE] == pytest.approx(kelvin, abs=2.0)
 
 
@@ -166,7 +166,8 @@ def test_a_column_at_high_reflux_separates_as_fenske_says(stages: int) -> None:
 
     def pascal(name: str, kelvin: float) -> float:
         real = materials[name].real
-        assert real is not None and real.vapor_pressure is not None
+        assert real is not None
+        assert real.vapor_pressure is not None
         return float(real.vapor_pressure.pascal(kelvin))
 
     alpha = pascal("3-chlorohexane", glass.rows[0, TEMPERATURE]) / pascal("1-chlorohexane", glass.rows[0, TEMPERATURE])
@@ -208,7 +209,7 @@ def test_what_water_dissolves() -> None:
 @pytest.mark.parametrize("solute", ["1-chlorohexane", "ethanol", "benzoic_acid"])
 @pytest.mark.parametrize("solvent", ["diethyl_ether", "toluene"])
 def test_distribution_is_that_of_the_pairs(solute: str, solvent: str) -> None:
-    # validate/distribution.csv: the same pairs, at infinite dilution, by plain Python.
+    # validate/distribution.csv: the same pairs at infinite dilution, in phases as UNIFAC has them.
     with (VALIDATION / "distribution.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if (row["solute"], row["solvent"]) == (solute, solvent)]
     glass = Glass("water", solvent, solute)
@@ -220,7 +221,7 @@ def test_distribution_is_that_of_the_pairs(solute: str, solvent: str) -> None:
     phases, known = glass.phases(0), glass.shelf.known()
     litres = [sum(phases[n][p] * known.molar_volume[glass.names.index(n)] for n in phases) for p in range(2)]
     aqueous, organic = (phases[solute][p] / litres[p] for p in range(2))
-    assert np.log10(organic / aqueous) == pytest.approx(float(rows[0]["shipped"]), abs=0.1)
+    assert np.log10(organic / aqueous) == pytest.approx(float(rows[0]["shipped"]), abs=0.2)
 
 
 def test_molecules_have_one_activity_in_both_phases() -> None:
@@ -244,7 +245,8 @@ def test_a_slurry_comes_to_saturation_from_both_sides(solvent: str) -> None:
     names = ("benzoic_acid", solvent)
     glass = Glass(*names)
     material = glass.scenario.materials["benzoic_acid"]
-    assert material.real is not None and material.real.fusion_enthalpy_j_mol is not None
+    assert material.real is not None
+    assert material.real.fusion_enthalpy_j_mol is not None
     assert material.melting_point_k is not None
     table = pair_table(names, shipped_pairs())
     for begin in (298.15, 340.0):
@@ -308,7 +310,8 @@ def test_random_operations_keep_atoms_and_energy() -> None:
                 laws.react(row, glass.chem, rng.uniform(0, 300), 300.0, 0.0, 1e-3, 1e-6, glass.work)
             else:
                 pour(row, glass.rows[other], rng.uniform(), glass.chem, glass.waste, glass.events)
-            assert np.isfinite(glass.rows).all() and glass.rows[:, AMOUNTS:].min() >= -1e-15
+            assert np.isfinite(glass.rows).all()
+            assert glass.rows[:, AMOUNTS:].min() >= -1e-15
             after = atoms @ (glass.shelf.amounts[0].sum(axis=0) + glass.waste)
             np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-12)
             if balance is not None and (glass.waste == lost).all():

@@ -11,6 +11,7 @@ from .heats import crystals
 
 __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_volume"]
 
+
 @helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Volume of solids and crystals, L."""

@@ -22,7 +22,7 @@ from .vapor import flash_off
 __all__ = ["elapse", "settle_phases", "work_size"]
 
 _MOST_ROUNDS = 60
-_RTOL, _ATOL = 1e-3, 1e-6
+_RTOL, _ATOL = 1e-3, 1e-9
 _CLOSE = 1e-12
 
 
