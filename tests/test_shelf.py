@@ -148,8 +148,11 @@ def test_the_arrays_say_what_the_materials_say(name: str) -> None:
         )
         assert chemistry.boiling_point[i] == material.boiling_point_k
     roles = {key: material.role for key, material in scenario.materials.items()}
-    assert layout.solvents == tuple(key for key, role in roles.items() if role == "solvent")
-    assert layout.dissolved == tuple(key for key, role in roles.items() if role in ("solute", "ion"))
+    real = scenario.physics == "real"
+    solvents = tuple(key for key, role in roles.items() if role == "solvent")
+    assert layout.solvents == (("aqueous", "organic") if real else solvents)
+    dissolved = ("solvent", "solute", "ion") if real else ("solute", "ion")
+    assert layout.dissolved == tuple(key for key, role in roles.items() if role in dissolved)
     volatile = [layout.materials[i] for i in chemistry.volatile]
     assert set(volatile) == {key for key, role in roles.items() if role in ("solvent", "solute")}
     points = [scenario.materials[key].boiling_point_k for key in volatile]
@@ -176,4 +179,4 @@ def test_the_network_says_what_the_reactions_say(name: str) -> None:
     assert network.pre_exponential.tolist() == [step.pre_exponential for step in steps]
     assert network.activation_energy.tolist() == [step.activation_energy_j_mol for step in steps]
     # Only materials that take part are there.
-    assert set(names) == {material for step in steps for material in (*step.reactants, *step.products)}
+    assert set(names) == {material for step in steps for material in step.materials()}

@@ -16,12 +16,12 @@ from chemlab.bench.reaction import ReactionBench
 
 __all__ = ["RealDistillationHeuristic", "RealExtractionHeuristic", "RealReactionHeuristic"]
 
-_FEED, _QUENCH = 0.5, 0.85
+_FEED, _QUENCH = 0.6, 0.88
 """Shares of a reaction: until the first, the liquid reagents are fed in; from the second on, what is left is
 quenched."""
 _QUENCH_SHARE = 0.3
 """Of what is left of the quenching reagent, at each step."""
-_BELOW_BOILING_K = 5.0
+_BELOW_BOILING_K = 8.0
 """The contents are kept this far below the boiling point of what boils first."""
 _GAIN = 2.0
 """K that the jacket goes below the wanted temperature for each that the contents are above it."""

@@ -276,7 +276,7 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
     for key, spec in scenario.benches.items():
         bench = ExperimentBatch(scenario, key).bench
         parts = {
-            "rxn": 200 + 3 + len(getattr(bench.options, "reagents", ())) + goals,
+            "rxn": 200 + 3 + len(getattr(bench.options, "reagents", ())) + goals + (scenario.physics == "real"),
             "ext": 300 + goals,
             "dit": 300 + 3 + goals,
         }
