@@ -35,6 +35,9 @@ def _register_benches() -> None:
         "WurtzExtraction": {"scenario": "wurtz_dodecane", "bench": "ext"},
         "SaltFromOilExtraction": {"scenario": "salt_from_oil", "bench": "ext"},
         "WurtzDistillation": {"scenario": "wurtz_dodecane", "bench": "dit"},
+        "RealWurtzReaction": {"scenario": "wurtz_real", "bench": "rxn"},
+        "RealWurtzExtraction": {"scenario": "wurtz_real", "bench": "ext"},
+        "RealWurtzDistillation": {"scenario": "wurtz_real", "bench": "dit"},
         "Bench": {},
     }
     for name, arguments in benches.items():
