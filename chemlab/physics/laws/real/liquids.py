@@ -34,7 +34,7 @@ _SETSCHENOW = 0.2
 """L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics (Xie, Shiu, Mackay, Mar.
 Environ. Res. 44 (1997) 429)."""
 _MOST_ROUNDS = 200
-_CLOSE = 1e-8
+_CLOSE = 1e-6
 """Of every ln K, where the split counts as found."""
 _SAME = 1e-4
 """ln K of everything below which two phases are one."""
@@ -201,7 +201,7 @@ def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
         step = beta - value / slope if slope < 0.0 else 0.5 * (left + right)
         if not left < step < right:
             step = 0.5 * (left + right)
-        if abs(step - beta) <= 1e-14:
+        if abs(step - beta) <= 1e-12:
             return step
         beta = step
     return beta
@@ -227,11 +227,12 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     if not two:
         for a in range(n):
             liquids.share[a] = 1e-3 if int(liquids.who[a]) == chemistry.water else 1.0 - 1e-6
-    ratio = scratch(MOST_FLUIDS)
+    ratio, last = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
     activities(n, temperature, chem, liquids)
     for a in range(n):
         gap = liquids.log_gamma[a] - liquids.log_gamma[n + a]
-        ratio[a] = math.exp(max(min(gap, _STEEPEST), -_STEEPEST))
+        last[a] = max(min(gap, _STEEPEST), -_STEEPEST)
+        ratio[a] = math.exp(last[a])
     for _round in range(_MOST_ROUNDS):
         beta = _shares(n, liquids, ratio, total)
         if beta <= 0.0 or beta >= 1.0:
@@ -250,8 +251,9 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
         worst, widest = 0.0, 0.0
         for a in range(n):
             gap = max(min(liquids.log_gamma[a] - liquids.log_gamma[n + a], _STEEPEST), -_STEEPEST)
-            worst = max(worst, abs(gap - math.log(ratio[a])))
+            worst = max(worst, abs(gap - last[a]))
             widest = max(widest, abs(gap))
+            last[a] = gap
             ratio[a] = math.exp(gap)
         if widest < _SAME:
             _one_phase(n, water, total, temperature, chem, liquids)

@@ -17,9 +17,11 @@ __all__ = ["bubble_point", "flash_off", "headspace_gas", "reflux", "vapor_pressu
 
 _NO_BOILING = 1e4
 """K: returned where nothing boils."""
-_CLOSE_K = 1e-5
+_CLOSE_K = 1e-4
+_SAME_K = 0.1
+"""Change of temperature that leaves activities as they are."""
 _MOST_ROUNDS = 40
-_LONGEST_K = 50.0
+_LONGEST_K = 30.0
 _HOTTEST_K = 890.0
 
 
@@ -49,22 +51,31 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
     """K at which the liquids' vapour has ``pressure`` (kPa); 10,000 where nothing boils. Then ``partial`` [n] says
     whose vapour it is, and ``liquids`` how they share out between the phases there."""
-    vaporizing = opened(RealChemistry, chem).vaporizing
+    chemistry = opened(RealChemistry, chem)
     temperature = guess
+    split(n, temperature, chem, liquids)
     for _round in range(_MOST_ROUNDS):
-        split(n, temperature, chem, liquids)
-        total = partial_pressures(n, temperature, chem, liquids, partial)
-        slope = 0.0
-        for a in range(n):
-            slope += partial[a] * on_curve(vaporizing, int(liquids.who[a]), temperature, chem)
-        slope /= GAS_CONSTANT * temperature * temperature * max(total, 1e-300)
-        step = math.log(pressure / max(total, 1e-300)) / max(slope, 1e-6)
-        step = max(min(step, _LONGEST_K), -_LONGEST_K)
-        if temperature >= _HOTTEST_K and step > 0.0:
-            return _NO_BOILING
-        temperature = max(min(temperature + step, _HOTTEST_K), 160.0)
-        if abs(step) < _CLOSE_K:
+        # With the activities as they are, the temperature; at that temperature, the activities.
+        before = temperature
+        for _again in range(_MOST_ROUNDS):
+            total = partial_pressures(n, temperature, chem, liquids, partial)
+            slope = 0.0
+            for a in range(n):
+                slope += partial[a] * on_curve(chemistry.vaporizing, int(liquids.who[a]), temperature, chem)
+            slope /= GAS_CONSTANT * temperature * temperature * max(total, 1e-300)
+            step = math.log(pressure / max(total, 1e-300)) / max(slope, 1e-6)
+            step = max(min(step, _LONGEST_K), -_LONGEST_K)
+            if temperature >= _HOTTEST_K and step > 0.0:
+                return _NO_BOILING
+            temperature = max(min(temperature + step, _HOTTEST_K), 160.0)
+            if abs(step) < _CLOSE_K:
+                break
+        if abs(temperature - before) < _SAME_K:
             break
+        if abs(temperature - before) > _LONGEST_K:
+            split(n, temperature, chem, liquids)
+        else:
+            activities(n, temperature, chem, liquids)
     return temperature
 
 
