@@ -86,12 +86,17 @@ def test_the_judge_finds_what_the_design_says() -> None:
 def test_distribution_coefficients_are_those_of_unifac_or_measured() -> None:
     # Pairs with a measured solubility are not UNIFAC's any more; there what was measured counts.
     judged = rows("distribution")
-    near = [row for row in judged if abs(float(row["shipped"]) - float(row["unifac"])) <= 0.2]
-    assert len(near) >= 30
-    measured = [row for row in judged if row["measured"]]
+    measured = [row for row in judged if row["source"]]
     assert len(measured) >= 6
     for row in measured:
         assert abs(float(row["shipped"]) - float(row["measured"])) <= 0.2, row
+    near = [
+        row
+        for row in judged
+        if not row["source"]
+        and min(abs(float(row["shipped"]) - float(row[key])) for key in ("unifac_dortmund", "unifac")) <= 0.2
+    ]
+    assert len(near) + len(measured) >= 40
 
 
 def test_solids_dissolve_as_measured() -> None:

@@ -145,7 +145,7 @@ def log_gamma(pair: Pair, temperature: float, x: float) -> np.ndarray:
 
 
 GROUPS: dict[str, dict[int, int]] = {
-    # Numbers of the Dortmund form: CH3 1, CH2 2, CH2=CH 5, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25,
+    # Numbers in both forms: CH3 1, CH2 2, CH2=CH 5, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25,
     # COOH 42, CH2Cl 44, CHCl 45.
     "diethyl_ether": {1: 2, 2: 1, 25: 1},
     "water": {16: 1},
@@ -182,15 +182,19 @@ APART = [
 
 
 def unifac(one: str, other: str, temperature: float, x: float) -> np.ndarray:
+    """ln gamma by the form that the pair names as its source."""
     thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
     thermo.unifac.load_unifac_ip()
+    source = shipped_pairs()[frozenset((one, other))].source
+    assert source in ("UNIFAC (Dortmund)", "UNIFAC")
+    dortmund = source == "UNIFAC (Dortmund)"
     model = thermo.unifac.UNIFAC.from_subgroups(
         T=temperature,
         xs=[x, 1.0 - x],
         chemgroups=[GROUPS[one], GROUPS[other]],
-        version=1,
-        interaction_data=thermo.unifac.DOUFIP2016,
-        subgroups=thermo.unifac.DOUFSG,
+        version=int(dortmund),
+        interaction_data=thermo.unifac.DOUFIP2016 if dortmund else thermo.unifac.UFIP,
+        subgroups=thermo.unifac.DOUFSG if dortmund else thermo.unifac.UFSG,
     )
     return np.log(model.gammas())
 

@@ -46,25 +46,27 @@ SUBSTANCES: dict[str, tuple[str, dict[str, int]]] = {
 
 
 @functools.cache
-def _model(names: tuple[str, ...]) -> Any:
+def _model(names: tuple[str, ...], dortmund: bool = True) -> Any:
     u = thermo.unifac
     u.load_unifac_ip()
-    numbers = {group.group: number for number, group in u.DOUFSG.items() if number < 119}
+    numbers = {group.group: number for number, group in u.DOUFSG.items() if number < 119}  # the same in both forms
     groups = [{numbers[key]: n for key, n in SUBSTANCES[name][1].items()} for name in names]
     return u.UNIFAC.from_subgroups(
         T=300.0,
         xs=[1.0 / len(names)] * len(names),
         chemgroups=groups,
-        version=1,
-        interaction_data=u.DOUFIP2016,
-        subgroups=u.DOUFSG,
+        version=int(dortmund),
+        interaction_data=u.DOUFIP2016 if dortmund else u.UFIP,
+        subgroups=u.DOUFSG if dortmund else u.UFSG,
     )
 
 
-def activity_coefficients(names: Sequence[str], temperature_k: float, fractions: Sequence[float]) -> Array:
-    """[n] by UNIFAC (Dortmund, parameters of 2016), of a mixture of n by mole fractions."""
+def activity_coefficients(
+    names: Sequence[str], temperature_k: float, fractions: Sequence[float], dortmund: bool = True
+) -> Array:
+    """[n] of a mixture of n by mole fractions, by UNIFAC: the Dortmund form (parameters of 2016) or the original."""
     kept = np.maximum(np.asarray(fractions, dtype=np.float64), 1e-12)
-    return np.array(_model(tuple(names)).to_T_xs(temperature_k, (kept / kept.sum()).tolist()).gammas())
+    return np.array(_model(tuple(names), dortmund).to_T_xs(temperature_k, (kept / kept.sum()).tolist()).gammas())
 
 
 METHODS = ("HEOS_FIT", "DIPPR_PERRY_8E", "LANDOLT", "ANTOINE_WEBBOOK", "AMBROSE_WALTON")
