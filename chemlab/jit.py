@@ -190,6 +190,14 @@ def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -
 
 if not COMPILED:
 
+    def calling(parameters: Sequence[str], table: int, position: int, kinds: Any, result: Any) -> Any:
+        """Only what is compiled has an address."""
+        raise NotImplementedError
+
+    def address(function: Any, kinds: Any) -> int:
+        """Only what is compiled has an address."""
+        raise NotImplementedError
+
     def scratch(count: int) -> FloatArray:
         """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
         constant; what a helper has asked for is its kernel's."""

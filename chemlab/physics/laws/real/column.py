@@ -20,9 +20,10 @@ __all__ = ["LADDER", "MOST_STAGES", "overhead"]
 
 MOST_STAGES = 16
 LADDER = MOST_STAGES * MOST_FLUIDS
-_CLOSE = 1e-6
+_CLOSE = 1e-4
+"""Of every ln K."""
 _MOST_ROUNDS = 60
-_DAMPING = 0.7
+_DAMPING = 0.9
 
 
 @inner
@@ -31,9 +32,10 @@ def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, 
     ``out[at : at + n]``; returns that temperature, K."""
     chemistry = opened(RealChemistry, chem)
     temperature, pressure = guess, chemistry.ambient_pressure
+    # Activities are those at the guess: it is the result of the round before.
+    prepare(n, temperature, chem, tray)
+    nrtl(n, ORGANIC, tray)
     for _round in range(20):
-        prepare(n, temperature, chem, tray)
-        nrtl(n, ORGANIC, tray)
         total, slope = 0.0, 0.0
         for a in range(n):
             i = int(tray.who[a])
@@ -44,7 +46,7 @@ def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, 
         slope /= GAS_CONSTANT * temperature * temperature * max(total, 1e-300)
         step = math.log(pressure / max(total, 1e-300)) / max(slope, 1e-6)
         temperature = max(min(temperature + max(min(step, 50.0), -50.0), 890.0), 160.0)
-        if abs(step) < 1e-3:
+        if abs(step) < 1e-2:
             break
     for a in range(n):
         out[at + a] -= math.log(pressure)

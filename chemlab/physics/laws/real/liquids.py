@@ -34,6 +34,8 @@ _SETSCHENOW = 0.2
 """L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics (Xie, Shiu, Mackay, Mar.
 Environ. Res. 44 (1997) 429)."""
 _MOST_ROUNDS = 200
+_FORESIGHT, _STEADY = 3, 0.95
+"""Every how many rounds steps are taken further, and the largest factor by which they may shrink for that."""
 _CLOSE = 1e-6
 """Of every ln K, where the split counts as found."""
 _SAME = 1e-4
@@ -233,7 +235,10 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
         gap = liquids.log_gamma[a] - liquids.log_gamma[n + a]
         last[a] = max(min(gap, _STEEPEST), -_STEEPEST)
         ratio[a] = math.exp(last[a])
-    for _round in range(_MOST_ROUNDS):
+    moved = scratch(MOST_FLUIDS)
+    for a in range(n):
+        moved[a] = 0.0
+    for turn in range(_MOST_ROUNDS):
         beta = _shares(n, liquids, ratio, total)
         if beta <= 0.0 or beta >= 1.0:
             _one_phase(n, water, total, temperature, chem, liquids)
@@ -248,13 +253,24 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
         nrtl(n, AQUEOUS, liquids)
         nrtl(n, ORGANIC, liquids)
         _salt(n, aqueous, chem, liquids)
-        worst, widest = 0.0, 0.0
+        worst, widest, along, across = 0.0, 0.0, 0.0, 0.0
         for a in range(n):
             gap = max(min(liquids.log_gamma[a] - liquids.log_gamma[n + a], _STEEPEST), -_STEEPEST)
-            worst = max(worst, abs(gap - last[a]))
+            step = gap - last[a]
+            worst = max(worst, abs(step))
             widest = max(widest, abs(gap))
+            along += step * moved[a]
+            across += moved[a] * moved[a]
+            moved[a] = step
             last[a] = gap
-            ratio[a] = math.exp(gap)
+        # Steps that shrink by a constant factor lead to a point that can be foreseen (Wegstein; Orbach and Crowe 1971).
+        factor = along / across if across > 0.0 else 0.0
+        if turn % _FORESIGHT == _FORESIGHT - 1 and 0.0 < factor < _STEADY and worst < 1.0:
+            for a in range(n):
+                last[a] += moved[a] * factor / (1.0 - factor)
+                moved[a] = 0.0
+        for a in range(n):
+            ratio[a] = math.exp(last[a])
         if widest < _SAME:
             _one_phase(n, water, total, temperature, chem, liquids)
             return
