@@ -18,6 +18,7 @@ from .common import (
     PolicyOption,
     ScenarioArgument,
     SeedOption,
+    SplitOption,
     app,
     chosen_agents,
     prepare,
@@ -165,6 +166,7 @@ def run(
     policy: PolicyOption = "heuristic",
     episodes: EpisodesOption = 1,
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     as_json: JsonOption = False,
     record: Annotated[
         Path | None,
@@ -176,7 +178,7 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
-    _, env = prepare(scenario, quiet=as_json)
+    _, env = prepare(scenario, quiet=as_json, split=split)
     seeds = range(seed, seed + episodes)
     recorders = _recorders(env, policy, seeds, record, force)
     if as_json:
@@ -280,6 +282,7 @@ def compare(
     policy: Annotated[list[str] | None, typer.Option(help="Policies to compare; repeat the option.")] = None,
     episodes: EpisodesOption = 100,
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     as_json: JsonOption = False,
     update: Annotated[Path | None, typer.Option(help="Replace the results table in this Markdown file.")] = None,
 ) -> None:
@@ -294,7 +297,7 @@ def compare(
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
         for name in names:
-            spec, env = prepare(name, quiet=True)
+            spec, env = prepare(name, quiet=True, split=split)
             for played in policies:
                 results = []
                 for result in _play(env, played, range(seed, seed + episodes)):

@@ -23,7 +23,6 @@ from ..bench.base import (
     load_terms,
 )
 from ..bench.models import ReactionModel, SeparationModel
-from ..chemistry import build_chemistry
 from ..instruments.table import InstrumentTable
 from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
@@ -52,6 +51,7 @@ from .manager import (
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 from .state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
 from .view import manager_channels, manager_observe
+from .worlds import World, Worlds, world_chemistry
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
 
@@ -111,7 +111,7 @@ class Laboratories:
 
     Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
     every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
-    other, so results do not depend on N.
+    other, so results do not depend on N. ``split`` says which worlds there may be (see :mod:`chemlab.world`).
     """
 
     def __init__(
@@ -120,13 +120,14 @@ class Laboratories:
         laboratories: int = 1,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
         spec = self.scenario
         self.bench_agents = spec.bench_agents()
         self.agents = [MANAGER_AGENT, *self.bench_agents]
         n, slots = laboratories, spec.shelf.slots
-        chemistry = build_chemistry(spec)
+        chemistry = world_chemistry(spec, n)
         kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
         announce_compiling(manager_act, manager_observe, *(k for bench in kinds.values() for k in bench.kernels))
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
@@ -134,6 +135,7 @@ class Laboratories:
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
         self.vessels_per_laboratory = int(slots + positions.sum())
         self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
+        self.worlds = Worlds(spec, self.shelf, split)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
         self.table: Table[ManagerState] = Table.empty(
@@ -243,6 +245,7 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
+            gauge=spec.shelf.gauge,
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
 
@@ -250,7 +253,9 @@ class Laboratories:
         """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
         shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
         for s, vessel in enumerate(self.scenario.shelf.vessel):
-            self._rest(shelf.fill(0, s, vessel.capacity_l, vessel.contents).row)
+            row = shelf.fill(0, s, vessel.capacity_l, vessel.contents).row
+            if not self.worlds.active:  # else they come to rest once it is known what is in them
+                self._rest(row)
         return np.asarray(shelf.vessels[0])
 
     def _rest(self, row: FloatArray) -> None:
@@ -264,15 +269,30 @@ class Laboratories:
         """Start the random streams of one laboratory afresh."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
+        self.worlds.seed(member, sequence)
 
-    def reset(self, members: IntArray, goal: str | None = None) -> None:
-        """Begin new episodes, with a laboratory goal drawn from each one's stream or given by name."""
+    def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
+        """Begin new episodes.
+
+        Args:
+            members: [B] laboratories.
+            goal: of the laboratory; None: drawn from each one's stream.
+            world: a seed or values (see :meth:`chemlab.laboratory.worlds.Worlds.begin`); None: drawn from a stream
+                of its own.
+
+        Raises:
+            ValueError: unknown goal, or a world that there is not; nothing has changed.
+        """
+        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
+        self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start
         self.shelf.stock[members] = self._first_stock
         self.shelf.waste[members] = 0.0
+        if self.worlds.active:
+            self.worlds.fill(members, self.shelf.vessels)
+            self.worlds.rest(members, len(self.scenario.shelf.vessel))
         state = self.state
         self.table.reset(members)
-        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
@@ -593,7 +613,7 @@ class Laboratories:
         state = self.shelf.arrays()
         for experiments in self.experiments:
             state += experiments.arrays()
-        return [*state, *self.table.changing()]
+        return [*state, *self.table.changing(), *self.worlds.arrays()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

@@ -139,5 +139,7 @@ class Rules(NamedTuple):
     tick_limit: Annotated[int, Field("")]
     largest_capacity: Annotated[float, Field("")]
     """L"""
+    gauge: Annotated[float, Field("")]
+    """step of the fill level's marks, as a share of the capacity; 0: none"""
     work: Annotated[FloatArray, Field("a b")]
     """scratch"""

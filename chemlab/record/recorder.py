@@ -62,7 +62,7 @@ class Witness:
     def opening(
         self,
         seed: int | None,
-        goal: str | None,
+        options: Mapping[str, Any],
         rounds: bool,
         policies: Mapping[str, str],
         models: Mapping[str, str],
@@ -70,7 +70,12 @@ class Witness:
         version: str = __version__,
     ) -> dict[str, Any]:
         """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
-        labs = self._labs
+        labs, hidden = self._labs, self._hidden()
+        split: dict[str, Any] = {}
+        if labs.worlds.active:
+            # The salt of a private split is nobody else's; its worlds are told by their numbers.
+            split = {"split": labs.worlds.split.name.partition(":")[0]}
+            hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
             positions += [f"{agent}.{position}" for position in bench.positions]
@@ -78,7 +83,8 @@ class Witness:
             "format": FORMAT,
             "chemlab": version,
             "seed": seed,
-            "options": {} if goal is None else {"goal": goal},
+            "options": dict(options),
+            **split,
             "rounds": rounds,
             "policies": dict(policies),
             "models": dict(models),
@@ -88,7 +94,7 @@ class Witness:
             "streams": self._streams(),
             "materials": list(labs.shelf.layout.materials),
             "positions": positions,
-            "hidden": self._hidden(),
+            "hidden": hidden,
             "scenario": dump_scenario(labs.scenario),
         }
 
@@ -280,7 +286,7 @@ class Recorder:
         self._witness = Witness(labs, self._member)
         opening = self._witness.opening(
             seed,
-            (options or {}).get("goal"),
+            {key: value for key, value in (options or {}).items() if key in ("goal", "world") and value is not None},
             self._rounds,
             self._policies,
             _models(labs),
