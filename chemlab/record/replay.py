@@ -69,7 +69,7 @@ class Replay:
     def _reset(self, header: Header) -> None:
         labs, world = self.laboratories, header.options.get("world")
         told = labs.worlds.active and (header.seed is None or not self.split_known)
-        hidden = header.hidden.get("world")
+        hidden: Any = header.hidden.get("world") if told else None
         if told:
             if not isinstance(hidden, dict) or not isinstance(hidden.get("values"), dict):
                 raise ValueError("hidden.world: says nothing of its values")

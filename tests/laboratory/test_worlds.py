@@ -234,7 +234,7 @@ def test_a_world_can_be_asked_for() -> None:
     assert worlds(env) == (number, values)
     env.reset(seed=2, options={"world": values})
     assert worlds(env)[1] == values
-    assert everything(env.laboratories, 0)[0].tobytes() == Laboratories_begun(spec, 7).tobytes()
+    assert everything(env.laboratories, 0)[0].tobytes() == begun(spec, 7).tobytes()
     # A part of a world: the rest is drawn as without.
     env.reset(seed=2)
     other = worlds(env)[1]
@@ -244,7 +244,8 @@ def test_a_world_can_be_asked_for() -> None:
     assert [worlds(batch, member) for member in range(3)] == [(number, values)] * 3
 
 
-def Laboratories_begun(spec: Scenario, world: int) -> np.ndarray[Any, Any]:
+def begun(spec: Scenario, world: int) -> Any:
+    """The vessels of a laboratory that begins in a world."""
     labs = Laboratories(spec, 1)
     labs.seed(0, 5)
     labs.reset(labs.members, world=world)
