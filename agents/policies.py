@@ -19,6 +19,7 @@ from chemlab.rng import uniform
 
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
+from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
 from .heuristics.real import RealDistillationHeuristic, RealExtractionHeuristic, RealReactionHeuristic
@@ -308,7 +309,8 @@ def manager_heuristic(laboratories: Laboratories, careful: bool = True, skip: Co
     for, ``skip`` are benches it does without."""
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
-    return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
+    kind = IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic
+    return kind(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
 
 
 def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:

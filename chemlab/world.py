@@ -16,6 +16,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -49,6 +50,7 @@ __all__ = [
     "named_values",
     "next_numbers",
     "positions",
+    "quantiles",
     "world_draws",
 ]
 
@@ -532,6 +534,28 @@ def next_numbers(members: IntArray, drawn: Handle, split: int) -> None:
     for i in range(members.shape[0]):
         n = members[i]
         state.work[n, 0] = (random_bits(state.stream[n]) & ~np.uint64(3)) | np.uint64(split)
+
+
+def quantiles(draw: Draw, shares: FloatArray) -> FloatArray:
+    """Numbers of a draw below which these shares of the prior lie: what whoever knows the prior may reckon with.
+
+    Raises:
+        ValueError: it is a draw of materials, or of a permutation.
+    """
+    kind, a, b, low, high = _numbers(draw)
+    if kind == _PERMUTATION or draw.what == "identity":
+        raise ValueError(f"{draw.what}: has options, and no quantiles")
+    if kind == _CHOICE:
+        options = np.array(_options(draw), dtype=np.float64)
+        weights = np.array(getattr(draw.distribution, "weights", ()) or [1.0] * len(options))
+        order = np.argsort(options, kind="stable")
+        reached = np.cumsum(weights[order]) / weights.sum()
+        return np.asarray(options[order][np.minimum(np.searchsorted(reached, shares, "right"), len(options) - 1)])
+    if kind == _UNIFORM:
+        return np.asarray(a + (b - a) * shares)
+    scores = np.array([NormalDist().inv_cdf(share) for share in shares.tolist()])
+    numbers = a + b * scores
+    return np.clip(np.exp(numbers) if kind == _LOGNORMAL else numbers, low, high)
 
 
 def positions(variables: Variables, values: FloatArray) -> FloatArray:
