@@ -52,6 +52,7 @@ from chemlab.scenario import (
     load_scenario,
     scenario_names,
 )
+from chemlab.world import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 
 __all__ = ["pages", "setup_pages"]
 
@@ -372,6 +373,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
         SafetySpec,
         RewardSpec,
     ),
+    "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
     "Reaction bench": (reaction.ReactionOptions, reaction.Span),
     "Extraction and distillation bench": (operations.OperationOptions, operations.Process),
     "Material": (Material, AbsorptionPeak),
