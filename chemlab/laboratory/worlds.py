@@ -13,6 +13,7 @@ from ..arrays import FloatArray, Handle, IntArray
 from ..chemistry import AMOUNTS, ChemistryTable, build_chemistry
 from ..jit import kernel, opened
 from ..materials import DataError
+from ..physics.laws import work_size
 from ..reactions import Reaction
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
@@ -146,7 +147,7 @@ class Worlds:
         if self._parameters:
             shelf.table.arrays.variant[:] = 1 + np.arange(n)
         self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
-        self._work = np.zeros((2, max(len(shelf.layout.solvents), 1)))
+        self._work = np.zeros(work_size(shelf.chemistry))
 
     # -- what is drawn ----------------------------------------------------------------------------------------
 
