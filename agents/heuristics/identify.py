@@ -27,6 +27,8 @@ _GRID = 24
 """Titres that are told apart."""
 _MODEL_ERROR = 0.005
 """Standard deviation of readings besides their noise: titres lie between those of the grid."""
+_SURPRISE = 1e-12
+"""Likelihood that is left to what a reading speaks against."""
 _YIELD = 0.9
 """Of what stands in the vessel, what the benches make of it."""
 _MOST_ORDERS = 20_000
@@ -211,7 +213,7 @@ class IdentifyingManager(ManagerHeuristic):
         name = f"slot_{self._vessels[v]}_{self._instrument}"
         noise = np.hypot(self._scenario.instruments[str(self._instrument)].noise, _MODEL_ERROR)
         apart = ((observation[self._slices[name]] - self._expected[v]) ** 2).sum(axis=-1) / noise**2
-        belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min()))
+        belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
 
     def _posterior(self, belief: _Belief) -> FloatArray:
         """[V, O, T] probability of what each vessel may hold."""

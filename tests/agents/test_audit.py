@@ -78,10 +78,10 @@ def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str
 def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, Any], Path]) -> None:
     found, keep = unlabelled
     files = sorted(keep.glob("*.json"))
+    kept = {file.name: file.stat().st_mtime_ns for file in files}
     (keep / "random.json").unlink()
     (keep / "test.json").write_text("{")
     seen: list[str] = []
-    kept = {file.name: file.stat().st_mtime_ns for file in files}
     assert audit("unlabelled", TINY, keep, 1, seen.append) == found
     assert {file.stem for file in files} == set(seen)
     again = {file.name for file in files if file.stat().st_mtime_ns != kept[file.name]}
