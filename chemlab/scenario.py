@@ -50,6 +50,7 @@ __all__ = [
     "InstrumentSpec",
     "LimitSpec",
     "ManagerSpec",
+    "OrderSpec",
     "RealSpec",
     "RewardSpec",
     "SafetySpec",
@@ -275,6 +276,17 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
+class OrderSpec(BaseModel):
+    """What a submission has to be: one that falls short of it is worth nothing."""
+
+    model_config = _FROZEN
+
+    purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of the goal in the vessel."""
+    amount_at_least_mol: Mol = 0.0
+    """Moles of the goal."""
+
+
 class ManagerSpec(BaseModel):
     """What the manager sees and earns beyond what every manager does."""
 
@@ -308,7 +320,7 @@ class Scenario(Grown):
     """
 
     model_config = _FROZEN
-    _later = ("physics", "manager", "real", "pair_files", "world")
+    _later = ("physics", "manager", "real", "pair_files", "world", "specifications")
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
@@ -356,6 +368,8 @@ class Scenario(Grown):
     """What events cost."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
     """How rewards are shared; numbers, or a mix's name."""
+    specifications: dict[Key, OrderSpec] = Field(default={}, max_length=64)
+    """What submissions for a laboratory goal have to be at least."""
     world: WorldSpec = WorldSpec()
     """What is drawn for an episode and not told."""
 
@@ -382,7 +396,8 @@ class Scenario(Grown):
         for name, goals in (("goals", self.goals), ("lab_goals", self.lab_goals)):
             if len(set(goals)) != len(goals):
                 raise ValueError(f"{name}: a goal is listed twice")
-        for name, named in (("lab_goals", self.lab_goals), ("theoretical_maximum_mol", self.theoretical_maximum_mol)):
+        listed = {"lab_goals": self.lab_goals, "theoretical_maximum_mol": self.theoretical_maximum_mol}
+        for name, named in {**listed, "specifications": self.specifications}.items():
             for goal in named:
                 if goal not in self.goals:
                     raise ValueError(f"{name}: {goal!r} is not one of goals ({', '.join(self.goals)})")

@@ -194,13 +194,34 @@ def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, An
         labs.seed(member, np.random.SeedSequence(AUDIT_SEED + member))
     labs.reset(labs.members)
     goals = np.array(scenario.goals)[labs.state.goal]
-    alone = scenario.model_copy(update={"orders": 1})
+    alone = _alone(scenario)
     scores = np.zeros(goals.shape)
     for goal in np.unique(goals):
         one = Laboratories(alone, budget.episodes, split="test")
         returns = play_laboratory(one, make_policies(policy, one, AUDIT_SEED), str(goal), AUDIT_SEED).returns
         scores += (goals == goal) * returns[:, None]
     return {"scores": scores.mean(axis=1).tolist()}
+
+
+def _alone(scenario: Scenario) -> Scenario:
+    """The laboratory for one of the orders. Its share of the score is the whole there: prices grow by as much."""
+    times = scenario.orders
+    instruments = {
+        name: spec.model_copy(update={"price": times * spec.price}) for name, spec in scenario.instruments.items()
+    }
+    costs = scenario.costs.model_copy(
+        update={
+            "stock_per_mol": {name: times * price for name, price in scenario.costs.stock_per_mol.items()},
+            "waste_per_l": times * scenario.costs.waste_per_l,
+            "tick": times * scenario.costs.tick,
+            "illegal_action": times * scenario.costs.illegal_action,
+        }
+    )
+    safety = scenario.safety.model_copy(update={"reward_price": times * scenario.safety.reward_price})
+    limits = scenario.limits.model_copy(update={"budget": times * scenario.limits.budget})
+    return scenario.model_copy(
+        update={"orders": 1, "instruments": instruments, "costs": costs, "safety": safety, "limits": limits}
+    )
 
 
 _KINDS: dict[str, Callable[..., dict[str, Any]]] = {
@@ -351,6 +372,7 @@ def _second_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: lis
     jobs.append(_Job("replay", "replay", {"policy": reference}))
     test = {"split": "test", "seed": AUDIT_SEED}
     jobs += [_Job("random", "play", {"policy": "random", **test}), _Job("test", "play", {"policy": reference, **test})]
+    jobs.append(_Job("forgetful", "play", {"policy": "forgetful", **test}))
     jobs.append(_Job("train", "play", {"policy": reference, "split": "train", "seed": AUDIT_SEED}))
     for policy in ("heuristic", "hasty"):
         jobs.append(_Job(f"blindfold-{policy}", "play", {"policy": policy, "instruments": False, **test}))
@@ -457,7 +479,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
             )
             for key in spec.benches
         },
-        "worth_of_memory": _untold("no policy of this scenario comes in a form without memory"),
+        "worth_of_memory": _untold("the scripted manager carries nothing from batch to batch"),
         "coordination": _untold("there is one order"),
         "contention": _untold("is not counted yet"),
         "headroom": _told(1.0 - reference),
@@ -466,6 +488,9 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
         else _untold("the scenario draws no world"),
         "noise": _told(scale.deviation(plan)),
     }
+    forgetful = _scores(found, "forgetful")
+    if forgetful is not None:
+        measures["worth_of_memory"] = _told(reference - scale.mean(forgetful))
     if spec.orders > 1:
         measures["coordination"] = _told(reference - scale.mean(np.array(found["apart"]["scores"])))
     return {**measures, "gates": _gates(spec, measures)}

@@ -29,7 +29,7 @@ from ..materials import DataError
 from ..parts import blamed, checked
 from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
-from ..scenario import Scenario, load_scenario
+from ..scenario import OrderSpec, Scenario, load_scenario
 from ..shelf import Shelf
 from ..tables import Table
 from .actions import ManagerActions
@@ -218,7 +218,7 @@ class Laboratories:
         bench_of = np.array([keys.index(bench.key) for bench in self.benches], dtype=np.int64)
         capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
         capacities += [bench.auxiliary_capacity_l for bench in self.benches]
-        table = self.instruments.rules.arrays
+        table, wanted = self.instruments.rules.arrays, spec.specifications
         return Rules(
             table=self.actions.table,
             slots=spec.shelf.slots,
@@ -245,6 +245,8 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
+            least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
+            least_amount=np.array([wanted.get(goal, OrderSpec()).amount_at_least_mol for goal in spec.goals]),
             gauge=spec.shelf.gauge,
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
@@ -492,13 +494,11 @@ class Laboratories:
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
-        submission is worth nothing."""
-        state = self.state
-        shares = (
-            state.submitted[members, :, 0]
-            * state.submitted[members, :, 1]
-            / self.rules.arrays.maximum[state.goal[members]]
-        )
+        submission, or with one that falls short of its specification, is worth nothing."""
+        rules, goals = self.rules.arrays, self.state.goal[members]
+        amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+        shares = amount * purity / rules.maximum[goals]
+        shares[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
         return np.asarray(shares.mean(axis=1) - self.charges(members).sum(axis=1))
 
     def charges(self, members: IntArray) -> FloatArray:

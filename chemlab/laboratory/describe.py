@@ -157,6 +157,11 @@ def goal_words(spec: Scenario) -> list[str]:
         f"An episode has {orders}, for {several}{_codes(spec.lab_goals)}.",
         f"Experiments may be run for {_codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
+        *(
+            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least, "
+            "or is worth nothing."
+            for goal, wanted in spec.specifications.items()
+        ),
     ]
 
 
