@@ -837,6 +837,7 @@ def tiny(folder: Path) -> Path:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 SHIPPED = {
+    "campaign": "eded37283047a581",
     "fictitious": "e4e595031b3892f0",
     "salt_from_oil": "54ffe9afe9e10370",
     "unlabelled": "9b4b93351e0fa3b3",
