@@ -52,7 +52,7 @@ from ..runs import versions
 from . import statistics
 from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
 
-__all__ = ["BUDGETS", "GATES", "AuditBudget", "audit", "job_count", "verdict"]
+__all__ = ["BUDGETS", "GATES", "AuditBudget", "audit", "job_count", "measure_rows", "verdict"]
 
 AUDIT_SEED = 4_000_000
 """Of the first episode that is scored: seeds that neither training nor a search plays."""
@@ -514,6 +514,18 @@ def _gates(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None
         "headroom": bool(measures["headroom"]["value"] >= 0.15),
         "noise": bool(noise > 0.1),
     }
+
+
+def measure_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """An audit's measures in words: name, value with its interval (or why there is none), and whose it is."""
+    for name, measure in found.items():
+        if isinstance(measure, dict) and "value" in measure:
+            said = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
+            yield name.replace("_", " "), said, measure.get("way") or measure.get("without") or ""
+        elif name == "worth_of_bench":
+            yield from (
+                (f"worth of {key}", statistics.interval_text(own), own["without"]) for key, own in measure.items()
+            )
 
 
 def verdict(found: Mapping[str, Any]) -> str:

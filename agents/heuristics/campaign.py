@@ -36,11 +36,10 @@ _SURPRISE = 1e-12
 
 def has_unknown_rate(scenario: Scenario) -> str | None:
     """Name of the draw of one rate constant, where that is all that is hidden and there is nothing but reacting."""
-    ((name, draw), *more) = [*scenario.world.draws.items()] or [("", None)]
+    draws = scenario.world.draws
+    rates = [name for name, draw in draws.items() if draw.what == "pre_exponential" and draw.variables == 1]
     reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
-    if draw is None or more or not reacting or draw.what != "pre_exponential" or draw.variables > 1:
-        return None
-    return name
+    return rates[0] if rates and len(draws) == 1 and reacting else None
 
 
 @dataclass

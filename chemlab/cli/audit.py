@@ -53,20 +53,12 @@ def audit(
 
 def _show(found: dict[str, Any]) -> None:
     """What people see: the measures, the gates, a sentence."""
-    from ..agents.evaluation.audit import GATES, verdict
-    from ..agents.evaluation.statistics import interval_text
+    from ..agents.evaluation.audit import GATES, measure_rows, verdict
 
-    rows = []
-    for name, measure in found.items():
-        if isinstance(measure, dict) and "value" in measure:
-            said = measure["reason"] if measure["value"] is None else interval_text(measure)
-            rows.append((name.replace("_", " "), said, measure.get("way") or measure.get("without") or ""))
-        elif name == "worth_of_bench":
-            rows += [(f"worth of {key}", interval_text(own), own["without"]) for key, own in measure.items()]
     title = (
         f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 knows all"
     )
-    show_table(title, ("measure", "value [95 % interval]", "by"), rows)
+    show_table(title, ("measure", "value [95 % interval]", "by"), measure_rows(found))
     words = {True: "met", False: "not met", None: "does not apply"}
     gates = [(name, GATES[name], words[met]) for name, met in found["gates"].items()]
     show_table("Gates", ("gate", "asks for", ""), gates)

@@ -109,6 +109,8 @@ def _show_scenario(labs: Laboratories) -> None:
     _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:
         _show("Instruments", facts.instrument_table(labs))
+    if spec.world.draws:
+        _show("Drawn for each episode, and not told", facts.world_table(spec))
     for words in (facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
         page.print(plain(words.replace("`", "")))
 

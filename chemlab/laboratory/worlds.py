@@ -14,7 +14,7 @@ from ..chemistry import AMOUNTS, ChemistryTable, build_chemistry
 from ..jit import kernel, opened
 from ..materials import DataError
 from ..physics.laws import work_size
-from ..reactions import Reaction
+from ..reactions import equation
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
 from ..world import (
@@ -32,22 +32,13 @@ from ..world import (
 )
 from .manager import rest_on_shelf
 
-__all__ = ["World", "Worlds", "equation", "world_chemistry"]
+__all__ = ["World", "Worlds", "world_chemistry"]
 
 World = int | Mapping[str, Any]
 """Which world an episode is to have: the one of a seed, or one with some of its values given, by draw and target."""
 
 _SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point"})
 """Parameters that may not be drawn: they hang together, or order materials."""
-
-
-def equation(step: Reaction) -> str:
-    """A reaction as text: ``A + 2 B -> C``."""
-    sides = [
-        " + ".join(name if number == 1.0 else f"{number:g} {name}" for name, number in side.items())
-        for side in (step.reactants, step.products)
-    ]
-    return " -> ".join(sides)
 
 
 def _parameters(scenario: Scenario) -> list[str]:

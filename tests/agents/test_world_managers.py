@@ -37,7 +37,7 @@ class Watched:
 def played(name: str, policy: str, members: int, values: dict[str, Any] | None = None) -> tuple[Laboratories, Watched]:
     labs = Laboratories(load_scenario(values or name), members, split="validation")
     policies = make_policies(policy, labs, 0)
-    policies["manager_0"] = watched = Watched(policies["manager_0"], members)  # type: ignore[assignment]
+    policies["manager_0"] = watched = Watched(policies["manager_0"], members)
     play_laboratory(labs, policies, None, 100)
     return labs, watched
 
