@@ -38,6 +38,12 @@ class Play(NamedTuple):
     action: Any
 
 
+def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options of a reset that an episode depends on."""
+    given = {key: options[key] for key in ("goal", "world") if options.get(key) is not None}
+    return {key: int(value) if isinstance(value, np.integer) else value for key, value in given.items()}
+
+
 class Witness:
     """Says what happens in one laboratory as the lines of a record; made right after the laboratory's reset.
 
@@ -83,7 +89,7 @@ class Witness:
             "format": FORMAT,
             "chemlab": version,
             "seed": seed,
-            "options": dict(options),
+            "options": _known_options(options),
             **split,
             "rounds": rounds,
             "policies": dict(policies),
@@ -286,7 +292,7 @@ class Recorder:
         self._witness = Witness(labs, self._member)
         opening = self._witness.opening(
             seed,
-            {key: value for key, value in (options or {}).items() if key in ("goal", "world") and value is not None},
+            options or {},
             self._rounds,
             self._policies,
             _models(labs),

@@ -13,6 +13,7 @@ from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
 from ..materials import DataError
 from ..parts import strangers_code
+from ..world import SPLITS
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 
@@ -53,6 +54,9 @@ class Replay:
             if given.get(key) is None:
                 raise RecordError(f"{record.path}: was made with {key} {short(name)}: give it to verify_record()")
         private = header.split == "private"
+        if header.split not in (None, "private", *SPLITS):
+            known = ", ".join([*SPLITS, "private"])
+            raise HeaderError(f"{record.path}: header: split: must be {known}, given {short(header.split)}")
         self.split_known = not private or split is not None
         chosen = (split or "private:unknown") if private else header.split or "train"
         try:
@@ -68,6 +72,8 @@ class Replay:
 
     def _reset(self, header: Header) -> None:
         labs, world = self.laboratories, header.options.get("world")
+        if world is not None:
+            labs.worlds.check(world)
         told = labs.worlds.active and (header.seed is None or not self.split_known)
         hidden: Any = header.hidden.get("world") if told else None
         if told:

@@ -382,6 +382,32 @@ def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int
         assert found.status == "tampered", (change, found.message)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("split", "x"),
+        ("split", 3),
+        ("split", None),
+        ("options", {"wish": 1}),
+        ("options", {"world": 3.5}),
+        ("options", {"world": {"rote": 1.0}}),
+        ("options", {"goal": ["dodecane"]}),
+        ("hidden", {}),
+    ],
+)
+def test_headers_that_no_recorder_writes_are_found(tmp_path: Path, key: str, value: Any) -> None:
+    spec, path = scenario(), tmp_path / "record.jsonl"
+    env = raw_env(spec, split="private:quetzal")
+    with Recorder(path, env.laboratories) as recorder:
+        play_episode(env, make_policies("random", env.laboratories), 6, options={"world": 2}, recorder=recorder)
+    header, *lines = path.read_text().splitlines()
+    forged = json.dumps({**json.loads(header), key: value}, separators=(",", ":"), ensure_ascii=False)
+    path.write_text("\n".join([forged, *lines]) + "\n")
+    found = verify_record(path, spec)
+    assert found.status == "tampered", found.message
+    assert found.where == "header"
+
+
 def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path) -> None:
     spec, path = scenario(), tmp_path / "record.jsonl"
     env = raw_env(spec)
