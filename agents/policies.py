@@ -17,8 +17,10 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .heuristics.campaign import CampaignManager, has_unknown_rate
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
+from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
 from .heuristics.real import RealDistillationHeuristic, RealExtractionHeuristic, RealReactionHeuristic
@@ -178,7 +180,7 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "direct", "random", "pretrained", "trained", "plan")
+    return ("heuristic", "hasty", "direct", "forgetful", "random", "pretrained", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -186,7 +188,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
 
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
-            safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``random``,
+            safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
+            (scripted, but the manager forgets what it has found out when a batch is over), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
             policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
             or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
@@ -273,7 +276,7 @@ def agent_policy(
         return bench_heuristic(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
-    return manager_heuristic(laboratories, careful, washing)
+    return manager_heuristic(laboratories, careful, washing, own != "forgetful")
 
 
 def is_scripted(bench: Bench) -> bool:
@@ -303,12 +306,28 @@ def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.Se
     return RandomPolicy(_size(bench.action_space), seed)
 
 
-def manager_heuristic(laboratories: Laboratories, careful: bool = True, skip: Collection[str] = ()) -> Policy:
-    """The scripted manager for some laboratories; ``careful`` False leaves out what only safety and measuring are
-    for, ``skip`` are benches it does without."""
+def manager_heuristic(
+    laboratories: Laboratories, careful: bool = True, skip: Collection[str] = (), remember: bool = True
+) -> Policy:
+    """The scripted manager for some laboratories.
+
+    Args:
+        laboratories: whose manager it is.
+        careful: False leaves out what only safety and measuring are for.
+        skip: benches it does without.
+        remember: False forgets what it has found out when a batch is over.
+
+    Raises:
+        ValueError: it is to forget, and has nothing to.
+    """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
-    return ManagerHeuristic(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
+    given = labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip
+    if has_unknown_rate(labs.scenario) is not None:
+        return CampaignManager(*given, remember=remember)
+    if not remember:
+        raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} carries nothing from batch to batch")
+    return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)
 
 
 def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:

@@ -9,6 +9,7 @@ world at a time, as a :class:`Chemistry`.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, cast
 
@@ -169,36 +170,46 @@ class ChemistryTable:
         layout: where things stand in a vessel row.
         tier: which physics it is for (see :mod:`chemlab.physics.laws`).
         structure: arrays by field of :class:`Chemistry`, shared by all worlds.
-        parameters: [W, ...] arrays by field, a row for each world.
+        parameters: [W, ...] arrays by field, a row for each world; [1, ...] of fields in which worlds do not differ.
+        worlds: W. World 0 is the one of the data files.
         handles: what kernels take; ``handles[w]`` is the chemistry of world w.
     """
 
-    def __init__(self, layout: Layout, values: Chemistry, tier: str = "paper", worlds: int = 1) -> None:
-        self.layout, self.tier = layout, tier
+    def __init__(
+        self,
+        layout: Layout,
+        values: Chemistry,
+        tier: str = "paper",
+        worlds: int = 1,
+        varying: Collection[str] | None = None,
+    ) -> None:
+        self.layout, self.tier, self.worlds = layout, tier, worlds
         self.structure: dict[str, npt.NDArray[Any]] = {}
         self.parameters: dict[str, npt.NDArray[Any]] = {}
         self._declaration = cast(Any, type(values))
         for field, value in zip(declared(self._declaration), values, strict=True):
             array = np.ascontiguousarray(value, dtype=field.dtype)
             if isinstance(field.field, Parameter):
-                self.parameters[field.name] = np.stack([array.reshape(np.asarray(value).shape)] * worlds)
+                rows = worlds if varying is None or field.name in varying else 1
+                self.parameters[field.name] = np.stack([array.reshape(np.asarray(value).shape)] * rows)
             else:
                 self.structure[field.name] = array
         self.handles: Handle = self._make_handles()
 
-    @property
-    def worlds(self) -> int:
-        """Number of worlds."""
-        return len(self.parameters["molar_volume"])
-
     def _row(self, world: int) -> list[npt.NDArray[Any]]:
-        fields = declared(self._declaration)
-        return [
-            self.parameters[f.name][world : world + 1].reshape(self.parameters[f.name].shape[1:] or (1,))
-            if f.name in self.parameters
-            else self.structure[f.name]
-            for f in fields
-        ]
+        rows = []
+        for field in declared(self._declaration):
+            if field.name in self.structure:
+                rows.append(self.structure[field.name])
+                continue
+            own = self.parameters[field.name]
+            at = world if len(own) > 1 else 0
+            rows.append(own[at : at + 1].reshape(own.shape[1:] or (1,)))
+        return rows
+
+    def axes(self, field: str) -> tuple[str, ...]:
+        """Names of the axes that a parameter has in each world, as :class:`Chemistry` declares them."""
+        return next(known.axes for known in declared(self._declaration) if known.name == field)
 
     def _make_handles(self) -> Handle:
         if not COMPILED:
@@ -303,9 +314,9 @@ def _violent_events(scenario: Scenario) -> IntArray:
     return np.array(found, dtype=np.int64)
 
 
-def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
+def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str] | None = None) -> ChemistryTable:
     """The chemistry of a scenario, materials in the order of ``scenario.materials``; every world has the numbers of
-    the data files."""
+    the data files. ``varying`` are the fields in which worlds may come to differ, default: all."""
     names = list(scenario.materials)
     table = list(scenario.materials.values())
     index = {name: i for i, name in enumerate(names)}
@@ -350,7 +361,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1) -> ChemistryTable:
     build = getattr(importlib.import_module(TIERS[scenario.physics]), "build", None)
     if build is not None:  # the tier knows more of its materials
         layout, values = build(scenario, layout, values)
-    return ChemistryTable(layout, values, scenario.physics, worlds)
+    return ChemistryTable(layout, values, scenario.physics, worlds, varying)
 
 
 def element_matrix(scenario: Scenario) -> FloatArray:

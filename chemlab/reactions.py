@@ -32,6 +32,7 @@ __all__ = [
     "Violent",
     "check_reactions",
     "check_without_real",
+    "equation",
     "load_reactions",
     "shipped_reactions_folder",
 ]
@@ -244,6 +245,15 @@ class ReactionFamily(Grown):
         for acid in self.acid:
             found |= {*acid.species, PROTON, HYDROXIDE, WATER}
         return found
+
+
+def equation(step: Reaction | Violent) -> str:
+    """A reaction as text: ``A + 2 B -> C``."""
+    sides = [
+        " + ".join(f"{'' if number == 1 else f'{number:g} '}{name}" for name, number in side.items())
+        for side in (step.reactants, step.products)
+    ]
+    return " -> ".join(sides)
 
 
 def shipped_reactions_folder() -> Path:

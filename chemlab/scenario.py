@@ -38,6 +38,7 @@ from .reactions import (
     check_without_real,
     load_reactions,
 )
+from .world import VESSEL_QUANTITIES, Draw, WorldSpec, draw_limits
 
 __all__ = [
     "PHYSICS_TIERS",
@@ -49,6 +50,7 @@ __all__ = [
     "InstrumentSpec",
     "LimitSpec",
     "ManagerSpec",
+    "OrderSpec",
     "RealSpec",
     "RewardSpec",
     "SafetySpec",
@@ -98,16 +100,19 @@ class VesselSpec(BaseModel):
     """Moles of each material."""
 
 
-class ShelfSpec(BaseModel):
+class ShelfSpec(Grown):
     """The shared shelf: a number of slots and what stands in the first of them."""
 
     model_config = _FROZEN
+    _later = ("gauge",)
 
     slots: int = Field(ge=1, le=64)
     """Places for vessels."""
     vessel: tuple[VesselSpec, ...] = ()
     """What stands in the first slots, in order; the others are empty. One at least: the manager's actions are about
     vessels."""
+    gauge: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Step of the marks that the manager reads a vessel's fill level by, as a share of its capacity; 0: exactly."""
 
     @model_validator(mode="after")
     def _fits(self) -> ShelfSpec:
@@ -271,6 +276,17 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
+class OrderSpec(BaseModel):
+    """What a submission has to be: one that falls short of it is worth nothing."""
+
+    model_config = _FROZEN
+
+    purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of the goal in the vessel."""
+    amount_at_least_mol: Mol = 0.0
+    """Moles of the goal."""
+
+
 class ManagerSpec(BaseModel):
     """What the manager sees and earns beyond what every manager does."""
 
@@ -304,7 +320,7 @@ class Scenario(Grown):
     """
 
     model_config = _FROZEN
-    _later = ("physics", "manager", "real", "pair_files")
+    _later = ("physics", "manager", "real", "pair_files", "world", "specifications")
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
@@ -352,6 +368,10 @@ class Scenario(Grown):
     """What events cost."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
     """How rewards are shared; numbers, or a mix's name."""
+    specifications: dict[Key, OrderSpec] = Field(default={}, max_length=64)
+    """What submissions for a laboratory goal have to be at least."""
+    world: WorldSpec = WorldSpec()
+    """What is drawn for an episode and not told."""
 
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
@@ -376,7 +396,8 @@ class Scenario(Grown):
         for name, goals in (("goals", self.goals), ("lab_goals", self.lab_goals)):
             if len(set(goals)) != len(goals):
                 raise ValueError(f"{name}: a goal is listed twice")
-        for name, named in (("lab_goals", self.lab_goals), ("theoretical_maximum_mol", self.theoretical_maximum_mol)):
+        listed = {"lab_goals": self.lab_goals, "theoretical_maximum_mol": self.theoretical_maximum_mol}
+        for name, named in {**listed, "specifications": self.specifications}.items():
             for goal in named:
                 if goal not in self.goals:
                     raise ValueError(f"{name}: {goal!r} is not one of goals ({', '.join(self.goals)})")
@@ -461,6 +482,8 @@ def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
             companion = bench.start.companion
             found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
     found += [("goals", name) for name in spec.goals]
+    for key, draw in spec.world.draws.items():
+        found += [(f"world.draws.{key}", name) for name in draw.materials]
     return found
 
 
@@ -484,6 +507,44 @@ def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) ->
             raise DataError(
                 f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
             )
+
+
+def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    """Refuse draws of vessels that are not there, or of contents that do not fit."""
+    starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
+    starts |= {key: bench.start for key, bench in spec.benches.items()}
+    for key, draw in spec.world.draws.items():
+        if draw.what not in VESSEL_QUANTITIES:
+            continue
+        here = f"{where}: world.draws.{key}"
+        for name in draw.of:
+            if name not in starts:
+                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join(starts)}")
+            contents = starts[name].contents
+            if draw.material not in contents:
+                raise DataError(
+                    f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
+                )
+            _check_limits(draw, starts[name], known, f"{here}: {name}")
+
+
+def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
+    low, high = draw_limits(draw)
+    if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
+        raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
+    if draw.what != "amount":
+        return  # litre for litre
+    mol = start.contents[str(draw.material)]
+    least, most = {"factor": (low * mol, high * mol), "offset": (low + mol, high + mol)}.get(draw.change, (low, high))
+    material = known[str(draw.material)]
+    litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
+    litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l
+    filled = sum(litres.values()) / 1000.0
+    if not (least >= 0.0 and filled <= start.capacity_l):
+        raise DataError(
+            f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "
+            f"{start.capacity_l:g}; give low and high"
+        )
 
 
 def _check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
@@ -599,6 +660,7 @@ def _equipped(
     named = _mentioned(spec)
     _check_materials(named, known, where)
     _check_vessels(spec, known, where)
+    _check_draws(spec, known, where)
     order, kept = _reachable(family, [name for _, name in named])
     if len(order) > _MOST_MATERIALS:
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
+import json
 import pkgutil
 import re
 import types
@@ -26,6 +27,7 @@ from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
+from chemlab.agents.evaluation.audit import measure_rows
 from chemlab.bench import operations, reaction
 from chemlab.bench.base import Bench
 from chemlab.cli import app as command
@@ -34,7 +36,7 @@ from chemlab.laboratory import describe as facts
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import AbsorptionPeak, Material
-from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent
+from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent, equation
 from chemlab.scenario import (
     PHYSICS_TIERS,
     BenchSpec,
@@ -52,6 +54,7 @@ from chemlab.scenario import (
     load_scenario,
     scenario_names,
 )
+from chemlab.world import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 
 __all__ = ["pages", "setup_pages"]
 
@@ -217,13 +220,6 @@ def _results() -> dict[str, list[list[str]]]:
     return found
 
 
-def _equation(step: Reaction | Violent) -> str:
-    def side(counts: dict[str, float]) -> str:
-        return " + ".join(f"{'' if count == 1 else f'{count:g} '}{name}" for name, count in counts.items())
-
-    return f"`{side(step.reactants)} → {side(step.products)}`"
-
-
 def _chemistry(spec: Scenario) -> str:
     rows = [
         (
@@ -240,7 +236,7 @@ def _chemistry(spec: Scenario) -> str:
     ]
     head = ("material", "formula", "CAS", "role", "g/mol", "kg/L", "boils (K)", "polarity")
     reactions = [
-        (_equation(step), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
+        (_code(equation(step)), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
         for step in spec.family.reaction
     ]
     parts = [
@@ -255,9 +251,48 @@ def _chemistry(spec: Scenario) -> str:
         salts = ", ".join(f"`{s.solid} ⇌ {s.cation} + {s.anion}`" for s in spec.family.salt)
         parts += [f"Salts, at their equilibrium in every vessel: {salts}.", ""]
     if spec.family.violent:
-        violent = ", ".join(_equation(step) for step in spec.family.violent)
+        violent = ", ".join(_code(equation(step)) for step in spec.family.violent)
         parts += [f"Violent, a safety event: {violent}.", ""]
     return "\n".join(parts)
+
+
+AUDITS = HERE / "results" / "audits"
+
+
+def _audit(spec: Scenario) -> dict[str, Any] | None:
+    """What ``chemlab audit`` has found, if it was asked."""
+    path = AUDITS / f"{spec.name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
+def _audit_section(spec: Scenario) -> list[str]:
+    found = _audit(spec)
+    if found is None:
+        return []
+    rows = [(name, said, by) for name, said, by in measure_rows(found)]
+    gates = ", ".join(
+        f"{name} {'met' if met else 'not met'}" for name, met in found["gates"].items() if met is not None
+    )
+    said = "A constant plan solves it. " if found["gates"]["blind"] is False else ""
+    return [
+        "## What it asks for",
+        "",
+        f"{said}0 is random legal play, 1 a planner that knows each episode "
+        f"(`chemlab audit {spec.name} --budget {found['budget']}`, {found['budget_episodes']} episodes, chemlab "
+        f"{found['versions']['chemlab']}; see [Worlds](../../worlds.md)).",
+        "",
+        _table(("measure", "value [95 % interval]", "by"), rows),
+        f"Gates: {gates}.",
+        "",
+    ]
+
+
+def _audit_cells(spec: Scenario) -> tuple[str, str, str]:
+    """Blind, reference and headroom, for the table of scenarios."""
+    found = _audit(spec)
+    if found is None:
+        return "", "", ""
+    return tuple(f"{found[key]['value']:.2f}" for key in ("blind", "reference", "worth_of_measuring"))  # type: ignore[return-value]
 
 
 def _scenario_page(spec: Scenario) -> str:
@@ -282,6 +317,7 @@ def _scenario_page(spec: Scenario) -> str:
         "Prices are in units of the score: 1 is the theoretical maximum of the product, pure.",
         "",
         _facts(facts.instrument_table(labs)),
+        *(["## What is not told", "", _facts(facts.world_table(spec))] if spec.world.draws else []),
         "## Limits, costs, rewards",
         "",
         facts.limit_words(spec),
@@ -291,6 +327,7 @@ def _scenario_page(spec: Scenario) -> str:
         facts.reward_words(spec),
         "",
     ]
+    parts += _audit_section(spec)
     if results:
         parts += ["## Scripted and random play", "", "Means of 100 episodes, seeds 0 to 99 (`chemlab compare`).", ""]
         parts += [_table(RESULT_COLUMNS[1:], results, right=range(1, 7))]
@@ -329,6 +366,7 @@ def _scenarios() -> dict[str, str]:
             len(s.lab_goals),
             scores.get(s.name, {}).get("heuristic", ""),
             scores.get(s.name, {}).get("random", ""),
+            *_audit_cells(s),
         )
         for s in specs
     ]
@@ -340,9 +378,24 @@ def _scenarios() -> dict[str, str]:
             "prices, limits and rewards. Play one with `chemlab run NAME`; write your own as described in",
             "[Write a scenario](../../how-to/scenario.md).",
             "",
-            _table(("scenario", "what it is", "benches", "goals", "scripted score", "random score"), rows, (3, 4, 5)),
+            _table(
+                (
+                    "scenario",
+                    "what it is",
+                    "benches",
+                    "goals",
+                    "scripted score",
+                    "random score",
+                    "blind",
+                    "reference",
+                    "worth of measuring",
+                ),
+                rows,
+                range(3, 9),
+            ),
             "The scores are means of 100 episodes, from README's table. 1 is the theoretical maximum, pure and free of",
-            "costs.",
+            "costs. The last three are of an [audit](../../worlds.md): 0 is random play, 1 a planner that knows",
+            "everything; where blind play comes close to the reference, a scenario asks for no eyes.",
             "",
             "```{toctree}",
             ":hidden:",
@@ -372,6 +425,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
         SafetySpec,
         RewardSpec,
     ),
+    "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
     "Reaction bench": (reaction.ReactionOptions, reaction.Span),
     "Extraction and distillation bench": (operations.OperationOptions, operations.Process),
     "Material": (Material, AbsorptionPeak),

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -361,8 +362,24 @@ def most_moles(scenario: Scenario, goal: str) -> float:
     upper bound, so the last optimum is one, too. Salts count as formula units: dissolving one changes no amount of
     anything else.
     """
+    identities = [draw for draw in scenario.world.draws.values() if draw.what == "identity"]
+    if identities:
+        return max(_most_of(scenario, goal, (contents,)) for contents in _held(scenario, identities[0]))
+    return _most_of(scenario, goal, [vessel.contents for vessel in scenario.shelf.vessel])
+
+
+def _held(scenario: Scenario, identity: Any) -> list[dict[str, float]]:
+    """What one vessel may hold, of which the file knows the label: one such vessel is all that an order gets."""
+    volume = {name: m.molar_mass_g_mol / m.density_kg_l for name, m in scenario.materials.items()}
+    label = identity.material
+    others = {k: v for k, v in scenario.shelf.vessel[0].contents.items() if k != label}
+    litres = scenario.shelf.vessel[0].contents[label] * volume[label]
+    return [{**others, option: litres / volume[option]} for option in dict.fromkeys(identity.distribution.options)]
+
+
+def _most_of(scenario: Scenario, goal: str, shelf: Sequence[Mapping[str, float]]) -> float:
     have = dict.fromkeys(scenario.materials, 0.0)
-    for contents in (scenario.stock, *(vessel.contents for vessel in scenario.shelf.vessel)):
+    for contents in (scenario.stock, *shelf):
         for name, mol in contents.items():
             have[name] += mol
     steps = scenario.family.reaction
@@ -820,8 +837,10 @@ def tiny(folder: Path) -> Path:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 SHIPPED = {
+    "campaign": "eded37283047a581",
     "fictitious": "e4e595031b3892f0",
     "salt_from_oil": "54ffe9afe9e10370",
+    "unlabelled": "9b4b93351e0fa3b3",
     "wurtz_any": "fa70cae24b53b146",
     "wurtz_dodecane": "ecbc7ee1323dedc8",
     "wurtz_dodecane_direct": "3c1725681724c231",

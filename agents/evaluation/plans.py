@@ -6,7 +6,7 @@ Whatever needs eyes must beat these. :func:`search_plan` tries fixed sequences o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from chemlab.scenario import Scenario, load_scenario
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
 from ..player import play_laboratory
 from ..policies import agent_policy, make_policies
+from ..roles import role_of
 from ..runs import versions
 from . import statistics
 from .play import BATCH
@@ -32,6 +33,7 @@ __all__ = [
     "FoundPlan",
     "PlanSearch",
     "Replayed",
+    "best_in_episode",
     "plan_budget",
     "plan_words",
     "replay_actions",
@@ -92,16 +94,19 @@ class PlanSearch:
         """By context."""
         return {one.context: one.plan for one in self.found}
 
-    def play(self, episodes: int = 100, seed: int = 0) -> FloatArray:
+    def play(self, episodes: int = 100, seed: int = 0, split: str = "train") -> FloatArray:
         """[episodes] scores of the plans; episode i has seed + i, as ``chemlab compare`` plays it.
 
         Raises:
             ValueError: the search was not for every context.
         """
-        labs = Laboratories(self.scenario, episodes)
-        policies = make_policies(self.benches, labs, seed)
-        policies[MANAGER_AGENT] = ConstantPlan(labs.scenario, labs.channels, labs.actions, self.plans)
-        return play_laboratory(labs, policies, None, seed).returns
+        labs = Laboratories(self.scenario, episodes, split=split)
+        return play_laboratory(labs, self.policies(labs, seed), None, seed).returns
+
+    def policies(self, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:
+        """The manager that plays them, and who operates the benches."""
+        manager = ConstantPlan(labs.scenario, labs.channels, labs.actions, self.plans)
+        return {**make_policies(self.benches, labs, seed), MANAGER_AGENT: manager}
 
     def as_file(self, command: str, episodes: int = 100, seed: int = 0) -> PlanFile:
         """As it is stored, with the score from seeds of its own."""
@@ -132,10 +137,13 @@ class _Trials:
         context: the goals of the orders.
         seeds: of the episodes.
         most: things tried at once.
+        split: worlds, of a scenario that draws some.
     """
 
-    def __init__(self, scenario: Scenario, context: Context, seeds: Sequence[int], most: int) -> None:
-        self.labs = Laboratories(scenario, most * len(seeds))
+    def __init__(
+        self, scenario: Scenario, context: Context, seeds: Sequence[int], most: int, split: str = "train"
+    ) -> None:
+        self.labs = Laboratories(scenario, most * len(seeds), split=split)
         self.most, self.seeds = most, list(seeds)
         members = self.labs.members
         self.seed_of: IntArray = np.tile(np.array(self.seeds, dtype=np.int64), most)
@@ -202,15 +210,20 @@ class _Moves:
         actions: the manager's.
         context: the goals of the orders.
         rng: draws them.
+        without: benches that are not used, by key.
     """
 
-    def __init__(self, actions: ManagerActions, context: Context, rng: np.random.Generator) -> None:
+    def __init__(
+        self, actions: ManagerActions, context: Context, rng: np.random.Generator, without: Collection[str] = ()
+    ) -> None:
         table = actions.table
         asked = [actions.goals.index(goal) for goal in context]
         self._weights = np.where((table[:, 0] == START) & np.isin(table[:, 3], asked), _OWN_GOAL, 1.0)
+        idle = [b for b, agent in enumerate(actions.bench_agents) if role_of(agent) in without]
+        avoided = (table[:, 0] == START) & np.isin(table[:, 1], idle)
         self.longest = _LONGEST * actions.orders
         self._rng = rng
-        self._of_kind: BoolArray = np.stack([table[:, 0] == kind for kind in _CHANCES])
+        self._of_kind: BoolArray = np.stack([(table[:, 0] == kind) & ~avoided for kind in _CHANCES])
         self._chances = np.array(list(_CHANCES.values()))
         self._kind = table[:, 0]
         self.useful: BoolArray = self._chances @ self._of_kind > 0.0
@@ -220,7 +233,7 @@ class _Moves:
         for action, row in enumerate(table):
             column = slot_column.get(int(row[0]))
             others = [] if column is None else np.flatnonzero((np.delete(table == row, column, 1)).all(axis=1)).tolist()
-            self.elsewhere.append([other for other in others if other != action])
+            self.elsewhere.append([other for other in others if other != action and not avoided[other]])
 
     def draw(self, legal: BoolArray) -> int:
         """One of the legal actions: first its kind, then which; WAIT, the last, where nothing is."""
@@ -325,6 +338,13 @@ class _Search:
         budget: most plans tried.
         seed: of all that is drawn.
         watch: called with the number of plans just tried.
+        without: benches that are not used, by key.
+        seeds: of the episodes that plans are tried on.
+        split: their worlds, of a scenario that draws some.
+
+    Attributes:
+        tried: number of plans.
+        curve: [(plans tried, best score so far)].
     """
 
     def __init__(
@@ -335,19 +355,23 @@ class _Search:
         budget: int,
         seed: np.random.SeedSequence,
         watch: Callable[[int], None],
+        without: Collection[str] = (),
+        seeds: Sequence[int] = range(SEARCH_SEED, SEARCH_SEED + SEEDS),
+        split: str = "train",
     ) -> None:
         self._scenario, self._benches, self._context, self._watch = scenario, benches, context, watch
         self._budget, self.tried = budget, 0
-        self._actions = ManagerActions.of(scenario)
-        self._moves = _Moves(self._actions, context, np.random.default_rng(seed))
+        self._actions, self._without = ManagerActions.of(scenario), without
+        self._moves = _Moves(self._actions, context, np.random.default_rng(seed), without)
         self._seen: set[Plan] = set()
         self._best: list[_Tried] = []
-        seeds = range(SEARCH_SEED, SEARCH_SEED + SEEDS)
+        self.curve: list[tuple[int, float]] = []
+        self._split, self._first_seed = split, seeds[0]
         self._one, self._several = self._prepared(seeds[:1]), self._prepared(seeds)
 
     def _prepared(self, seeds: Sequence[int]) -> _Prepared:
         """Laboratories for these seeds, and who plays there; the manager's place is the plans'."""
-        trials = _Trials(self._scenario, self._context, seeds, max(BATCH // len(seeds), 1))
+        trials = _Trials(self._scenario, self._context, seeds, max(BATCH // len(seeds), 1), self._split)
         policies = make_policies(self._benches, trials.labs)
         return trials, [policies[agent] for agent in trials.labs.agents]
 
@@ -393,12 +417,13 @@ class _Search:
         self.tried += len(fresh)
         self._watch(len(fresh))
         self._best = _ranked([*self._best, *sure], _FINALISTS)
+        self.curve.append((self.tried, self._best[0].score))
         return found
 
     def _random(self, count: int) -> list[Plan]:
         """What random legal actions did in as many episodes of the first seed."""
         plans: list[Plan] = []
-        trials, policies = self._prepared([SEARCH_SEED])
+        trials, policies = self._prepared([self._first_seed])
         while len(plans) < count:
             taped = _Tape(self._moves, trials.labs.members)
             trials.seed_policies(policies[1:])
@@ -409,13 +434,23 @@ class _Search:
     def _scripted(self) -> list[Plan]:
         """What the scripted managers did in the first seed's episode, but measuring."""
         plans = []
+        trials, policies = self._prepared([self._first_seed])
         for name in _SCRIPTED:
-            trials, policies = self._prepared([SEARCH_SEED])
             taped = _Tape(agent_policy(name, trials.labs, 0), trials.labs.members)
             trials.seed_policies(policies[1:])
             trials.play([taped, *policies[1:]], 1)
-            plans.append(tuple(a for a in taped.tapes[0][0] if self._actions.table[a, 0] != MEASURE))
+            plans.append(tuple(a for a in taped.tapes[0][0] if self._moves.useful[a]))
         return plans
+
+    def improve(self, known: Sequence[Plan]) -> float:
+        """Best score on the episodes themselves, of plans that begin with ``known`` and what scripted managers do
+        there: what whoever knows these episodes could reach."""
+        self._try([*known, *self._scripted()])
+        best = -np.inf
+        while self.tried < self._budget and self._best[0].score > best + _SAME:
+            best = self._best[0].score
+            self._evolve(self._best, self._budget)
+        return self._best[0].score
 
     def run(self, known: Sequence[Plan]) -> FoundPlan:
         """Search; ``known`` are plans to begin with."""
@@ -508,6 +543,7 @@ def search_plan(
     seed: int = 0,
     contexts: Sequence[Context] | None = None,
     watch: Callable[[int], None] | None = None,
+    without: Collection[str] = (),
 ) -> PlanSearch:
     """Find the best constant plan of the manager, for every public context.
 
@@ -523,6 +559,7 @@ def search_plan(
         seed: of the search.
         contexts: default: all that the scenario may draw.
         watch: called with the number of plans just tried.
+        without: benches that plans do without, by key.
 
     Raises:
         ValueError: unknown benches, budget or context.
@@ -545,10 +582,36 @@ def search_plan(
         # The others begin with what has been found for the first.
         share = left // 2 if i == 0 and len(chosen) > 1 else left // (len(chosen) - i)
         own = np.random.SeedSequence([seed, known.index(context)])
-        search = _Search(spec, benches, context, max(share, 1), own, watch or (lambda _: None))
+        search = _Search(spec, benches, context, max(share, 1), own, watch or (lambda _: None), without)
         found.append(search.run([_translated(spec, one.plan, one.context, context) for one in found]))
         left -= search.tried
     return PlanSearch(spec, benches, found, most - left)
+
+
+def best_in_episode(
+    scenario: Scenario, seed: int, split: str, budget: int, known: Mapping[Context, Plan], benches: str = "heuristic"
+) -> tuple[float, list[tuple[int, float]]]:
+    """The best plan of the manager that a search finds for one episode, which it may play as often as it likes.
+
+    Args:
+        scenario: where.
+        seed: of the episode.
+        split: its world's, of a scenario that draws some.
+        budget: most plans tried.
+        known: plans to begin with, besides what scripted managers do there, by context.
+        benches: who operates them.
+
+    Returns:
+        Its score, and [(plans tried, best score so far)].
+    """
+    labs = Laboratories(scenario, 1, split=split)
+    labs.seed(0, np.random.SeedSequence(seed))
+    labs.reset(labs.members)
+    context = tuple(scenario.goals[goal] for goal in labs.state.goal[0].tolist())
+    own = np.random.SeedSequence([seed, budget])
+    search = _Search(scenario, benches, context, budget, own, lambda _: None, (), [seed], split)
+    score = search.improve([known[context]] if context in known else [])
+    return score, search.curve
 
 
 # -- replaying --------------------------------------------------------------------------------------------------------
@@ -563,12 +626,14 @@ class Replayed:
         seeing: the score of the policies that look.
         ratio: blind over seeing.
         donors: seed of the best donor's episode, by context.
+        scores: [episodes] of the blind ones.
     """
 
     blind: Estimate
     seeing: Estimate
     ratio: float
     donors: dict[Context, int]
+    scores: FloatArray
 
 
 class _Tape:
@@ -636,11 +701,12 @@ class _Replay:
 
 def replay_actions(
     scenario: str | Scenario,
-    policy: str = "heuristic",
+    policy: str | PlanSearch = "heuristic",
     donors: int = 20,
     episodes: int = 100,
     seed: int = 0,
     watch: Callable[[int], None] | None = None,
+    split: str = "train",
 ) -> Replayed:
     """Play again, without looking, what all agents did in one episode: for each public context the best of some donors.
 
@@ -650,11 +716,12 @@ def replay_actions(
 
     Args:
         scenario: where.
-        policy: who is replayed, see :func:`~chemlab.agents.policies.make_policies`.
+        policy: who is replayed, see :func:`~chemlab.agents.policies.make_policies`; or found plans, with their benches.
         donors: episodes to choose from, for each context.
         episodes: episode i has seed + i and the goals that it draws.
         seed: of the first.
         watch: called with the number of episodes just played.
+        split: worlds of the episodes that are scored, where the scenario draws any; donors are from train.
 
     Raises:
         ValueError: unknown policy, or fewer than one donor or episode.
@@ -663,8 +730,8 @@ def replay_actions(
     if donors < 1 or episodes < 1:
         raise ValueError(f"replay: needs at least one donor and one episode, given {donors} and {episodes}")
     told = watch or (lambda _: None)
-    labs = Laboratories(spec, episodes)
-    seeing = play_laboratory(labs, make_policies(policy, labs, seed), None, seed).returns
+    labs = Laboratories(spec, episodes, split=split)
+    seeing = play_laboratory(labs, _players(policy, labs, seed), None, seed).returns
     contexts = [tuple(spec.goals[goal] for goal in row) for row in labs.state.goal.tolist()]
     told(episodes)
     blind, best = np.empty(episodes), {}
@@ -676,17 +743,21 @@ def replay_actions(
         chosen = int(
             _replay(choice, [[tape[donor] for tape in tapes] for donor in range(donors)]).mean(axis=1).argmax()
         )
-        final = _Trials(spec, context, [seed + i for i in own], 1)
+        final = _Trials(spec, context, [seed + i for i in own], 1, split)
         blind[own] = _replay(final, [[tape[chosen] for tape in tapes]])[0]
         best[context] = SEARCH_SEED + chosen
         told(donors * (1 + SEEDS) + len(own))
     score, reference = statistics.mean([blind]), statistics.mean([seeing])
-    return Replayed(score, reference, score.value / reference.value, best)
+    return Replayed(score, reference, score.value / reference.value, best, blind)
 
 
-def _record(trials: _Trials, policy: str) -> list[list[list[list[Any]]]]:
+def _players(policy: str | PlanSearch, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:
+    return make_policies(policy, labs, seed) if isinstance(policy, str) else policy.policies(labs, seed)
+
+
+def _record(trials: _Trials, policy: str | PlanSearch) -> list[list[list[list[Any]]]]:
     """[agents][members] tapes of one episode from each of the trials' seeds."""
-    policies = list(make_policies(policy, trials.labs).values())
+    policies = list(_players(policy, trials.labs).values())
     trials.seed_policies(policies)
     taped = [_Tape(each, trials.labs.members) for each in policies]
     trials.play(taped, 1)

@@ -37,6 +37,7 @@ class BenchTarget:
     bench: str
     starts: str = "paper"
     env_id: str | None = None
+    split: str = "train"
 
     @property
     def goals(self) -> tuple[str, ...]:
@@ -51,12 +52,18 @@ class BenchTarget:
             "scenario": self.scenario.name,
             "bench": self.bench,
             "starts": self.starts,
+            "split": self.split,
         }
 
     def environment(self, members: int) -> BenchVectorEnv:
         """A batch of it."""
         return BenchVectorEnv(
-            members, scenario=self.scenario, bench=self.bench, starts=self.starts, autoreset_mode="SameStep"
+            members,
+            scenario=self.scenario,
+            bench=self.bench,
+            starts=self.starts,
+            autoreset_mode="SameStep",
+            split=self.split,
         )
 
     def play(
@@ -77,6 +84,7 @@ class LaboratoryTarget:
     """A whole laboratory."""
 
     scenario: Scenario
+    split: str = "train"
 
     @property
     def goals(self) -> tuple[str, ...]:
@@ -85,7 +93,14 @@ class LaboratoryTarget:
 
     def as_dict(self) -> dict[str, Any]:
         """For results files."""
-        return {"kind": "laboratory", "env_id": None, "scenario": self.scenario.name, "bench": None, "starts": None}
+        return {
+            "kind": "laboratory",
+            "env_id": None,
+            "scenario": self.scenario.name,
+            "bench": None,
+            "starts": None,
+            "split": self.split,
+        }
 
     def play(
         self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
@@ -93,7 +108,7 @@ class LaboratoryTarget:
         """Episodes of a policy given by name, see :func:`~chemlab.agents.player.play_laboratory`."""
         parts = []
         for first in range(0, episodes, BATCH):
-            labs = Laboratories(self.scenario, min(BATCH, episodes - first))
+            labs = Laboratories(self.scenario, min(BATCH, episodes - first), split=self.split)
             parts.append(play_laboratory(labs, make_policies(policy, labs, seed + first), goal, seed + first))
             if watch is not None:
                 watch(len(labs.members))
@@ -103,13 +118,14 @@ class LaboratoryTarget:
 Target = BenchTarget | LaboratoryTarget
 
 
-def find_target(name: str, bench: str | None = None, starts: str = "paper") -> Target:
+def find_target(name: str, bench: str | None = None, starts: str = "paper", split: str = "train") -> Target:
     """What ``chemlab evaluate`` was asked for.
 
     Args:
         name: id of a registered single-bench environment, or a scenario.
         bench: bench of the scenario; without one the whole laboratory.
         starts: starting states of a single bench, ``paper``, ``lab`` or ``both``.
+        split: worlds, of a scenario that draws some.
 
     Raises:
         ValueError: ``name`` is an id that is not registered or not a bench's.
@@ -120,16 +136,16 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper") -> T
         if not str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
             raise ValueError(f"{name}: not a single bench of chemlab")
         arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}
-        return BenchTarget(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name)
+        return BenchTarget(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)
     if name.startswith("chemlab/"):
         known = ", ".join(key for key in gymnasium.registry if key.startswith("chemlab/"))
         raise ValueError(f"{name}: no such environment; known: {known}")
     scenario = load_scenario(name)
     if bench is None:
-        return LaboratoryTarget(scenario)
+        return LaboratoryTarget(scenario, split)
     if bench not in scenario.benches:
         raise DataError(f"bench: {scenario.name} has {', '.join(scenario.benches)}, given {bench!r}")
-    return BenchTarget(scenario, bench, starts)
+    return BenchTarget(scenario, bench, starts, split=split)
 
 
 # -- evaluating -----------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ except ImportError as error:
 
 __all__ = ["LaboratoryMultiAgentEnv"]
 
-_SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model")
+_SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model", "split")
 
 
 class LaboratoryMultiAgentEnv(MultiAgentEnv):
@@ -51,12 +51,12 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
     Args:
         config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
-            default ``heuristic``), and ``rewards``, ``reaction_model``, ``separation_model`` as for
+            default ``heuristic``), and ``rewards``, ``reaction_model``, ``separation_model``, ``split`` as for
             :class:`~chemlab.laboratory.aec.raw_env`.
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: unknown setting, role, background or reward mix.
+        ValueError: unknown setting, role, background, reward mix or split.
     """
 
     def __init__(self, config: Mapping[str, Any] | None = None) -> None:

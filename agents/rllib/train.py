@@ -151,7 +151,7 @@ def algorithm_config(arguments: RllibArguments, scenario: Scenario, roles: Seque
         seed: of networks and exploration; runner i adds i, and 1000 i for its laboratories.
     """
     a = arguments
-    settings = {"scenario": scenario, "roles": list(roles), "background": a.background}
+    settings = {"scenario": scenario, "roles": list(roles), "background": a.background, "split": a.split}
     env = LaboratoryMultiAgentEnv(settings)
     specs, overrides = {}, {}
     for role in roles:

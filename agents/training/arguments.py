@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from chemlab.materials import read_toml
+from chemlab.world import Split
 
 __all__ = [
     "ALGORITHMS",
@@ -111,6 +112,9 @@ class Arguments:
     """The command of ``chemlab`` that takes them."""
 
     steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.", least=1)
+    split: str = _argument(
+        "train", "Worlds to train in, of a scenario that draws some; evaluations of train are in validation."
+    )
     seed: int = _argument(0, "Seed of networks, exploration and environments.", least=0, most=_MOST_SEED)
     envs: int = _argument(10, "Environments side by side.", least=1)
     learning_rate: float | None = _argument(None, "Learning rate.", above=0.0)
@@ -130,6 +134,7 @@ class Arguments:
     )
 
     def __post_init__(self) -> None:
+        Split.of(self.split)
         for f in fields(self):
             value = getattr(self, f.name)
             for item in value if isinstance(value, tuple) else (value,):
@@ -182,8 +187,14 @@ class Arguments:
 
     def recorded(self) -> dict[str, Any]:
         """What a run's ``config.json`` says of them: a run may go on in another place."""
-        places = [f.name for f in fields(self) if f.metadata.get("place")]
-        return {name: value for name, value in asdict(self).items() if name not in places}
+        unsaid = [f.name for f in fields(self) if f.metadata.get("place")]
+        unsaid += ["split"] if self.split == "train" else []  # there was no other when the first runs were described
+        return {name: value for name, value in asdict(self).items() if name not in unsaid}
+
+    @property
+    def evaluation_split(self) -> str:
+        """Worlds that evaluations are in."""
+        return "validation" if self.split == "train" else self.split
 
     def flags(self, always: Sequence[str] = (), implied: Arguments | None = None) -> list[str]:
         """What to give the command after the positional argument to get them.

@@ -160,7 +160,7 @@ class _Team(LaboratoryTrainee):
     def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str]) -> None:
         super().__init__(arguments, scenario)
         a = self.arguments = arguments
-        self.labs = labs = Laboratories(self.scenario, a.envs)
+        self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
         # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
         self.learning = roles

@@ -135,6 +135,7 @@ class LaboratoryTrainee(Trainee):
 
     def __init__(self, arguments: TeamArguments, scenario: Scenario) -> None:
         self.scenario, self.steps, self._background = scenario, arguments.steps, arguments.background
+        self._evaluation_split = arguments.evaluation_split
 
     @abstractmethod
     def learned(self) -> Mapping[str, Policy]:
@@ -149,7 +150,7 @@ class LaboratoryTrainee(Trainee):
         return self._played({}, episodes, seed)
 
     def _played(self, learned: Mapping[str, Policy], episodes: int, seed: int) -> dict[str, float]:
-        labs = Laboratories(self.scenario, episodes)
+        labs = Laboratories(self.scenario, episodes, split=self._evaluation_split)
         policies = {
             agent: learned.get(role_of(agent)) or agent_policy(self._background, labs, number, seed)
             for number, agent in enumerate(labs.agents)

@@ -91,6 +91,7 @@ class _BenchSource:
     bench: str
     goals: tuple[str, ...] | None
     starts: str
+    splits: tuple[str, str]
 
 
 class BenchTask(Task):
@@ -98,13 +99,21 @@ class BenchTask(Task):
 
     Args:
         scenario, bench, goals, starts: as for :class:`~chemlab.laboratory.bench_env.BenchEnv`.
+        splits: worlds to train in, and to evaluate in.
 
     Raises:
         DataError: unknown scenario, bench, goal or starting states.
     """
 
-    def __init__(self, scenario: Any, bench: str, goals: tuple[str, ...] | None = None, starts: str = "paper") -> None:
-        self._source = _BenchSource(load_scenario(scenario), bench, goals, starts)
+    def __init__(
+        self,
+        scenario: Any,
+        bench: str,
+        goals: tuple[str, ...] | None = None,
+        starts: str = "paper",
+        splits: tuple[str, str] = ("train", "validation"),
+    ) -> None:
+        self._source = _BenchSource(load_scenario(scenario), bench, goals, starts, splits)
         self._batches: dict[int, BenchVectorEnv] = {}
         self.workplace: Bench = self.batch(1).bench
         self.scenario, self.agent = self.workplace.scenario, bench
@@ -112,14 +121,17 @@ class BenchTask(Task):
 
     def batch(self, members: int) -> BenchVectorEnv:
         """See :class:`Task`."""
+        return self._made(members, self._source.splits[0])
+
+    def _made(self, members: int, split: str) -> BenchVectorEnv:
         s = self._source
-        return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP)
+        return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP, split=split)
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
         count = len(self.goals)
         if episodes not in self._batches:
-            self._batches[episodes] = self.batch(episodes * count)
+            self._batches[episodes] = self._made(episodes * count, self._source.splits[1])
         # All goals in one batch, each with the same seeds.
         seeds = [seed + i for i in range(episodes)] * count
         played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
@@ -150,6 +162,7 @@ class LaboratoryTask(Task):
         agent: id of the agent that learns.
         background: who plays the others, by name.
         goals: laboratory goals to evaluate (default: all).
+        splits: worlds to train in, and to evaluate in.
 
     Raises:
         DataError: unknown scenario.
@@ -162,7 +175,9 @@ class LaboratoryTask(Task):
         agent: str = MANAGER_AGENT,
         background: str = "heuristic",
         goals: tuple[str, ...] | None = None,
+        splits: tuple[str, str] = ("train", "validation"),
     ) -> None:
+        self._splits = splits
         self.scenario, self.agent, self._background = load_scenario(scenario), agent, background
         known = self.scenario.lab_goals
         self.goals = known if goals is None else tuple(goals)
@@ -176,7 +191,12 @@ class LaboratoryTask(Task):
     def batch(self, members: int) -> FocalVectorEnv:
         """See :class:`Task`."""
         return focal_vector_env(
-            members, self.scenario, self.agent, self._background, autoreset_mode=AutoresetMode.SAME_STEP
+            members,
+            self.scenario,
+            self.agent,
+            self._background,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            split=self._splits[0],
         )
 
     def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
@@ -185,7 +205,7 @@ class LaboratoryTask(Task):
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
-        labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes))
+        labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes, split=self._splits[1]))
         others = background_policies(self._background)
         policies = {**(others(labs) if callable(others) else others), self.agent: policy}
         played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
@@ -231,12 +251,12 @@ def find_task(arguments: TrainArguments) -> Task:
             other = "chemlab/LabAgent-v0" if laboratory else "chemlab/Bench-v0"
             raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs {other}, given {value!r}")
     task = {**own, **{name: value for name, value in asked.items() if value is not None}}
-    scenario = task.get("scenario", "wurtz_dodecane")
+    scenario, splits = task.get("scenario", "wurtz_dodecane"), (arguments.split, arguments.evaluation_split)
     if not laboratory:
         if arguments.background is not None:
             raise ValueError(f"background: {env_id} is a bench on its own, given {arguments.background!r}")
-        return BenchTask(scenario, task.get("bench", "rxn"), arguments.goals, arguments.starts)
+        return BenchTask(scenario, task.get("bench", "rxn"), arguments.goals, arguments.starts, splits)
     if arguments.starts != "paper":
         raise ValueError(f"starts: {env_id} begins with the scenario's own shelf, given {arguments.starts!r}")
     agent = task.get("agent", MANAGER_AGENT)
-    return LaboratoryTask(scenario, agent, arguments.background or "heuristic", arguments.goals)
+    return LaboratoryTask(scenario, agent, arguments.background or "heuristic", arguments.goals, splits)

@@ -23,6 +23,7 @@ __all__ = [
     "PolicyOption",
     "ScenarioArgument",
     "SeedOption",
+    "SplitOption",
     "app",
     "chosen_agents",
     "err",
@@ -85,6 +86,10 @@ PolicyOption = Annotated[
 ]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
+SplitOption = Annotated[
+    str,
+    typer.Option(help="Worlds, of a scenario that draws some: train, validation, test, or private:SALT of your own."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 
@@ -101,14 +106,14 @@ def _options(
         raise typer.Exit
 
 
-def prepare(scenario: str, quiet: bool) -> tuple[Scenario, raw_env]:
+def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:
     """Load the scenario, say so, and build its laboratory."""
     spec = load_scenario(scenario)
     if not quiet:
         page.print(f"[bold]{plain(spec.name)}[/bold]: {plain(spec.summary)}")
     from ..laboratory.aec import raw_env
 
-    return spec, raw_env(spec)
+    return spec, raw_env(spec, split=split)
 
 
 def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> list[str]:

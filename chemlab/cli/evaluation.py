@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from ..files import check_folder, write_text
-from .common import JsonOption, SeedOption, app, out, readable_errors
+from .common import JsonOption, SeedOption, SplitOption, app, out, readable_errors
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -32,6 +32,7 @@ def evaluate(
     starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper, lab or both.")] = "paper",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "heuristic",
     output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON.")
@@ -47,7 +48,7 @@ def evaluate(
         from ..agents.evaluation.play import evaluate as play
         from ..agents.evaluation.play import find_target
 
-        chosen = find_target(target, bench, starts)
+        chosen = find_target(target, bench, starts, split)
         if output is not None:
             check_folder(output.parent)
             if output.is_dir():

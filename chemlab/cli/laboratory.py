@@ -18,6 +18,7 @@ from .common import (
     PolicyOption,
     ScenarioArgument,
     SeedOption,
+    SplitOption,
     app,
     chosen_agents,
     prepare,
@@ -108,6 +109,8 @@ def _show_scenario(labs: Laboratories) -> None:
     _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:
         _show("Instruments", facts.instrument_table(labs))
+    if spec.world.draws:
+        _show("Drawn for each episode, and not told", facts.world_table(spec))
     for words in (facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
         page.print(plain(words.replace("`", "")))
 
@@ -165,6 +168,7 @@ def run(
     policy: PolicyOption = "heuristic",
     episodes: EpisodesOption = 1,
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     as_json: JsonOption = False,
     record: Annotated[
         Path | None,
@@ -176,7 +180,7 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
-    _, env = prepare(scenario, quiet=as_json)
+    _, env = prepare(scenario, quiet=as_json, split=split)
     seeds = range(seed, seed + episodes)
     recorders = _recorders(env, policy, seeds, record, force)
     if as_json:
@@ -280,6 +284,7 @@ def compare(
     policy: Annotated[list[str] | None, typer.Option(help="Policies to compare; repeat the option.")] = None,
     episodes: EpisodesOption = 100,
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     as_json: JsonOption = False,
     update: Annotated[Path | None, typer.Option(help="Replace the results table in this Markdown file.")] = None,
 ) -> None:
@@ -294,7 +299,7 @@ def compare(
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
         for name in names:
-            spec, env = prepare(name, quiet=True)
+            spec, env = prepare(name, quiet=True, split=split)
             for played in policies:
                 results = []
                 for result in _play(env, played, range(seed, seed + episodes)):

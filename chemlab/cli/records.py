@@ -39,6 +39,9 @@ def verify(
         ),
     ] = None,
     trust: TrustOption = False,
+    split: Annotated[
+        str | None, typer.Option(help="private:SALT, to prove that a record of that split is in the world of its seed.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check records of episodes by playing their actions on the simulator again and comparing every number.
@@ -53,7 +56,7 @@ def verify(
     results = []
     with readable_errors():
         for path in files:
-            result = verify_record(path, scenario, trust)
+            result = verify_record(path, scenario, trust, split=split)
             results.append(result)
             if as_json:
                 typer.echo(json.dumps(result.as_dict()))

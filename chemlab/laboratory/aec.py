@@ -38,8 +38,9 @@ its parts (:mod:`chemlab.laboratory.global_state`).
 ### Arguments
 `scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
 None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
-`reaction_model` and `separation_model` (physics of your own). `reset(seed, options={"goal": name})` asks for a goal
-instead of drawing it.
+`reaction_model` and `separation_model` (physics of your own), `split` (which worlds there may be, of scenarios that
+draw some: `train`, `validation`, `test` or `private:SALT`). `reset(seed, options={"goal": name})` asks for a goal
+instead of drawing it, `{"world": seed or values}` for a world.
 
 ### Version history
 - v0: first version.
@@ -70,9 +71,10 @@ def env(
     rewards: str | RewardSpec | None = None,
     reaction_model: ReactionModel | None = None,
     separation_model: SeparationModel | None = None,
+    split: str = "train",
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
-    return OrderEnforcedLaboratory(raw_env(scenario, render_mode, rewards, reaction_model, separation_model))
+    return OrderEnforcedLaboratory(raw_env(scenario, render_mode, rewards, reaction_model, separation_model, split))
 
 
 class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
@@ -91,10 +93,11 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model: replaces the kinetics (see :class:`chemlab.bench.models.ReactionModel`).
         separation_model: replaces layers and partition (see :class:`chemlab.bench.models.SeparationModel`).
+        split: which worlds there may be (see :mod:`chemlab.world`).
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: unknown render mode or reward mix.
+        ValueError: unknown render mode, reward mix or split.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
@@ -112,10 +115,11 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
 
         Args:
             seed: starts the random streams afresh; without one they go on (a first episode without a seed draws one).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
+                ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal.
+            ValueError: unknown goal, or a world that there is not.
         """
         self._begin(seed, options)
         self.rewards = dict.fromkeys(self.agents, 0.0)

@@ -19,6 +19,7 @@ from .common import manager_accounts
 from .core import Laboratories
 from .global_state import GlobalState
 from .state import RUNNING, TERMINATED
+from .worlds import World
 
 __all__ = ["BatchedLaboratory"]
 
@@ -39,10 +40,11 @@ class BatchedLaboratory:
             saw last, which saves most of the time observing takes.
         copy: whether returned arrays are copies; without, the next step overwrites them.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+        split: which worlds there may be (see :mod:`chemlab.world`).
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: ``num_envs`` is not at least 1, or the reward mix is unknown.
+        ValueError: ``num_envs`` is not at least 1, or the reward mix or the split is unknown.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class BatchedLaboratory:
         copy: bool = True,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
@@ -61,7 +64,7 @@ class BatchedLaboratory:
         self.scenario = load_scenario(scenario)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
         self.possible_agents = list(labs.agents)
         self._whole = GlobalState(labs)
         self.idle_observations = idle_observations
@@ -111,29 +114,31 @@ class BatchedLaboratory:
 
         Args:
             seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
-            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Returns:
             Observations [N, size] and infos by agent, as from :meth:`step`.
 
         Raises:
-            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+            ValueError: unknown option, goal or world, or a mask or seeds of the wrong length.
         """
-        mask, seeds, goal = parsed_reset(
+        mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
         )
         labs = self.laboratories
+        if world is not None:
+            labs.worlds.check(world)
         for member in np.flatnonzero(mask):
             member_seed = seeds[member]
             if member_seed is not None:
                 labs.seed(int(member), member_seed)
-        self._restart(np.flatnonzero(mask), goal)
+        self._restart(np.flatnonzero(mask), goal, world)
         self._begun = True
         self._look()
         return self._seen(), self._infos(begun=True)
 
-    def _restart(self, members: IntArray, goal: str | None = None) -> None:
-        self.laboratories.reset(members, goal)
+    def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
+        self.laboratories.reset(members, goal, world)
         self._last_turn[:, members] = 0
 
     def step(

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray, IntArray
 from ..jit import kernel
+from .worlds import World, Worlds
 
 __all__ = ["BatchEnv", "BoundedSpec", "State", "checked_actions", "parsed_reset"]
 
@@ -77,13 +78,14 @@ def parsed_reset(
     goals: Sequence[str],
     begun: bool,
     random: np.random.Generator,
-) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None]:
-    """What a batch's ``reset`` was asked for: (members to reset [N], a seed for each or None, a goal or None).
+) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None, World | None]:
+    """What a batch's ``reset`` was asked for: (members to reset [N], a seed for each or None, a goal or None, a world
+    or None).
 
     Args:
         seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on); without
             one, members that have never been seeded get one from ``random``.
-        options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+        options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
         count: N.
         goals: goals that may be asked for.
         begun: whether the batch has been reset before.
@@ -93,8 +95,8 @@ def parsed_reset(
         ValueError: unknown option or goal, or a mask or seeds of the wrong length.
     """
     options = options or {}
-    if set(options) - {"reset_mask", "goal"} or options.get("goal", goals[0]) not in goals:
-        raise ValueError(f"reset options: known: reset_mask; goal, one of {', '.join(goals)}; given {options!r}")
+    if set(options) - {"reset_mask", "goal", "world"} or options.get("goal", goals[0]) not in goals:
+        raise ValueError(f"reset options: known: reset_mask; world; goal, one of {', '.join(goals)}; given {options!r}")
     mask = np.asarray(options.get("reset_mask", np.ones(count, dtype=np.bool_)))
     if mask.shape != (count,) or mask.dtype != np.bool_:
         raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")
@@ -108,7 +110,7 @@ def parsed_reset(
         seeds = [None if s is None else int(s) for s in seed]
     if len(seeds) != count:
         raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
-    return mask, seeds, options.get("goal")
+    return mask, seeds, options.get("goal"), options.get("world")
 
 
 class BoundedSpec:
@@ -211,8 +213,13 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         """Start the member's random streams afresh."""
 
     @abstractmethod
-    def _begin(self, members: IntArray, goal: int | None) -> None:
+    def _begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
         """Begin episodes and look at them."""
+
+    @property
+    @abstractmethod
+    def _worlds(self) -> Worlds:
+        """The members' worlds."""
 
     @abstractmethod
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
@@ -236,13 +243,17 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
 
         Args:
             seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
-            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``.
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Raises:
-            ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+            ValueError: unknown option, goal or world, or a mask or seeds of the wrong length.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
-        mask, seeds, goal = parsed_reset(seed, options, self.num_envs, self._goal_names, self._begun, self.np_random)
+        mask, seeds, goal, world = parsed_reset(
+            seed, options, self.num_envs, self._goal_names, self._begun, self.np_random
+        )
+        if world is not None:
+            self._worlds.check(world)
         for member in np.flatnonzero(mask):
             member_seed = seeds[member]
             if member_seed is not None:
@@ -251,7 +262,7 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         self._costs[mask], self._events[mask], self._illegal[mask] = 0.0, 0.0, False
         self._scores[mask] = np.nan
         self._begun = False  # until it is done: where a policy or model fails halfway, only a reset helps
-        self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal))
+        self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal), world)
         self._begun = True
         return self._returned(self._observations), self._infos()
 

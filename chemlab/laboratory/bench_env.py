@@ -12,7 +12,8 @@
 ### Arguments
 `scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
 `starts` (`paper`, `lab` or `both`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
-`reaction_model` and `separation_model`. Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
+`reaction_model` and `separation_model`, `split` (`train`, `validation`, `test` or `private:SALT`: which worlds there
+may be, of scenarios that draw some). Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
@@ -48,6 +49,7 @@ from ..scenario import Scenario
 from .batch_env import BatchEnv, BoundedSpec, State
 from .experiments import ExperimentBatch
 from .rendering import RENDER_MODES, Rendered
+from .worlds import World, Worlds
 
 if TYPE_CHECKING:
     from ..render.scene import Scene
@@ -77,9 +79,10 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         render_mode: str | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         self._set_render_mode(render_mode)
-        self.batch = ExperimentBatch(scenario, bench, 1, goals, starts, reaction_model, separation_model)
+        self.batch = ExperimentBatch(scenario, bench, 1, goals, starts, reaction_model, separation_model, split)
         self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
@@ -101,21 +104,24 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
         Args:
             seed: starts the random streams afresh; without one they go on (a first reset draws one).
-            options: ``{"goal": name}`` asks for a goal instead of drawing it.
+            options: ``{"goal": name}`` asks for a goal instead of drawing it, ``{"world": seed or values}`` for a world
+                (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal.
+            ValueError: unknown option or goal, or a world that there is not.
         """
         super().reset(seed=seed)
         options = options or {}
         goals = self.batch.scenario.goals
-        if set(options) - {"goal"} or options.get("goal", goals[0]) not in goals:
-            raise ValueError(f"reset options: known: goal, one of {', '.join(goals)}; given {options!r}")
+        if set(options) - {"goal", "world"} or options.get("goal", goals[0]) not in goals:
+            raise ValueError(f"reset options: known: world; goal, one of {', '.join(goals)}; given {options!r}")
+        goal, world = options.get("goal"), options.get("world")
+        if world is not None:
+            self.batch.worlds.check(world)
         if seed is not None or not self._seeded:
             self.batch.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
             self._seeded = True
-        goal = options.get("goal")
-        self.batch.reset(self.batch.members, None if goal is None else goals.index(goal))
+        self.batch.reset(self.batch.members, None if goal is None else goals.index(goal), world=world)
         self._over = False
         self._show()
         return self._observe(), self._info(stepped=False)
@@ -209,7 +215,7 @@ class BenchVectorEnv(BatchEnv):
 
     Args:
         num_envs: N.
-        scenario, bench, goals, starts, reaction_model, separation_model: as for :class:`BenchEnv`.
+        scenario, bench, goals, starts, reaction_model, separation_model, split: as for :class:`BenchEnv`.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
@@ -240,11 +246,12 @@ class BenchVectorEnv(BatchEnv):
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
+        split: str = "train",
     ) -> None:
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
-        self.batch = ExperimentBatch(scenario, bench, num_envs, goals, starts, reaction_model, separation_model)
+        self.batch = ExperimentBatch(scenario, bench, num_envs, goals, starts, reaction_model, separation_model, split)
         self.bench = self.batch.bench
         super().__init__(
             num_envs,
@@ -270,8 +277,12 @@ class BenchVectorEnv(BatchEnv):
     def _seed_member(self, member: int, seed: int) -> None:
         self.batch.seed(member, seed)
 
-    def _begin(self, members: IntArray, goal: int | None) -> None:
-        self.batch.reset(members, goal)
+    @property
+    def _worlds(self) -> Worlds:
+        return self.batch.worlds
+
+    def _begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
+        self.batch.reset(members, goal, world=world)
         for chunk, bench in self._chunks:
             self._look(chunk, bench)
 

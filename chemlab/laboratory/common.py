@@ -55,13 +55,14 @@ class OneLaboratory(Rendered):
         rewards: str | RewardSpec | None = None,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         super().__init__()
         self._set_render_mode(render_mode)
         self.scenario = load_scenario(scenario)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model)
+        self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model, split)
         self.possible_agents = list(self.laboratories.agents)
         self.agents: list[str] = []
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
@@ -108,17 +109,19 @@ class OneLaboratory(Rendered):
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         options = options or {}
-        unknown = set(options) - {"goal"}
+        unknown = set(options) - {"goal", "world"}
         if unknown:
             # PettingZoo's api_test passes options of its own, so these cannot be an error.
-            gymnasium.logger.warn(f"reset options: known: goal; ignored: {', '.join(sorted(map(str, unknown)))}")
-        goal = options.get("goal")
+            gymnasium.logger.warn(f"reset options: known: goal, world; ignored: {', '.join(sorted(map(str, unknown)))}")
+        goal, world = options.get("goal"), options.get("world")
         if goal is not None:
             self.laboratories.goal_index(goal)
+        if world is not None:
+            self.laboratories.worlds.check(world)
         if seed is not None or not self._seeded:
             self.laboratories.seed(0, np.random.SeedSequence(seed))
             self._seeded = True
-        self.laboratories.reset(self._members, goal)
+        self.laboratories.reset(self._members, goal, world)
         self.agents = self.possible_agents[:]
 
     def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:

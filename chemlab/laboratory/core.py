@@ -23,14 +23,13 @@ from ..bench.base import (
     load_terms,
 )
 from ..bench.models import ReactionModel, SeparationModel
-from ..chemistry import build_chemistry
 from ..instruments.table import InstrumentTable
 from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
 from ..parts import blamed, checked
 from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
-from ..scenario import Scenario, load_scenario
+from ..scenario import OrderSpec, Scenario, load_scenario
 from ..shelf import Shelf
 from ..tables import Table
 from .actions import ManagerActions
@@ -52,6 +51,7 @@ from .manager import (
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 from .state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
 from .view import manager_channels, manager_observe
+from .worlds import World, Worlds, world_chemistry
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
 
@@ -111,7 +111,7 @@ class Laboratories:
 
     Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
     every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
-    other, so results do not depend on N.
+    other, so results do not depend on N. ``split`` says which worlds there may be (see :mod:`chemlab.world`).
     """
 
     def __init__(
@@ -120,13 +120,14 @@ class Laboratories:
         laboratories: int = 1,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
         spec = self.scenario
         self.bench_agents = spec.bench_agents()
         self.agents = [MANAGER_AGENT, *self.bench_agents]
         n, slots = laboratories, spec.shelf.slots
-        chemistry = build_chemistry(spec)
+        chemistry = world_chemistry(spec, n)
         kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
         announce_compiling(manager_act, manager_observe, *(k for bench in kinds.values() for k in bench.kernels))
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
@@ -134,6 +135,7 @@ class Laboratories:
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
         self.vessels_per_laboratory = int(slots + positions.sum())
         self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
+        self.worlds = Worlds(spec, self.shelf, split)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
         self.table: Table[ManagerState] = Table.empty(
@@ -216,7 +218,7 @@ class Laboratories:
         bench_of = np.array([keys.index(bench.key) for bench in self.benches], dtype=np.int64)
         capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
         capacities += [bench.auxiliary_capacity_l for bench in self.benches]
-        table = self.instruments.rules.arrays
+        table, wanted = self.instruments.rules.arrays, spec.specifications
         return Rules(
             table=self.actions.table,
             slots=spec.shelf.slots,
@@ -243,6 +245,9 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
+            least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
+            least_amount=np.array([wanted.get(goal, OrderSpec()).amount_at_least_mol for goal in spec.goals]),
+            gauge=spec.shelf.gauge,
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
 
@@ -250,7 +255,9 @@ class Laboratories:
         """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
         shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
         for s, vessel in enumerate(self.scenario.shelf.vessel):
-            self._rest(shelf.fill(0, s, vessel.capacity_l, vessel.contents).row)
+            row = shelf.fill(0, s, vessel.capacity_l, vessel.contents).row
+            if not self.worlds.active:  # else they come to rest once it is known what is in them
+                self._rest(row)
         return np.asarray(shelf.vessels[0])
 
     def _rest(self, row: FloatArray) -> None:
@@ -264,15 +271,30 @@ class Laboratories:
         """Start the random streams of one laboratory afresh."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
+        self.worlds.seed(member, sequence)
 
-    def reset(self, members: IntArray, goal: str | None = None) -> None:
-        """Begin new episodes, with a laboratory goal drawn from each one's stream or given by name."""
+    def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
+        """Begin new episodes.
+
+        Args:
+            members: [B] laboratories.
+            goal: of the laboratory; None: drawn from each one's stream.
+            world: a seed or values (see :meth:`chemlab.laboratory.worlds.Worlds.begin`); None: drawn from a stream
+                of its own.
+
+        Raises:
+            ValueError: unknown goal, or a world that there is not; nothing has changed.
+        """
+        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
+        self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start
         self.shelf.stock[members] = self._first_stock
         self.shelf.waste[members] = 0.0
+        if self.worlds.active:
+            self.worlds.fill(members, self.shelf.vessels)
+            self.worlds.rest(members, len(self.scenario.shelf.vessel))
         state = self.state
         self.table.reset(members)
-        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
@@ -472,13 +494,11 @@ class Laboratories:
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
-        submission is worth nothing."""
-        state = self.state
-        shares = (
-            state.submitted[members, :, 0]
-            * state.submitted[members, :, 1]
-            / self.rules.arrays.maximum[state.goal[members]]
-        )
+        submission, or with one that falls short of its specification, is worth nothing."""
+        rules, goals = self.rules.arrays, self.state.goal[members]
+        amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+        shares = amount * purity / rules.maximum[goals]
+        shares[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
         return np.asarray(shares.mean(axis=1) - self.charges(members).sum(axis=1))
 
     def charges(self, members: IntArray) -> FloatArray:
@@ -593,7 +613,7 @@ class Laboratories:
         state = self.shelf.arrays()
         for experiments in self.experiments:
             state += experiments.arrays()
-        return [*state, *self.table.changing()]
+        return [*state, *self.table.changing(), *self.worlds.arrays()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

@@ -36,6 +36,7 @@ __all__ = [
     "space_words",
     "stock_table",
     "vessel_table",
+    "world_table",
 ]
 
 
@@ -157,6 +158,11 @@ def goal_words(spec: Scenario) -> list[str]:
         f"An episode has {orders}, for {several}{_codes(spec.lab_goals)}.",
         f"Experiments may be run for {_codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
+        *(
+            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least, "
+            "or is worth nothing."
+            for goal, wanted in spec.specifications.items()
+        ),
     ]
 
 
@@ -164,6 +170,24 @@ def vessel_table(spec: Scenario) -> FactTable:
     """The vessels that an episode begins with."""
     rows = [(f"slot {i}", f"{v.capacity_l:g} L", amount_words(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
     return _facts(("place", "capacity", "contents"), rows)
+
+
+def world_table(spec: Scenario) -> FactTable:
+    """What is drawn for an episode and not told."""
+    rows = []
+    for name, draw in spec.world.draws.items():
+        numbers = draw.distribution.model_dump(exclude_none=True)
+        kind = numbers.pop("kind")
+        words = ", ".join(
+            f"{key} {', '.join(map(str, value)) if isinstance(value, tuple) else f'{value:g}'}"
+            for key, value in numbers.items()
+            if value != ()
+        )
+        what = f"{draw.what} of {_code(draw.material)}" if draw.material else draw.what
+        whose = _codes(draw.of) or "the laboratory"
+        each = "one number" if draw.variables == 1 else "each its own"
+        rows.append((_code(name), what, whose, f"{kind}: {words}", each))
+    return _facts(("draw", "what", "of", "drawn from", "shared"), rows)
 
 
 def stock_table(spec: Scenario) -> FactTable:

@@ -15,13 +15,13 @@ import numpy.typing as npt
 from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..bench.base import Bench, Experiments, ExperimentState, build_bench
 from ..bench.models import ReactionModel, SeparationModel
-from ..chemistry import build_chemistry
 from ..jit import announce_compiling, kernel, opened
 from ..materials import DataError
 from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf, ShelfArrays
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
+from .worlds import World, Worlds, world_chemistry
 
 __all__ = ["ExperimentBatch"]
 
@@ -62,9 +62,11 @@ class ExperimentBatch:
         starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
             laboratory runs (see :mod:`chemlab.laboratory.starts`), ``both`` for either as often.
         reaction_model, separation_model: physics of your own.
+        split: which worlds there may be (see :mod:`chemlab.world`).
 
     Raises:
         DataError: unknown bench, goal or starting states.
+        ValueError: unknown split.
     """
 
     def __init__(
@@ -76,11 +78,12 @@ class ExperimentBatch:
         starts: str = "paper",
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
         if bench not in self.scenario.benches:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
-        chemistry = build_chemistry(self.scenario)
+        chemistry = world_chemistry(self.scenario, members)
         self.bench: Bench = build_bench(bench, self.scenario, chemistry, reaction_model, separation_model)
         announce_compiling(*self.bench.kernels)
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
@@ -90,6 +93,8 @@ class ExperimentBatch:
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)
+        self.worlds = Worlds(self.scenario, self.shelf, split)
+        self._fresh = starts == "paper"
         self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
@@ -133,16 +138,27 @@ class ExperimentBatch:
 
     def seed(self, member: int, seed: int) -> None:
         """Start the member's random streams afresh."""
-        seed_streams(np.random.SeedSequence(seed), (self.experiments.stream, self.start_stream), member)
+        sequence = np.random.SeedSequence(seed)
+        seed_streams(sequence, (self.experiments.stream, self.start_stream), member)
+        self.worlds.seed(member, sequence)
 
-    def reset(self, members: IntArray, goal: int | None = None, bench: Bench | None = None) -> None:
-        """Begin new experiments, for goals drawn from each member's stream or one given by index.
+    def reset(
+        self, members: IntArray, goal: int | None = None, bench: Bench | None = None, world: World | None = None
+    ) -> None:
+        """Begin new experiments, for goals drawn from each member's stream or one given by index, in worlds drawn from
+        another or one given (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
+
+        Raises:
+            ValueError: a world that there is not; nothing has changed.
         """
+        self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments
         _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
+        if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
+            self.worlds.fill(members, shelf.vessels, self.bench.key)
         (bench or self.bench).begin(shelf, experiments, members)
 
     def act(self, actions: npt.NDArray[Any], members: IntArray | None = None) -> None:
@@ -168,4 +184,4 @@ class ExperimentBatch:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        return [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream]
+        return [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream, *self.worlds.arrays()]

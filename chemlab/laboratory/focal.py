@@ -51,6 +51,7 @@ from .policy import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
 from .state import RUNNING, TERMINATED
 from .text import describe_laboratory
+from .worlds import World, Worlds
 
 if TYPE_CHECKING:
     from ..render.scene import Scene
@@ -75,6 +76,7 @@ class FocalVectorEnv(BatchEnv):
         copy: whether returned arrays are copies; without, the next step overwrites them.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+        split: which worlds there may be (see :mod:`chemlab.world`).
         max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:
@@ -96,13 +98,14 @@ class FocalVectorEnv(BatchEnv):
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
+        split: str = "train",
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
         self.scenario = load_scenario(scenario)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
         if agent not in labs.agents:
             raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
         self.focal = labs.agents.index(agent)
@@ -144,13 +147,17 @@ class FocalVectorEnv(BatchEnv):
         self.laboratories.seed(member, seed)
         self._players.seed(member, seed)
 
-    def _begin(self, members: IntArray, goal: int | None) -> None:
-        self._restart(members, None if goal is None else self._goal_names[goal])
+    @property
+    def _worlds(self) -> Worlds:
+        return self.laboratories.worlds
+
+    def _begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
+        self._restart(members, None if goal is None else self._goal_names[goal], world)
         self._look()
 
-    def _restart(self, members: IntArray, goal: str | None) -> None:
+    def _restart(self, members: IntArray, goal: str | None, world: World | None = None) -> None:
         """New episodes, played on to the agent's first turn; nothing before it is the agent's."""
-        self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal))
+        self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal, world))
         self._clear(members)
         self._last_turn[members] = self.laboratories.state.ticks[members]
 
@@ -252,7 +259,7 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
-        scenario, agent, policies, rewards, reaction_model, separation_model: as for :class:`FocalVectorEnv`.
+        scenario, agent, policies, rewards, reaction_model, separation_model, split: as for :class:`FocalVectorEnv`.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 
     Raises:
@@ -294,15 +301,16 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
         Args:
             seed: starts the random streams afresh; without one they go on (a first reset draws one).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
+                ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal.
+            ValueError: unknown option or goal, or a world that there is not.
         """
         super().reset(seed=seed)
-        unknown = set(options or {}) - {"goal"}
+        unknown = set(options or {}) - {"goal", "world"}
         if unknown:
-            raise ValueError(f"reset options: known: goal; given {', '.join(sorted(map(str, unknown)))}")
+            raise ValueError(f"reset options: known: goal, world; given {', '.join(sorted(map(str, unknown)))}")
         observations, infos = self.batch.reset(seed=seed, options=options)
         self._show()
         return observations[0], self._info(infos)

@@ -71,7 +71,7 @@ class GlobalState:
 
     def _parts(self, members: IntArray) -> list[_Part]:
         parts = (self._vessel_parts, self._shelf_parts, self._bench_parts, self._order_parts, self._turn_parts)
-        return [part for some in parts for part in some(members)]
+        return [part for some in (*parts, self._world_parts) for part in some(members)]
 
     def _vessel_parts(self, members: IntArray) -> list[_Part]:
         labs, shelf = self._laboratories, self._laboratories.shelf
@@ -185,6 +185,11 @@ class GlobalState:
             _Part("budget", "fraction", 0.0, 1.0, "of the budget for measurements spent", budget),
             _Part("charges", "score", 0.0, 1.0, "to the manager so far, by item", labs.charges(members)),
         ]
+
+    def _world_parts(self, members: IntArray) -> list[_Part]:
+        worlds = self._laboratories.worlds
+        meaning = "share of the prior below what was drawn, or which option: " + ", ".join(worlds.names)
+        return [_Part("world", "fraction", 0.0, 1.0, meaning, worlds.positions(members))]
 
 
 def _hot(indices: IntArray, size: int) -> npt.NDArray[np.float64]:

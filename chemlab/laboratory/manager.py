@@ -161,7 +161,8 @@ def _submit(
     state.submitted[n, y, 0] = amount
     state.submitted[n, y, 1] = purity
     state.filled[n, y] = True
-    state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
+    if amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
+        state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
     open_orders = 0
     for o in range(state.goal.shape[1]):
         open_orders += not state.filled[n, o]

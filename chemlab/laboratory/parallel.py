@@ -45,10 +45,11 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         render_mode: one of ``metadata["render_modes"]``, or None.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
+        split: which worlds there may be (see :mod:`chemlab.world`).
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: unknown render mode or reward mix.
+        ValueError: unknown render mode, reward mix or split.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
@@ -72,10 +73,11 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
 
         Args:
             seed: starts the random streams afresh; without one they go on (a first episode without a seed draws one).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
+                ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal.
+            ValueError: unknown goal, or a world that there is not.
         """
         self._begin(seed, options)
         self._last_turn = [0] * len(self.agents)

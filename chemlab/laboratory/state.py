@@ -139,5 +139,11 @@ class Rules(NamedTuple):
     tick_limit: Annotated[int, Field("")]
     largest_capacity: Annotated[float, Field("")]
     """L"""
+    least_purity: Annotated[FloatArray, Field("G")]
+    """[G] what a submission must be, to be worth anything"""
+    least_amount: Annotated[FloatArray, Field("G")]
+    """[G] mol, the same"""
+    gauge: Annotated[float, Field("")]
+    """step of the fill level's marks, as a share of the capacity; 0: none"""
     work: Annotated[FloatArray, Field("a b")]
     """scratch"""

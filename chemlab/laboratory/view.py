@@ -5,6 +5,8 @@ Each part of the observation is declared right above the helper that writes it, 
 
 from __future__ import annotations
 
+import math
+
 from ..arrays import Handle, IntArray, ObservationArray
 from ..bench.base import Channel
 from ..chemistry import CAPACITY, PRESENT, TEMPERATURE
@@ -53,7 +55,10 @@ def _write_vessel(
     row = shelf.rows[n * (shelf.rows.shape[0] // shelf.stock.shape[0]) + s]
     if row[PRESENT] > 0.0:
         out[at] = 1.0
-        out[at + 1] = min(volume(row, chem) / row[CAPACITY], 1.0)
+        fill = volume(row, chem) / row[CAPACITY]
+        if rules.gauge > 0.0 and fill > 0.0:  # something is seen to be there, however little
+            fill = rules.gauge * max(math.floor(fill / rules.gauge + 0.5), 1.0)
+        out[at + 1] = min(fill, 1.0)
         out[at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
         out[at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
         out[at + 4 + state.last_bench[n, s]] = 1.0

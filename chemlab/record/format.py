@@ -121,8 +121,10 @@ class Header(BaseModel):
     """The version it was made by."""
     seed: int | None = Field(ge=0, lt=LIMITS.integer)
     """None where the random streams went on from an episode before."""
-    options: dict[str, _Word]
-    """Of the reset: the ``goal`` that was asked for, or nothing."""
+    options: dict[str, Any]
+    """Of the reset: the ``goal`` and the ``world`` that were asked for, or nothing."""
+    split: _Word | None = None
+    """Which worlds there may be, where the scenario draws any; ``private`` without its salt."""
     rounds: bool
     policies: dict[str, _Text]
     """Who played each agent; a claim."""

@@ -38,6 +38,12 @@ class Play(NamedTuple):
     action: Any
 
 
+def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options of a reset that an episode depends on."""
+    given = {key: options[key] for key in ("goal", "world") if options.get(key) is not None}
+    return {key: int(value) if isinstance(value, np.integer) else value for key, value in given.items()}
+
+
 class Witness:
     """Says what happens in one laboratory as the lines of a record; made right after the laboratory's reset.
 
@@ -62,7 +68,7 @@ class Witness:
     def opening(
         self,
         seed: int | None,
-        goal: str | None,
+        options: Mapping[str, Any],
         rounds: bool,
         policies: Mapping[str, str],
         models: Mapping[str, str],
@@ -70,7 +76,12 @@ class Witness:
         version: str = __version__,
     ) -> dict[str, Any]:
         """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
-        labs = self._labs
+        labs, hidden = self._labs, self._hidden()
+        split: dict[str, Any] = {}
+        if labs.worlds.active:
+            # The salt of a private split is nobody else's; its worlds are told by their numbers.
+            split = {"split": labs.worlds.split.name.partition(":")[0]}
+            hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
             positions += [f"{agent}.{position}" for position in bench.positions]
@@ -78,7 +89,8 @@ class Witness:
             "format": FORMAT,
             "chemlab": version,
             "seed": seed,
-            "options": {} if goal is None else {"goal": goal},
+            "options": _known_options(options),
+            **split,
             "rounds": rounds,
             "policies": dict(policies),
             "models": dict(models),
@@ -88,7 +100,7 @@ class Witness:
             "streams": self._streams(),
             "materials": list(labs.shelf.layout.materials),
             "positions": positions,
-            "hidden": self._hidden(),
+            "hidden": hidden,
             "scenario": dump_scenario(labs.scenario),
         }
 
@@ -280,7 +292,7 @@ class Recorder:
         self._witness = Witness(labs, self._member)
         opening = self._witness.opening(
             seed,
-            (options or {}).get("goal"),
+            options or {},
             self._rounds,
             self._policies,
             _models(labs),

@@ -13,6 +13,7 @@ from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
 from ..materials import DataError
 from ..parts import strangers_code
+from ..world import SPLITS
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 
@@ -27,9 +28,11 @@ class Replay:
         trust: import benches and other parts that the record's scenario names (``module:Name``, ``file.py:Name``);
             without it that is an error, because a file from elsewhere should not decide what Python runs.
         reaction_model, separation_model: the user's own physics, where the record was made with such.
+        split: ``private:SALT``, for a record of a private split.
 
     Attributes:
         laboratories: as it stands after the turns played so far.
+        split_known: whether its world follows from its seed; of a private split without the salt, it is as recorded.
 
     Raises:
         RecordError: the episode cannot be played here; the message says what is missing.
@@ -41,6 +44,7 @@ class Replay:
         trust: bool = False,
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
+        split: str | None = None,
     ) -> None:
         self.record = record
         scenario = recorded_scenario(record)
@@ -49,9 +53,15 @@ class Replay:
         for key, name in header.models.items():
             if given.get(key) is None:
                 raise RecordError(f"{record.path}: was made with {key} {short(name)}: give it to verify_record()")
+        private = header.split == "private"
+        if header.split not in (None, "private", *SPLITS):
+            known = ", ".join([*SPLITS, "private"])
+            raise HeaderError(f"{record.path}: header: split: must be {known}, given {short(header.split)}")
+        self.split_known = not private or split is not None
+        chosen = (split or "private:unknown") if private else header.split or "train"
         try:
             with strangers_code(allowed=trust):
-                self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model)
+                self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model, chosen)
         except DataError as error:
             raise RecordError(short(str(error), 500)) from error
         self.rounds = header.rounds
@@ -61,9 +71,19 @@ class Replay:
             raise HeaderError(short(f"{record.path}: header: {error}", 500)) from error
 
     def _reset(self, header: Header) -> None:
-        labs = self.laboratories
+        labs, world = self.laboratories, header.options.get("world")
+        if world is not None:
+            labs.worlds.check(world)
+        told = labs.worlds.active and (header.seed is None or not self.split_known)
+        hidden: Any = header.hidden.get("world") if told else None
+        if told:
+            if not isinstance(hidden, dict) or not isinstance(hidden.get("values"), dict):
+                raise ValueError("hidden.world: says nothing of its values")
+            world = hidden["values"]
         labs.seed(0, header.seed or 0)
-        labs.reset(labs.members, header.options.get("goal"))
+        labs.reset(labs.members, header.options.get("goal"), world)
+        if told:
+            labs.worlds.renumber(0, hidden.get("number"))
         if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
             streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:

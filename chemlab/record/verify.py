@@ -154,7 +154,7 @@ class _Check:
         witness = Witness(labs, 0)
         # What a header claims stands there as it claims it: the verdict says so.
         claims = header.policies, header.models, header.environment, header.chemlab
-        opening = witness.opening(header.seed, header.options.get("goal"), header.rounds, *claims)
+        opening = witness.opening(header.seed, header.options, header.rounds, *claims)
         if not self.compare(0, "header", record.header, opening):
             return
         for number, turn in enumerate(record.turns):
@@ -187,6 +187,7 @@ def verify_record(
     trust: bool = False,
     reaction_model: ReactionModel | None = None,
     separation_model: SeparationModel | None = None,
+    split: str | None = None,
 ) -> Verification:
     """Play a record's actions on the simulator and compare all it says with what happens.
 
@@ -195,6 +196,7 @@ def verify_record(
         scenario: what it must have been made on; default: the shipped scenario of the same name.
         trust: import benches of somebody's own that the record names.
         reaction_model, separation_model: the physics it was made with, where that was not chemlab's.
+        split: ``private:SALT``, for a record of a private split: proves that its world is the seed's.
 
     Raises:
         DataError: ``scenario`` is none.
@@ -208,7 +210,7 @@ def verify_record(
     other = _other_version(record)
     try:
         header = record.checked_header()
-        replay = Replay(record, trust, reaction_model, separation_model)
+        replay = Replay(record, trust, reaction_model, separation_model, split)
     except RecordError as error:
         status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
         messages, where = [_plain(error, name)], "header" if isinstance(error, HeaderError) else ""
@@ -306,10 +308,13 @@ def _notes(check: _Check) -> list[str]:
         notes.append(f"says that {short(who, 200)} played, which nothing proves")
     for key, name in header.models.items():
         notes.append(f"played with the {key} that was given, for what it calls {short(name)}")
+    if header.split == "private" and not check.replay.split_known:
+        notes.append("is of a private split: without its salt, its world is what whoever made it wanted")
     if header.seed is None:
         notes.append("has no seed: its random streams and goals are what whoever made it wanted")
     elif header.options:
-        notes.append(f"its goal was asked for: {short(header.options['goal'])}")
+        asked = [f"{key} {short(value)}" for key, value in header.options.items()]
+        notes.append(f"was asked for: {', '.join(asked)}")
     return notes
 
 

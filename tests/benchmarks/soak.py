@@ -27,6 +27,7 @@ from chemlab.chemistry import element_matrix
 from chemlab.jit import kernel
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.worlds import World
 from chemlab.scenario import SAFETY_EVENTS, scenario_names
 
 LARGEST_DRIFT = 1e-9
@@ -64,11 +65,11 @@ class _Watched(BatchedLaboratory):
         self.negative = 0
         self.events = np.zeros(len(SAFETY_EVENTS))
 
-    def _restart(self, members: IntArray, goal: str | None = None) -> None:
+    def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         if self._begun:
             self.weigh(members)
             self.events += self.laboratories.safety_totals[members].sum(axis=0)
-        super()._restart(members, goal)
+        super()._restart(members, goal, world)
         self.atoms[members] = self._weight(members)
 
     def _weight(self, members: IntArray) -> FloatArray:

@@ -73,7 +73,9 @@ def test_it_is_true_by_name(name: str) -> None:
     for v, kelvin in enumerate(found["temperature"] * 600.0 + 200.0):
         if found["present"][v]:
             assert kelvin == pytest.approx(labs.shelf.vessel(0, v).temperature_k, rel=1e-6)
-            assert found["capacity"][v] * largest == pytest.approx(labs.shelf.vessel(0, v).capacity_l, rel=1e-6)
+            # A piston may be drawn out further than any vessel is large: what is past the bound is at it.
+            capacity = min(labs.shelf.vessel(0, v).capacity_l, largest)
+            assert found["capacity"][v] * largest == pytest.approx(capacity, rel=1e-6)
             assert found["clock"][v] == pytest.approx(labs.shelf.vessel(0, v).settling, rel=1e-6, abs=1e-7)
     for k, (bottle, full) in enumerate(scenario.stock.items()):
         left = labs.shelf.stock[0, list(scenario.materials).index(bottle)]

@@ -1,0 +1,242 @@
+"""Scripted manager of several batches in one world: learns how fast the reaction is, and uses it on the next ones."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel, channel_slices
+from chemlab.bench.reaction import ReactionBench
+from chemlab.instruments.table import InstrumentTable
+from chemlab.laboratory.actions import ManagerActions
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.view import order_channels
+from chemlab.scenario import Scenario
+from chemlab.world import quantiles
+
+from .reaction import ReactionHeuristic
+
+__all__ = ["CampaignManager", "has_unknown_rate"]
+
+_GRID = 48
+"""Rates that are told apart: the middle of each part of the prior, all as likely."""
+_MOST_RUNS = 40
+_SAMPLES = 32
+"""Readings that are thought of before one is paid for."""
+_MODEL_ERROR = 0.004
+"""Standard deviation of readings besides their noise: rates lie between those of the grid."""
+_SURPRISE = 1e-12
+
+
+def has_unknown_rate(scenario: Scenario) -> str | None:
+    """Name of the draw of one rate constant, where that is all that is hidden and there is nothing but reacting."""
+    draws = scenario.world.draws
+    rates = [name for name, draw in draws.items() if draw.what == "pre_exponential" and draw.variables == 1]
+    reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
+    return rates[0] if rates and len(draws) == 1 and reacting else None
+
+
+@dataclass
+class _Belief:
+    """What the manager knows in an episode.
+
+    Attributes:
+        weights: [T] probability of each rate.
+        batch: which order it is working on.
+        runs: experiments that the vessel of the batch has had.
+        asked: whether its last action was a measurement.
+        looked: number of measurements of the vessel as it is.
+        waiting: whether an experiment has been begun.
+    """
+
+    weights: FloatArray
+    batch: int = 0
+    runs: int = 0
+    asked: bool = False
+    looked: int = 0
+    waiting: bool = False
+    slots: list[int] = field(default_factory=list)
+
+
+class CampaignManager:
+    """Runs the reaction bench on one batch after the other, each until going on is not worth it.
+
+    How a batch goes at each possible rate it has worked out on the public scenario beforehand. It keeps the probability
+    of every rate, brings it up to date with each reading (Bayes), and carries it on to the next batch. It measures
+    where the gain that is to be expected of knowing more, for this batch and those to come, is above the price.
+
+    Args:
+        scenario: the public scenario.
+        channels: the manager's observation channels.
+        actions: the manager's actions.
+        instruments: the scenario's instruments.
+        positions: how many vessels each bench works on.
+        careful: False never measures.
+        skip: benches it does without.
+        remember: False forgets what it knew when a batch is over.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        channels: Sequence[Channel],
+        actions: ManagerActions,
+        instruments: InstrumentTable,
+        positions: Mapping[str, int],
+        careful: bool = True,
+        skip: Collection[str] = (),
+        remember: bool = True,
+    ) -> None:
+        del instruments, positions  # as of other managers: this one asks the scenario
+        self._scenario, self._actions, self._remember = scenario, actions, remember
+        self._slices = channel_slices(channels)
+        self._orders = [name for name, _ in order_channels(scenario)]
+        kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
+        self._rxn = f"{kinds['reaction']}_0" if "reaction" in kinds else None
+        names = [n for n, spec in scenario.instruments.items() if spec.kind in ("gas_chromatograph", "uv_vis")]
+        self._instrument = min(names, key=lambda n: scenario.instruments[n].price, default=None) if careful else None
+        drawn = has_unknown_rate(scenario)
+        assert drawn is not None, "whoever makes this has asked"
+        self._numbers = quantiles(scenario.world.draws[drawn], (np.arange(_GRID) + 0.5) / _GRID)
+        self._expected, self._worth = _foreseen(scenario, drawn, self._numbers, self._instrument, self._rxn)
+        spec = scenario.instruments.get(str(self._instrument))
+        self._noise = float(np.hypot(spec.noise, _MODEL_ERROR)) if spec is not None else 1.0
+        self._price = spec.price if spec is not None else 0.0
+        # The same thoughts every time: which rates, spread over all that are likely, and which noise.
+        self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, self._expected.shape[2]))
+        self._beliefs: dict[int, _Belief] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the manager has discrete actions"
+        return np.array(
+            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
+            dtype=np.int64,
+        )
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy(self._beliefs)
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._beliefs = copy.deepcopy(memory)
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        if step == 0:
+            slots = [s for s in range(self._actions.slots) if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
+            self._beliefs[member] = _Belief(self._prior(), slots=slots)
+        belief = self._beliefs[member]
+        slot = belief.slots[min(belief.batch, len(belief.slots) - 1)]
+        if belief.waiting:
+            belief.waiting = False
+            return self._actions.encode("wait")
+        if belief.asked:
+            belief.asked = False
+            reading = observation[self._slices[f"slot_{slot}_{self._instrument}"]].astype(np.float64)
+            belief.weights = self._updated(belief.weights, reading, belief.runs)
+        if self._measures(belief, mask, slot):
+            belief.asked, belief.looked = True, belief.looked + 1
+            return self._actions.encode("measure", slot, str(self._instrument))
+        best = belief.runs + int((belief.weights @ self._worth[:, belief.runs :]).argmax())
+        if best > belief.runs and self._rxn is not None:
+            goal = self._goal(observation, belief.batch)
+            start = self._actions.encode("start", self._rxn, slot, goal)
+            if mask[start]:
+                belief.runs, belief.looked, belief.waiting = belief.runs + 1, 0, True
+                return start
+        submit = self._actions.encode("submit", slot, *([belief.batch] if len(self._orders) > 1 else []))
+        belief.batch, belief.runs, belief.looked = belief.batch + 1, 0, 0
+        if not self._remember:
+            belief.weights = self._prior()
+        return submit if mask[submit] else int(mask.argmax())
+
+    def _goal(self, observation: ObservationArray, order: int) -> str:
+        return self._scenario.goals[int(observation[self._slices[self._orders[order]]].argmax())]
+
+    def _prior(self) -> FloatArray:
+        return np.full(_GRID, 1.0 / _GRID)
+
+    def _updated(self, weights: FloatArray, readings: FloatArray, runs: int) -> FloatArray:
+        """[..., T] probabilities after readings [..., size] of a vessel that has had so many runs."""
+        apart = ((readings[..., None, :] - self._expected[:, runs]) ** 2).sum(axis=-1) / self._noise**2
+        likely = np.exp(-0.5 * (apart - apart.min(axis=-1, keepdims=True))) + _SURPRISE
+        found = weights * likely
+        return np.asarray(found / found.sum(axis=-1, keepdims=True))
+
+    def _value(self, weights: FloatArray, runs: int, left: int) -> FloatArray:
+        """[...] what this batch and ``left`` others after it are expected to come to, without another look."""
+        here = (weights @ self._worth[:, runs:]).max(axis=-1)
+        return np.asarray(here + left * (weights @ self._worth).max(axis=-1))
+
+    def _measures(self, belief: _Belief, mask: MaskArray, slot: int) -> bool:
+        """Whether another look is worth its price."""
+        if (
+            self._instrument is None
+            or belief.runs == 0
+            or not mask[self._actions.encode("measure", slot, self._instrument)]
+        ):
+            return False
+        left = len(self._orders) - belief.batch - 1 if self._remember else 0
+        rates = np.searchsorted(np.cumsum(belief.weights), self._shares).clip(0, _GRID - 1)
+        readings = self._expected[rates, belief.runs] + self._errors
+        after = self._value(self._updated(belief.weights, readings, belief.runs), belief.runs, left).mean()
+        return bool(after - self._value(belief.weights, belief.runs, left) > self._price)
+
+
+def _foreseen(
+    scenario: Scenario, drawn: str, numbers: FloatArray, instrument: str | None, agent: str | None
+) -> tuple[FloatArray, FloatArray]:
+    """What a batch comes to at each possible rate: readings [T, runs, size] without noise, and worth [T, runs] to the
+    score, less the time it takes; played on the public scenario."""
+    exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
+    labs = Laboratories(scenario.model_copy(update={"instruments": exact}), len(numbers))
+    members, rules = labs.members, labs.rules.arrays
+    for member, number in zip(members, numbers.tolist(), strict=True):
+        labs.reset(members[member : member + 1], world={drawn: number})
+    goal = int(labs.state.goal[0, 0])
+    name, orders = scenario.goals[goal], labs.state.goal.shape[1]
+    size = 1 if instrument is None else labs.instruments.channels[labs.instruments.names.index(instrument)].size
+    readings = np.zeros((len(numbers), _MOST_RUNS + 1, size))
+    worth = np.zeros((len(numbers), _MOST_RUNS + 1))
+    ticks = 0
+    for run in range(_MOST_RUNS + 1):
+        amounts = labs.shelf.amounts[:, 0]
+        made, all_there = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
+        purity = made / np.maximum(all_there, 1e-12)
+        met = (purity >= rules.least_purity[goal]) & (made >= rules.least_amount[goal])
+        worth[:, run] = met * made * purity / rules.maximum[goal] / orders - rules.tick_price * ticks
+        if instrument is not None:
+            number = labs.instruments.names.index(instrument)
+            zeros = np.zeros(len(members), dtype=np.int64)
+            labs.instruments.read(labs.shelf, labs.state.reading, labs.state.stream, members, zeros, zeros + number)
+            start, stop = labs.instruments.start[number : number + 2]
+            readings[:, run] = labs.state.reading[:, 0, start:stop]
+        if agent is None or run == _MOST_RUNS:
+            continue
+        ticks += _run_once(labs, agent, name)
+    return readings, worth
+
+
+def _run_once(labs: Laboratories, agent: str, goal: str) -> int:
+    """One experiment of the scripted bench on the first slot of every laboratory; its ticks."""
+    number, members, ticks = labs.agents.index(agent), labs.members, 0
+    bench = labs.benches[number - 1]
+    assert isinstance(bench, ReactionBench), "the manager starts reactions only"
+    policy = ReactionHeuristic(bench)
+    for action in (labs.actions.encode("start", agent, 0, goal), labs.actions.encode("wait")):
+        labs.act(0, members, np.full(len(members), action))
+    while labs.busy[number - 1, 0]:
+        seen, step = labs.observe(number, members), labs.turns_had(number)[members]
+        labs.act(number, members, policy.act(seen, None, step, members))
+        ticks += 1
+    return ticks

@@ -1,0 +1,325 @@
+"""What a scenario's world draws, put into laboratories: parameters of their chemistry, contents of their vessels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import FloatArray, Handle, IntArray
+from ..chemistry import AMOUNTS, ChemistryTable, build_chemistry
+from ..jit import kernel, opened
+from ..materials import DataError
+from ..physics.laws import work_size
+from ..reactions import equation
+from ..scenario import Scenario
+from ..shelf import Shelf, ShelfArrays
+from ..world import (
+    VESSEL_QUANTITIES,
+    Draw,
+    Split,
+    compile_draws,
+    draw_limits,
+    draw_worlds,
+    given_values,
+    named_values,
+    next_numbers,
+    positions,
+    world_draws,
+)
+from .manager import rest_on_shelf
+
+__all__ = ["World", "Worlds", "world_chemistry"]
+
+World = int | Mapping[str, Any]
+"""Which world an episode is to have: the one of a seed, or one with some of its values given, by draw and target."""
+
+_SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point"})
+"""Parameters that may not be drawn: they hang together, or order materials."""
+
+
+def _parameters(scenario: Scenario) -> list[str]:
+    """Parameters of the chemistry that a scenario draws."""
+    whats = [draw.what for draw in scenario.world.draws.values()]
+    return [what for what in dict.fromkeys(whats) if what not in VESSEL_QUANTITIES]
+
+
+def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
+    """The chemistry of some laboratories: world 0 is that of the data files, n + 1 that of laboratory n, where the
+    scenario draws any of it."""
+    varying = _parameters(scenario)
+    return build_chemistry(scenario, laboratories + 1 if varying else 1, varying)
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    """A drawn parameter: which entries of which field, and which number is whose ([T] each; none: a single number)."""
+
+    field: str
+    entries: IntArray | None
+    columns: IntArray
+    change: str
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What is drawn of one material in one vessel: its number by quantity (with what changes how, for amounts)."""
+
+    position: int
+    material: int
+    mol: float
+    drawn: dict[str, tuple[int, str, int]]
+    """By quantity: column, change, index of the inert material."""
+
+
+@kernel
+def _rest_all(
+    members: IntArray,
+    slots: int,
+    shelf: Handle,
+    chemistry: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Let the first ``slots`` vessels of each laboratory come to rest in its own world."""
+    arrays = opened(ShelfArrays, shelf)
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for i in range(members.shape[0]):
+        n = members[i]
+        for s in range(slots):
+            rest_on_shelf(arrays.rows[n * vessels + s], chemistry[arrays.variant[n]], waste, events, work)
+
+
+class Worlds:
+    """The worlds of N laboratories.
+
+    Args:
+        scenario: what it draws; most draw nothing.
+        shelf: whose chemistry (:func:`world_chemistry`) and vessels are meant.
+        split: which worlds there may be.
+
+    Attributes:
+        split: the same.
+        active: whether anything is drawn.
+
+    Raises:
+        DataError: a draw of something that is not there, or that could come to what is not possible.
+        ValueError: unknown split.
+    """
+
+    def __init__(self, scenario: Scenario, shelf: Shelf, split: str) -> None:
+        self.split = Split.of(split)
+        self._spec, self._shelf = scenario.world, shelf
+        self.active = bool(self._spec.draws)
+        materials = shelf.layout.materials
+        try:
+            self._variables = compile_draws(self._spec, materials)
+        except ValueError as error:
+            raise DataError(f"{scenario.origin}: {error}") from error
+        n = len(shelf.stock)
+        self.table = world_draws(n, self._variables)
+        self._parameters: list[_Parameter] = []
+        self._contents: dict[str, list[_Content]] = {}
+        column = 0
+        for name, draw in self._spec.draws.items():
+            where = f"{scenario.origin}: world.draws.{name}"
+            columns = column + (
+                np.arange(len(draw.of)) if draw.variables > 1 else np.zeros(len(draw.of), dtype=np.int64)
+            )
+            if draw.what in VESSEL_QUANTITIES:
+                self._add_contents(scenario, draw, columns)
+            else:
+                self._parameters.append(self._parameter(scenario, draw, columns, column, where))
+            column += draw.variables
+        if self._parameters:
+            shelf.table.arrays.variant[:] = 1 + np.arange(n)
+        self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
+        self._work = np.zeros(work_size(shelf.chemistry))
+
+    # -- what is drawn ----------------------------------------------------------------------------------------
+
+    def _parameter(self, scenario: Scenario, draw: Draw, columns: IntArray, first: int, where: str) -> _Parameter:
+        chemistry = self._shelf.chemistry
+        drawable = [
+            field
+            for field in chemistry.parameters
+            if field not in _SETTLED and chemistry.axes(field)[:1] in ((), ("R",), ("M",))
+        ]
+        if draw.what not in drawable:
+            known = ", ".join([*VESSEL_QUANTITIES, *drawable])
+            raise DataError(f"{where}.what: {draw.what!r:.100} is nothing that may be drawn; known: {known}")
+        axis = chemistry.axes(draw.what)[:1]
+        names = {
+            (): [],
+            ("R",): [equation(step) for step in scenario.family.reaction],
+            ("M",): list(scenario.materials),
+        }[axis]
+        unknown = [name for name in draw.of if name not in names]
+        if unknown or bool(draw.of) != bool(axis):
+            of = f"some of {', '.join(names)}" if axis else "left out"
+            raise DataError(f"{where}.of: must be {of}; given {', '.join(unknown or draw.of) or 'nothing'}")
+        entries = np.array([names.index(name) for name in draw.of], dtype=np.int64)
+        own = chemistry.parameters[draw.what][0]
+        base = own[entries] if axis else own
+        low, high = draw_limits(draw)
+        ends = {"factor": (base * low, base * high), "offset": (base + low, base + high)}.get(draw.change, (low, high))
+        # What is above 0 in the files has to stay so: nothing has no heat capacity.
+        least = np.broadcast_to(np.minimum(*ends), np.shape(base))
+        if not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
+            raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
+        return _Parameter(draw.what, entries if axis else None, columns if axis else np.array([first]), draw.change)
+
+    def _add_contents(self, scenario: Scenario, draw: Draw, columns: IntArray) -> None:
+        materials = self._shelf.layout.materials
+        for name, column in zip(draw.of, columns.tolist(), strict=True):
+            slot = name.startswith("slot_")
+            position = int(name[5:]) if slot else 0
+            start = scenario.shelf.vessel[position] if slot else scenario.benches[name].start
+            material = str(draw.material)
+            group = self._contents.setdefault("" if slot else name, [])
+            index = materials.index(material)
+            found = next((c for c in group if (c.position, c.material) == (position, index)), None)
+            if found is None:
+                found = _Content(position, index, start.contents[material], {})
+                group.append(found)
+            inert = -1 if draw.inert is None else materials.index(draw.inert)
+            found.drawn[draw.what] = column, draw.change, inert
+
+    # -- drawing ----------------------------------------------------------------------------------------------
+
+    def seed(self, member: int, seed: np.random.SeedSequence) -> None:
+        """Start the stream of one laboratory's worlds afresh."""
+        if self.active:
+            self.table.arrays.stream[member, 0] = self.split.sequence(seed).generate_state(1, np.uint64)[0]
+
+    def begin(self, members: IntArray, world: World | None = None) -> None:
+        """Draw worlds for new episodes: the parameters of the laboratories' chemistry are theirs from here on.
+
+        Args:
+            members: [B] laboratories.
+            world: the one they all get, or what is given of it; None: each the next of its stream.
+
+        Raises:
+            ValueError: the scenario draws nothing, or not what was given; nothing has changed.
+        """
+        if world is not None:
+            self.check(world)
+        if not self.active:
+            return
+        drawn = self.table.arrays
+        if isinstance(world, Mapping) or world is None:
+            next_numbers(members, self.table.handle, self.split.number)
+        else:
+            drawn.work[members, 0] = np.uint64(self.split.world(int(world)))
+        draw_worlds(members, self._variables.handle, self.table.handle, self.split.test)
+        if isinstance(world, Mapping):
+            given = given_values(self._spec, world, self._shelf.layout.materials)
+            drawn.values[members] = np.where(np.isnan(given), drawn.values[members], given)
+        self._set_parameters(members)
+
+    def check(self, world: Any) -> None:
+        """Whether a world can be asked for.
+
+        Raises:
+            ValueError: it cannot; the message says what is wrong.
+        """
+        if not self.active:
+            raise ValueError("world: this scenario draws nothing")
+        if isinstance(world, Mapping):
+            given_values(self._spec, world, self._shelf.layout.materials)
+        elif isinstance(world, bool) or not isinstance(world, (int, np.integer)) or world < 0:
+            raise ValueError(f"world: must be a seed, or a table of values, given {world!r:.100}")
+
+    def _set_parameters(self, members: IntArray) -> None:
+        parameters, rows = self._shelf.chemistry.parameters, 1 + members
+        for field in dict.fromkeys(one.field for one in self._parameters):
+            parameters[field][rows] = parameters[field][0]
+        for one in self._parameters:
+            array = parameters[one.field]
+            values = self.table.arrays.values[members][:, one.columns]
+            values = values[:, 0] if one.entries is None else values
+            values = values.reshape(values.shape + (1,) * (array.ndim - values.ndim))
+            at: Any = rows if one.entries is None else (rows[:, None], one.entries)
+            if one.change == "value":
+                array[at] = values
+            elif one.change == "factor":
+                array[at] *= values
+            else:
+                array[at] += values
+
+    def fill(self, members: IntArray, rows: FloatArray, bench: str = "") -> None:
+        """Put what was drawn in the place of what the files say, in vessels that have just been filled.
+
+        Args:
+            members: [B] laboratories.
+            rows: [N, V, W] their vessels.
+            bench: whose starting vessel is meant (``rows`` are of its positions); else the shelf's.
+        """
+        volume = self._shelf.chemistry.parameters["molar_volume"][0]
+        values = self.table.arrays.values[members]
+        for content in self._contents.get(bench, ()):
+            litres = np.full(len(members), content.mol * volume[content.material])
+            share, real, inert = np.ones(len(members)), np.full(len(members), content.material), -1
+            for what, (column, change, other) in content.drawn.items():
+                value = values[:, column]
+                if what == "identity":
+                    real = value.astype(np.int64)
+                elif what == "titre":
+                    share, inert = value, other
+                else:
+                    mol = {"factor": content.mol * value, "offset": content.mol + value}.get(change, value)
+                    litres = mol * volume[content.material]
+            at = content.position
+            rows[members, at, AMOUNTS + content.material] -= content.mol
+            rows[members, at, AMOUNTS + real] += share * litres / volume[real]
+            if inert >= 0:
+                rows[members, at, AMOUNTS + inert] += (1.0 - share) * litres / volume[inert]
+
+    def rest(self, members: IntArray, slots: int) -> None:
+        """Let the first ``slots`` vessels come to rest, each in its own world."""
+        _rest_all(members, slots, self._shelf.handle, self._shelf.chemistry.handles, *self._scratch, self._work)
+
+    # -- telling ----------------------------------------------------------------------------------------------
+
+    def number(self, member: int) -> int:
+        """Number of a laboratory's world."""
+        return int(self.table.arrays.number[member, 0])
+
+    def renumber(self, member: int, number: Any) -> None:
+        """Say which world it is whose values a laboratory has been given.
+
+        Raises:
+            ValueError: no world has this number.
+        """
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**64:
+            raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
+        self.table.arrays.number[member, 0] = np.uint64(number)
+
+    def values(self, member: int) -> dict[str, Any]:
+        """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.world.named_values`)."""
+        return named_values(self._spec, self.table.arrays.values[member], self._shelf.layout.materials)
+
+    def positions(self, members: IntArray) -> FloatArray:
+        """[B, K] the same as numbers from 0 to 1, in the order of the declared draws."""
+        return positions(self._variables.arrays, self.table.arrays.values[members])
+
+    @property
+    def names(self) -> list[str]:
+        """What each of the K numbers is: draw, and target where it has several."""
+        return [
+            name if draw.variables == 1 else f"{name}.{target}"
+            for name, draw in self._spec.draws.items()
+            for target in ([name] if draw.variables == 1 else draw.of)
+        ]
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        if not self.active:
+            return []
+        parameters = self._shelf.chemistry.parameters
+        varying = [parameters[field][1:] for field in dict.fromkeys(one.field for one in self._parameters)]
+        return [*self.table.changing(), *varying]

@@ -1,0 +1,131 @@
+"""The audit: its scale, its measures on scenarios of which the answers are known, going on where it was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.agents.evaluation.audit import AuditBudget, _Scale, _told, audit, verdict
+from chemlab.agents.evaluation.plans import best_in_episode
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.laboratory.core import Laboratories
+from chemlab.record import scenario_hash
+from chemlab.scenario import load_scenario, scenario_names
+
+TINY = AuditBudget(episodes=12, plans=60, fewer=20, donors=3, planned=20)
+MEASURES = (
+    "random reference blind clairvoyant worth_of_measuring worth_of_bench worth_of_memory coordination contention "
+    "headroom generalization noise gates"
+)
+
+
+def test_the_scale_has_random_at_0_and_the_clairvoyant_at_1() -> None:
+    draw = np.random.default_rng(1)
+    random, clairvoyant = draw.normal(-0.1, 0.1, 50), draw.normal(0.9, 0.1, 50)
+    scale = _Scale(random, clairvoyant)
+    assert _told(scale.mean(random)) == {"value": 0.0, "low": 0.0, "high": 0.0}
+    assert _told(scale.mean(clairvoyant)) == {"value": 1.0, "low": 1.0, "high": 1.0}
+    # Half way between the two, episode by episode, is half way in every resample.
+    assert _told(scale.mean(0.5 * (random + clairvoyant)))["low"] == pytest.approx(0.5, rel=1e-12)
+    assert scale.deviation(clairvoyant)[0] == pytest.approx(clairvoyant.std() / (clairvoyant.mean() - random.mean()))
+
+
+def test_intervals_hold_what_they_promise() -> None:
+    """Of 100 samples of 60 numbers about 95 intervals have the true mean in them (standard error 2.2)."""
+    draw, inside = np.random.default_rng(2), 0
+    for _ in range(100):
+        scores = draw.normal(0.3, 0.2, 60)
+        told = _told(_Scale(np.zeros(60), np.ones(60)).mean(scores))
+        inside += told["low"] <= 0.3 <= told["high"]
+    assert 88 <= inside <= 100
+
+
+@pytest.fixture(scope="module")
+def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    keep = tmp_path_factory.mktemp("kept")
+    return audit("unlabelled", TINY, keep, 1), keep
+
+
+def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    found, _ = unlabelled
+    assert set(MEASURES.split()) <= set(found)
+    assert set(found["worth_of_bench"]) == {"rxn", "dit"}
+    told = [found[name] for name in MEASURES.split() if name not in ("worth_of_bench", "gates")]
+    for measure in [*told, *found["worth_of_bench"].values()]:
+        if measure["value"] is None:
+            assert measure["reason"]
+        else:
+            assert measure["low"] <= measure["value"] <= measure["high"]
+    assert json.loads(json.dumps(found)) == found
+    assert found["headroom"]["value"] == pytest.approx(1.0 - found["reference"]["value"])
+    assert found["blind"]["value"] == max(found["blind"]["ways"].values())
+    assert np.diff(found["clairvoyant"]["curve"]).min() >= 0.0
+    assert found["clairvoyant"]["curve"][-1] == pytest.approx(1.0)
+    assert "unlabelled" in verdict(found)
+
+
+def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    found, _ = unlabelled
+    assert found["policy"] == "heuristic"
+    assert found["gates"]["blind"]
+    assert found["gates"]["measuring"]
+    assert found["gates"]["noise"]
+
+
+def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    found, keep = unlabelled
+    files = sorted(keep.glob("*.json"))
+    kept = {file.name: file.stat().st_mtime_ns for file in files}
+    (keep / "random.json").unlink()
+    (keep / "test.json").write_text("{")
+    seen: list[str] = []
+    assert audit("unlabelled", TINY, keep, 1, seen.append) == found
+    assert {file.stem for file in files} == set(seen)
+    again = {file.name for file in files if file.stat().st_mtime_ns != kept[file.name]}
+    assert again == {"random.json", "test.json"}
+
+
+def test_where_nothing_is_hidden_a_blind_plan_does() -> None:
+    """The known plan of wurtz_dodecane_direct: react, distil, submit what has come over."""
+    found = audit("wurtz_dodecane_direct", AuditBudget(6, 120, 20, 2, 20), None, 1)
+    assert not found["gates"]["blind"]
+    assert not found["gates"]["measuring"]
+    assert found["generalization"]["value"] is None
+    assert "a blind plan does" in verdict(found)
+
+
+def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
+    labs = Laboratories("unlabelled", 4, split="test")
+    scores = play_laboratory(labs, make_policies("heuristic", labs, 0), None, 70).returns
+    for member in range(4):
+        best, curve = best_in_episode(labs.scenario, 70 + member, "test", 20, {})
+        # The scripted manager's own plan there, without its measurements.
+        assert best >= scores[member] + labs.state.charges[member, 0] - 1e-9
+        assert [score for _, score in curve] == sorted(score for _, score in curve)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in scenario_names() if load_scenario(name).world.draws])
+def test_every_scenario_with_a_world_passes_its_gates(name: str) -> None:
+    """What the page of a scenario says of it stays true: a change that makes one trivial is found."""
+    found = audit(name, "small")
+    assert {gate for gate, met in found["gates"].items() if met is False} == set(), verdict(found)
+
+
+def test_stored_audits_are_of_the_scenarios_as_they_are() -> None:
+    folder = Path(__file__).parents[2] / "docs" / "results" / "audits"
+    for path in sorted(folder.glob("*.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        assert found["scenario"] == path.stem
+        again = f"make it again: chemlab audit {path.stem} --out {path}"
+        assert found["scenario_hash"] == scenario_hash(load_scenario(path.stem)), again
+
+
+def test_unknown_budgets_are_refused() -> None:
+    with pytest.raises(ValueError, match="budget: known: small, full; given 'huge'"):
+        audit("unlabelled", "huge")

@@ -1,0 +1,198 @@
+"""Scripted managers of scenarios with a world: what they believe, when they look, what they carry on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import mapping
+
+from chemlab.agents.heuristics.campaign import CampaignManager, _foreseen, has_unknown_rate
+from chemlab.agents.heuristics.identify import IdentifyingManager, has_unlabelled_vessels
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies, manager_heuristic
+from chemlab.laboratory.actions import MEASURE, SUBMIT
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import Players
+from chemlab.scenario import load_scenario, scenario_names
+
+GAS = 8.314462618
+
+
+class Watched:
+    """Another manager, whose actions are kept by member."""
+
+    def __init__(self, policy: Any, members: int) -> None:
+        self.policy, self.played = policy, [[] for _ in range(members)]  # type: ignore[var-annotated]
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        actions = self.policy.act(observation, mask, step, members)
+        for member, action in zip(members.tolist(), actions.tolist(), strict=True):
+            self.played[member].append(action)
+        return actions
+
+
+def played(name: str, policy: str, members: int, values: dict[str, Any] | None = None) -> tuple[Laboratories, Watched]:
+    labs = Laboratories(load_scenario(values or name), members, split="validation")
+    policies = make_policies(policy, labs, 0)
+    policies["manager_0"] = watched = Watched(policies["manager_0"], members)
+    play_laboratory(labs, policies, None, 100)
+    return labs, watched
+
+
+def test_managers_are_chosen_by_what_is_hidden() -> None:
+    for name in scenario_names():
+        scenario = load_scenario(name)
+        manager = manager_heuristic(Laboratories(scenario))
+        assert isinstance(manager, IdentifyingManager) == has_unlabelled_vessels(scenario) == (name == "unlabelled")
+        assert isinstance(manager, CampaignManager) == (has_unknown_rate(scenario) is not None) == (name == "campaign")
+
+
+# -- vessels without a label ------------------------------------------------------------------------------------------
+
+
+def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
+    labs, watched = played("unlabelled", "heuristic", 40)
+    halide = {
+        "dodecane": "1-chlorohexane",
+        "5,6-dimethyldecane": "2-chlorohexane",
+        "4,5-diethyloctane": "3-chlorohexane",
+    }
+    kinds, better = labs.actions.table, []
+    for member in range(40):
+        goal = labs.scenario.goals[labs.state.goal[member, 0]]
+        held, titre = (labs.worlds.values(member)[name] for name in ("identity", "titre"))
+        first = next(action for action in watched.played[member] if labs.actions.decode(action)[0] == "start")
+        slot = f"slot_{labs.actions.decode(first)[2]}"
+        assert held[slot] == halide[goal]
+        other = next(name for name in held if name != slot and held[name] == halide[goal])
+        better.append(titre[slot] > titre[other])
+        looks = [action for action in watched.played[member] if kinds[action, 0] == MEASURE]
+        assert len(looks) == len(set(looks))
+    # Of two that are right it need not know both, but a poor one makes it go on looking.
+    assert np.mean(better) > 0.7
+
+
+def test_nobody_looks_where_it_costs_more_than_it_is_worth() -> None:
+    values = mapping("unlabelled")
+    for instrument in values["instruments"].values():
+        instrument["price"] = 0.39
+    labs, watched = played("unlabelled", "heuristic", 5, values)
+    first = [labs.actions.decode(actions[0])[0] for actions in watched.played]
+    assert first == ["start"] * 5
+    # As much as any one of eight vessels holds what is needed: two of them do.
+    manager = manager_heuristic(labs)
+    assert isinstance(manager, IdentifyingManager)
+
+
+def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
+    """Bayes by hand: one vessel of eight is seen to hold the first halide, so of the other seven one does."""
+    labs = Laboratories("unlabelled")
+    manager: Any = manager_heuristic(labs)
+    labs.seed(0, 0)
+    labs.reset(labs.members)
+    seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
+    manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
+    belief = manager._beliefs[0]
+    prior = manager._posterior(belief).sum(axis=2)
+    assert prior == pytest.approx(np.full((8, 4), 0.25))
+    belief.likelihood[0] = 1e-12
+    belief.likelihood[0, 0] = 1.0
+    after = manager._posterior(belief).sum(axis=2)
+    assert after[0] == pytest.approx([1.0, 0.0, 0.0, 0.0])
+    assert after[1:] == pytest.approx(np.tile([1 / 7, 2 / 7, 2 / 7, 2 / 7], (7, 1)))
+
+
+# -- a campaign -------------------------------------------------------------------------------------------------------
+
+
+def test_batches_are_foreseen_as_two_first_order_steps_go() -> None:
+    """A -> P -> W in closed form, step by step at the temperature that the oven has."""
+    scenario = load_scenario("campaign")
+    rates = np.array([0.3, 1.0, 3.0])
+    readings, worth = _foreseen(scenario, "rate", rates, "gas_chromatograph", "rxn_0")
+    labs = Laboratories(scenario)
+    a_at, p_at = (labs.instruments.analytes[0].index(name) for name in ("1-chlorohexane", "2-chlorohexane"))
+    tick = scenario.benches["rxn"].model_extra["tick"]  # type: ignore[index]
+    for row, rate in enumerate(rates):
+        a, p = 1.0, 0.0
+        for run in range(8):
+            assert readings[row, run, a_at] == pytest.approx(a, abs=2e-3)
+            assert readings[row, run, p_at] == pytest.approx(p, abs=2e-3)
+            good = p * p / 4.0 if p >= 0.75 else 0.0
+            if abs(p - 0.75) > 2e-3:
+                assert worth[row, run] == pytest.approx(good - 0.00002 * 20 * run, abs=2e-3)
+            for step in range(20):
+                temperature = 345.0 if step == 0 else 350.0
+                k1, k2 = (rate * pre * math.exp(-85000.0 / (GAS * temperature)) * tick for pre in (4.86e12, 4.86e11))
+                left = math.exp(-k1)
+                p = p * math.exp(-k2) + a * k1 / (k2 - k1) * (left - math.exp(-k2))
+                a *= left
+
+
+def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
+    looks: dict[str, np.ndarray[Any, Any]] = {}
+    for policy in ("heuristic", "forgetful"):
+        labs, watched = played("campaign", policy, 30)
+        counts = np.zeros((30, 4))
+        for member, actions in enumerate(watched.played):
+            batch = 0
+            for kind in labs.actions.table[actions, 0]:
+                counts[member, min(batch, 3)] += kind == MEASURE
+                batch += kind == SUBMIT
+        looks[policy] = counts.mean(axis=0)
+    assert looks["heuristic"][0] > 3.0 * looks["heuristic"][1:].mean()
+    assert looks["forgetful"][1:].mean() > 2.0 * looks["heuristic"][1:].mean()
+
+
+def test_memories_are_put_back() -> None:
+    """An episode that is taken up again half way goes on as it did."""
+    for name in ("campaign", "unlabelled"):
+        labs = Laboratories(name, 2, split="test")
+        players = Players(labs, list(make_policies("heuristic", labs, 0).values()))
+        for member in range(2):
+            labs.seed(member, 7 + member)
+        labs.reset(labs.members)
+        for _ in range(30):
+            players.play_pass(labs.members)
+        saved, memory = labs.snapshot(), players.get_memory()
+        players.play_on(labs.members)
+        scores = labs.result(labs.members)
+        labs.restore(saved)
+        players.set_memory(memory)
+        players.play_on(labs.members)
+        assert (labs.result(labs.members) == scores).all()
+
+
+def test_nobody_forgets_who_has_nothing_to_remember() -> None:
+    with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled carries nothing"):
+        make_policies("forgetful", Laboratories("unlabelled"))
+
+
+# -- specifications ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("specification", "met"),
+    [
+        ({}, True),
+        ({"purity_at_least": 0.749}, True),
+        ({"purity_at_least": 0.751}, False),
+        ({"amount_at_least_mol": 2.999}, True),
+        ({"amount_at_least_mol": 3.001}, False),
+    ],
+)
+def test_what_falls_short_of_its_specification_is_worth_nothing(specification: dict[str, float], met: bool) -> None:
+    """Three moles of four, of which an order gets three quarters of a quarter of the score."""
+    values = mapping("campaign")
+    values["specifications"] = {"2-chlorohexane": specification}
+    values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0}
+    labs = Laboratories(load_scenario(values))
+    labs.seed(0, 0)
+    labs.reset(labs.members)
+    labs.act(0, labs.members, np.array([labs.actions.encode("submit", 0, 0)]))
+    worth = 0.25 * 3.0 / 4.0 * 0.75 if met else 0.0
+    assert labs.rewards[0, 0] == pytest.approx(worth, rel=1e-12)
+    assert labs.result(labs.members)[0] == pytest.approx(worth, rel=1e-12)

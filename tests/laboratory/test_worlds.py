@@ -1,0 +1,426 @@
+"""Worlds in laboratories: the same in every view, part of the state, unseen until something physical differs."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.laboratory import parallel_env
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.record import Recorder, verify_record
+from chemlab.scenario import Scenario, load_scenario
+
+HALIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
+COUPLING = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"
+SLOTS = ["slot_0", "slot_1", "slot_2"]
+DRAWS = {
+    "which": {
+        "what": "identity",
+        "of": [*SLOTS, "rxn"],
+        "material": HALIDES[0],
+        "distribution": {"kind": "permutation", "options": [*HALIDES, HALIDES[0]]},
+    },
+    "titre": {
+        "what": "titre",
+        "of": [*SLOTS, "rxn"],
+        "material": HALIDES[0],
+        "inert": "dodecane",
+        "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0},
+        "test": [[0.4, 0.5]],
+    },
+    "rate": {
+        "what": "pre_exponential",
+        "of": [COUPLING],
+        "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.8},
+        "group": "kinetics",
+    },
+    "barrier": {
+        "what": "activation_energy",
+        "of": [COUPLING],
+        "change": "offset",
+        "distribution": {"kind": "normal", "mean": 0.0, "sd": 500.0, "low": -2000.0, "high": 2000.0},
+        "group": "kinetics",
+        "correlation": 0.5,
+    },
+}
+
+
+def scenario(draws: dict[str, Any] | None = None, **more: Any) -> Scenario:
+    """Dodecane from three vessels that look alike."""
+    vessel = {"capacity_l": 1.2, "contents": {"diethyl_ether": 4.0, HALIDES[0]: 1.0}}
+    return load_scenario(
+        {
+            "base": "wurtz_dodecane",
+            "name": "alike",
+            "title": "alike",
+            "summary": "alike",
+            "shelf": {"slots": 8, "vessel": [vessel] * 3, "gauge": 0.05},
+            "benches": {"rxn": {"start": vessel}},
+            "world": {"draws": DRAWS if draws is None else draws},
+            **more,
+        }
+    )
+
+
+def worlds(env: Any, member: int = 0) -> tuple[int, dict[str, Any]]:
+    owner = getattr(env, "laboratories", None) or getattr(env, "batch", None) or env
+    return owner.worlds.number(member), owner.worlds.values(member)
+
+
+def everything(labs: Any, member: int) -> list[np.ndarray[Any, Any]]:
+    """What a laboratory holds when an episode has begun, and by which numbers it behaves."""
+    known = labs.shelf.known(member)
+    return [labs.shelf.vessels[member].copy(), known.pre_exponential.copy(), known.activation_energy.copy()]
+
+
+# -- the same world everywhere ----------------------------------------------------------------------------------------
+
+
+def test_every_view_of_a_seed_has_the_same_world() -> None:
+    spec = scenario()
+    aec, rounds = raw_env(spec), parallel_env(spec)
+    focal = FocalEnv(spec, policies=lambda labs: make_policies("heuristic", labs))
+    batched, several = (
+        BatchedLaboratory(3, spec),
+        FocalVectorEnv(3, spec, policies=lambda labs: make_policies("heuristic", labs)),
+    )
+    bench, benches = BenchEnv(spec, "rxn"), BenchVectorEnv(3, spec, "rxn", threads=2)
+    for seed in (0, 17):
+        singles: list[Any] = [aec, rounds, focal, bench]
+        for env in singles:
+            env.reset(seed=seed)
+        expected = worlds(aec)
+        assert all(worlds(env) == expected for env in singles)
+        assert expected != worlds(raw_env(spec))
+        for batch in (batched, several, benches):
+            batch.reset(seed=seed - 2 if seed else [9, 8, 0])
+            assert worlds(batch, 2) == expected
+            assert worlds(batch, 1) != expected
+        for labs in (rounds.laboratories, focal.laboratories):
+            for ours, theirs in zip(everything(labs, 0), everything(aec.laboratories, 0), strict=True):
+                assert ours.tobytes() == theirs.tobytes()
+        for labs in (batched.laboratories, several.laboratories):
+            for ours, theirs in zip(everything(labs, 2), everything(aec.laboratories, 0), strict=True):
+                assert ours.tobytes() == theirs.tobytes()
+
+
+def test_results_depend_neither_on_the_batch_nor_on_threads() -> None:
+    """Random actions through several episodes that begin by themselves."""
+    spec, steps = scenario(), 50
+    actions = np.random.default_rng(0).random((steps, 4, 6))
+    found = []
+    for members, threads in ((4, 1), (4, 3), (1, 1)):
+        played = np.zeros((steps, 4))
+        for first in range(0, 4, members):
+            env = BenchVectorEnv(members, spec, "rxn", threads=threads, autoreset_mode="SameStep")
+            env.reset(seed=first)
+            for step in range(steps):
+                _, rewards, *_ = env.step(actions[step, first : first + members])
+                played[step, first : first + members] = rewards
+        found.append(played)
+    assert found[0].any()
+    assert all((other == found[0]).all() for other in found)
+
+
+def test_a_world_disturbs_no_other_stream() -> None:
+    """With amounts that come out as the file has them anyway, an episode is the one without a world."""
+    same = {"kind": "choice", "options": [1.0]}
+    drawn = scenario({"feed": {"what": "amount", "of": SLOTS, "material": HALIDES[0], "distribution": same}})
+    without = scenario({})
+    results = []
+    for spec in (drawn, without):
+        env = raw_env(spec)
+        policies = make_policies("random", env.laboratories, 5)
+        results.append([play_episode(env, policies, seed).as_dict() for seed in range(3)])
+    assert results[0] == results[1]
+
+
+def test_episodes_go_on_to_other_worlds_and_seeds_begin_again() -> None:
+    env = raw_env(scenario())
+    seen = []
+    for _ in range(2):
+        env.reset(seed=4)
+        first = worlds(env)
+        env.reset()
+        seen.append((first, worlds(env)))
+    assert seen[0] == seen[1]
+    assert seen[0][0] != seen[0][1]
+
+
+def test_splits_have_worlds_of_their_own() -> None:
+    numbers, titres = set(), {}
+    for split in ("train", "validation", "test", "private:quetzal"):
+        labs = Laboratories(scenario(), 200, split=split)
+        for member in range(200):
+            labs.seed(member, member)
+        labs.reset(labs.members)
+        numbers |= {labs.worlds.number(member) for member in range(200)}
+        titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(200))
+    assert len(numbers) == 4 * 200
+    assert titres["train"] > 0.5 < titres["validation"]
+    assert titres["test"] < 0.5 > titres["private:quetzal"]
+    with pytest.raises(ValueError, match="split: must be train"):
+        Laboratories(scenario(), split="dev")
+
+
+# -- what a world does ------------------------------------------------------------------------------------------------
+
+
+def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
+    """Litre for litre: every volume is as the file has it, whatever is in it."""
+    spec = scenario()
+    labs = Laboratories(spec, 5)
+    for member in range(5):
+        labs.seed(member, member)
+    labs.reset(labs.members)
+    litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
+    for member in range(5):
+        values, known = labs.worlds.values(member), labs.shelf.known(member)
+        for slot, name in enumerate(SLOTS):
+            amounts = labs.shelf.vessel(member, slot).amounts()
+            material, titre = values["which"][name], values["titre"][name]
+            assert amounts[material] * litres[material] == pytest.approx(titre * litres[HALIDES[0]], rel=1e-12)
+            assert amounts["dodecane"] * litres["dodecane"] == pytest.approx(
+                (1.0 - titre) * litres[HALIDES[0]], rel=1e-12
+            )
+            assert amounts["diethyl_ether"] == pytest.approx(4.0, rel=1e-12)
+        step = spec.family.reaction[0]
+        assert known.pre_exponential[0] == pytest.approx(step.pre_exponential * values["rate"][COUPLING], rel=1e-12)
+        barrier = step.activation_energy_j_mol + values["barrier"][COUPLING]
+        assert known.activation_energy[0] == pytest.approx(barrier, rel=1e-12)
+        # Reactions that are not named are as the files have them, and so is the world nobody lives in.
+        assert (known.pre_exponential[1:] == [other.pre_exponential for other in spec.family.reaction[1:]]).all()
+    assert labs.shelf.chemistry.world().pre_exponential[0] == spec.family.reaction[0].pre_exponential
+
+
+def test_vessels_begin_at_rest_in_their_own_world() -> None:
+    """Polarity says how a solute divides between two solvents."""
+    contents = {"diethyl_ether": 2.0, "water": 10.0, "dodecane": 0.5}
+    draws = {
+        "polarity": {
+            "what": "polarity",
+            "of": ["dodecane"],
+            "distribution": {"kind": "uniform", "low": 1.0, "high": 60.0},
+        }
+    }
+    spec = scenario(draws, shelf={"slots": 8, "vessel": [{"capacity_l": 1.2, "contents": contents}]})
+    labs = Laboratories(spec, 2)
+    labs.seed(0, 0)
+    labs.seed(1, 1)
+    labs.reset(labs.members)
+    one, other = labs.shelf.dissolved[:, 0]
+    assert abs(one - other).max() > 0.01
+    assert one.sum() == pytest.approx(other.sum(), rel=1e-12)
+
+
+def test_a_world_can_be_asked_for() -> None:
+    spec = scenario()
+    env, batch = raw_env(spec), BatchedLaboratory(3, spec)
+    env.reset(seed=1, options={"world": 7})
+    number, values = worlds(env)
+    env.reset(seed=2, options={"world": 7})
+    assert worlds(env) == (number, values)
+    env.reset(seed=2, options={"world": values})
+    assert worlds(env)[1] == values
+    assert everything(env.laboratories, 0)[0].tobytes() == begun(spec, 7).tobytes()
+    # A part of a world: the rest is drawn as without.
+    env.reset(seed=2)
+    other = worlds(env)[1]
+    env.reset(seed=2, options={"world": {"rate": {COUPLING: 2.0}}})
+    assert worlds(env)[1] == {**other, "rate": {COUPLING: 2.0}}
+    batch.reset(seed=0, options={"world": 7})
+    assert [worlds(batch, member) for member in range(3)] == [(number, values)] * 3
+
+
+def begun(spec: Scenario, world: int) -> Any:
+    """The vessels of a laboratory that begins in a world."""
+    labs = Laboratories(spec, 1)
+    labs.seed(0, 5)
+    labs.reset(labs.members, world=world)
+    return labs.shelf.vessels[0].copy()
+
+
+@pytest.mark.parametrize(
+    ("world", "message"),
+    [(-1, "must be a seed"), ("x", "must be a seed"), (True, "must be a seed"), ({"rote": 1.0}, "'rote' is not drawn")],
+)
+def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str) -> None:
+    spec = scenario()
+    makers: list[Any] = [
+        raw_env(spec),
+        parallel_env(spec),
+        BatchedLaboratory(2, spec),
+        BenchEnv(spec),
+        BenchVectorEnv(2, spec),
+    ]
+    for env in makers:
+        env.reset(seed=1)
+        before = worlds(env)
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=3, options={"world": world})
+        assert worlds(env) == before
+    with pytest.raises(ValueError, match="draws nothing"):
+        raw_env("wurtz_dodecane").reset(seed=0, options={"world": 1})
+
+
+# -- state ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bench", [False, True])
+def test_snapshots_copies_and_pickles_carry_the_world(bench: bool) -> None:
+    spec = scenario()
+    env = BenchVectorEnv(2, spec, "rxn") if bench else BatchedLaboratory(2, spec)
+    owner: Any = env.batch if isinstance(env, BenchVectorEnv) else env.laboratories
+    env.reset(seed=3)
+    saved = [array.copy() for array in owner.arrays()]
+    there = [everything(owner, member) for member in range(2)], [owner.worlds.number(member) for member in range(2)]
+    copies: list[Any] = [copy.deepcopy(owner), pickle.loads(pickle.dumps(owner))]
+    env.reset(seed=8)
+    assert owner.worlds.number(0) != there[1][0]
+    for array, old in zip(owner.arrays(), saved, strict=True):
+        array[...] = old
+    for one in (owner, *copies):
+        assert [one.worlds.number(member) for member in range(2)] == there[1]
+        for member in range(2):
+            for ours, theirs in zip(everything(one, member), there[0][member], strict=True):
+                assert ours.tobytes() == theirs.tobytes()
+    # What the next episodes draw goes on from the same place.
+    for one in (owner, *copies):
+        one.reset(one.members)
+    assert len({one.worlds.number(0) for one in (owner, *copies)}) == 1
+
+
+def test_the_state_of_critics_has_the_world() -> None:
+    env = raw_env(scenario())
+    size = next(channel.size for channel in env.state_channels if channel.name == "world")
+    assert size == 4 + 4 + 1 + 1
+    env.reset(seed=0)
+    first = env.state()[-size:]
+    env.reset(seed=1)
+    assert (first != env.state()[-size:]).any()
+    assert env.state_space.contains(env.state())
+    assert "world" not in [channel.name for channel in raw_env("wurtz_dodecane").state_channels]
+
+
+# -- what agents see --------------------------------------------------------------------------------------------------
+
+
+def test_two_worlds_look_equal_until_something_physical_differs() -> None:
+    """All agents' observations and masks are the same in every world until somebody looks inside a vessel, or something
+    happens in one."""
+    spec = scenario()
+    labs = Laboratories(spec, 40)
+    for member in range(40):
+        labs.seed(member, member)
+    labs.reset(labs.members, "dodecane")
+
+    def seen() -> list[bytes]:
+        """What everybody sees, by laboratory."""
+        parts = []
+        for number in range(len(labs.agents)):
+            mask = labs.mask(number, labs.members)
+            parts.append([row.tobytes() for row in labs.observe(number, labs.members)])
+            parts.append([] if mask is None else [row.tobytes() for row in mask])
+        return [b"".join(rows) for rows in zip(*(part for part in parts if part), strict=True)]
+
+    assert len({labs.worlds.number(member) for member in range(40)}) == 40
+    assert len({row.tobytes() for row in labs.shelf.vessels}) == 40
+    assert len(set(seen())) == 1
+    # Carrying vessels about and throwing one away tells nothing, nor does what any other stream draws.
+    labs.act(0, labs.members, np.full(40, labs.actions.encode("discard", 2)))
+    assert len(set(seen())) == 1
+    # A measurement does.
+    labs.act(0, labs.members, np.full(40, labs.actions.encode("measure", 0, "gas_chromatograph")))
+    assert len(set(seen())) == 40
+
+
+# -- records ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("split", ["train", "test", "private:quetzal"])
+@pytest.mark.parametrize("world", [None, 3])
+def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int | None) -> None:
+    spec, path = scenario(), tmp_path / "record.jsonl"
+    env = raw_env(spec, split=split)
+    options = None if world is None else {"world": world}
+    with Recorder(path, env.laboratories) as recorder:
+        play_episode(env, make_policies("heuristic", env.laboratories), 6, options=options, recorder=recorder)
+    number, values = worlds(env)
+    header = json.loads(path.read_text().splitlines()[0])
+    assert header["hidden"]["world"] == {"number": number, "values": values}
+    assert header["split"] == split.partition(":")[0]
+    assert "quetzal" not in path.read_text()
+    assert verify_record(path, spec).status == "ok"
+    proof = split if split.startswith("private") else None
+    assert verify_record(path, spec, split=proof).status == "ok"
+    # Another world is found, whether the number, a value or the split has been changed.
+    for change in ("number", "values", "split"):
+        forged = json.loads(json.dumps(header))
+        if change == "number":
+            forged["hidden"]["world"]["number"] += 4
+        elif change == "values":
+            forged["hidden"]["world"]["values"]["rate"][COUPLING] *= 1.5
+        else:
+            forged["split"] = "validation"
+        lines = path.read_text().splitlines()
+        other = tmp_path / f"{change}.jsonl"
+        text = json.dumps(forged, separators=(",", ":"), ensure_ascii=False)
+        other.write_text("\n".join([text, *lines[1:]]) + "\n")
+        found = verify_record(other, spec, split=proof)
+        assert found.status == "tampered", (change, found.message)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("split", "x"),
+        ("split", 3),
+        ("split", None),
+        ("options", {"wish": 1}),
+        ("options", {"world": 3.5}),
+        ("options", {"world": {"rote": 1.0}}),
+        ("options", {"goal": ["dodecane"]}),
+        ("hidden", {}),
+    ],
+)
+def test_headers_that_no_recorder_writes_are_found(tmp_path: Path, key: str, value: Any) -> None:
+    spec, path = scenario(), tmp_path / "record.jsonl"
+    env = raw_env(spec, split="private:quetzal")
+    with Recorder(path, env.laboratories) as recorder:
+        play_episode(env, make_policies("random", env.laboratories), 6, options={"world": 2}, recorder=recorder)
+    header, *lines = path.read_text().splitlines()
+    forged = json.dumps({**json.loads(header), key: value}, separators=(",", ":"), ensure_ascii=False)
+    path.write_text("\n".join([forged, *lines]) + "\n")
+    found = verify_record(path, spec)
+    assert found.status == "tampered", found.message
+    assert found.where == "header"
+
+
+def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path) -> None:
+    spec, path = scenario(), tmp_path / "record.jsonl"
+    env = raw_env(spec)
+    env.reset(seed=1)
+    env.reset()
+    labs = env.laboratories
+    with Recorder(path, labs) as recorder:
+        recorder.begin()
+        from chemlab.record import Play
+
+        action = labs.actions.encode("submit", 0)
+        seen, mask = labs.observe(0, labs.members)[0], labs.mask(0, labs.members)
+        assert mask is not None
+        env.step(action)
+        recorder.turn([Play(0, seen, mask[0], action)])
+    assert verify_record(path, spec).status == "ok"

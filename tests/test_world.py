@@ -1,0 +1,284 @@
+"""What worlds are drawn from: declarations and their errors, distributions, splits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from chemlab.materials import DataError, validated
+from chemlab.scenario import dump_scenario, load_scenario, restore_scenario
+from chemlab.tables import Table
+from chemlab.world import (
+    Split,
+    WorldDraws,
+    WorldSpec,
+    compile_draws,
+    draw_worlds,
+    given_values,
+    named_values,
+    next_numbers,
+    positions,
+    world_draws,
+)
+
+FloatArray = np.ndarray[Any, np.dtype[np.float64]]
+MATERIALS = ("a", "b", "c", "d")
+
+
+def number(distribution: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """A draw of a number that is nobody's."""
+    return {"what": "ambient_pressure", "distribution": distribution, **more}
+
+
+def identity(kind: str, of: int, options: list[str], **more: Any) -> dict[str, Any]:
+    """A draw of what vessels hold."""
+    slots = [f"slot_{s}" for s in range(of)]
+    return {
+        "what": "identity",
+        "of": slots,
+        "material": "a",
+        "distribution": {"kind": kind, "options": options},
+        **more,
+    }
+
+
+def specified(**draws: Any) -> WorldSpec:
+    spec: WorldSpec = validated(WorldSpec, {"draws": draws}, "test")
+    return spec
+
+
+def drawn(spec: WorldSpec, count: int, split: str = "train", seed: int = 0) -> tuple[FloatArray, Table[WorldDraws]]:
+    """[count, K] numbers of worlds that one seed after the other begins with, and all of their state."""
+    chosen, variables = Split.of(split), compile_draws(spec, MATERIALS)
+    table, members = world_draws(count, variables), np.arange(count)
+    for member in range(count):
+        sequence = chosen.sequence(np.random.SeedSequence(seed + member))
+        table.arrays.stream[member, 0] = sequence.generate_state(1, np.uint64)[0]
+    next_numbers(members, table.handle, chosen.number)
+    draw_worlds(members, variables.handle, table.handle, chosen.test)
+    return table.arrays.values, table
+
+
+@pytest.mark.parametrize(
+    ("distribution", "expected"),
+    [
+        ({"kind": "uniform", "low": -1.0, "high": 3.0}, stats.uniform(-1.0, 4.0)),
+        ({"kind": "normal", "mean": 2.0, "sd": 0.5}, stats.norm(2.0, 0.5)),
+        ({"kind": "lognormal", "median": 3.0, "sigma": 0.8}, stats.lognorm(0.8, scale=3.0)),
+    ],
+)
+def test_numbers_follow_their_distribution(distribution: dict[str, Any], expected: Any) -> None:
+    spec = specified(x=number(distribution))
+    values, _ = drawn(spec, 4000)
+    # 4000 draws of a fixed seed: the statistic is always the same, and its p-value an ordinary one.
+    assert stats.kstest(values[:, 0], expected.cdf).pvalue > 0.01
+    # The position of a number is the share of the prior below it.
+    found = positions(compile_draws(spec, MATERIALS).arrays, values)
+    np.testing.assert_allclose(found, expected.cdf(values), atol=1e-12)
+
+
+def test_bounds_cut_off() -> None:
+    spec = specified(x=number({"kind": "normal", "mean": 1.0, "sd": 1.0, "low": 0.5, "high": 1.5}))
+    values, _ = drawn(spec, 2000)
+    assert values.min() == 0.5
+    assert values.max() == 1.5
+    # All that would be below is at the bound.
+    assert abs((values == 0.5).mean() - stats.norm(1.0, 1.0).cdf(0.5)) < 0.03
+
+
+def test_choices_follow_their_weights() -> None:
+    options, weights = [1.0, 2.0, 5.0], [1.0, 1.0, 6.0]
+    values, _ = drawn(specified(x=number({"kind": "choice", "options": options, "weights": weights})), 4000)
+    counts = [int((values == option).sum()) for option in options]
+    assert stats.chisquare(counts, 4000 * np.array(weights) / 8.0).pvalue > 0.01
+
+
+def test_permutations_are_all_as_likely_and_respect_doubles() -> None:
+    values, _ = drawn(specified(which=identity("permutation", 3, ["b", "c", "d"])), 6000)
+    orders, counts = np.unique(values, axis=0, return_counts=True)
+    assert len(orders) == math.factorial(3)
+    assert stats.chisquare(counts).pvalue > 0.01
+    doubled, _ = drawn(specified(which=identity("permutation", 4, ["b", "d", "d", "d"])), 4000)
+    assert (np.sort(doubled, axis=1) == [1, 3, 3, 3]).all()
+    assert stats.chisquare((doubled == 1).sum(axis=0)).pvalue > 0.01
+
+
+def test_what_is_shared_by_an_episode_is_one_number() -> None:
+    one = specified(x=identity("choice", 3, ["b", "c"], shared="episode"))
+    each = specified(x=identity("choice", 3, ["b", "c"]))
+    assert drawn(one, 2)[0].shape == (2, 1)
+    assert drawn(each, 2)[0].shape == (2, 3)
+
+
+def test_draws_of_a_group_have_the_declared_correlation() -> None:
+    normal = {"kind": "normal", "mean": 0.0, "sd": 1.0}
+    spec = specified(
+        x=number(normal, group="kinetics", correlation=0.64),
+        y=number({"kind": "lognormal", "median": 1.0, "sigma": 2.0}, group="kinetics", correlation=0.25),
+        z=number(normal),
+    )
+    values, _ = drawn(spec, 8000)
+    scores = np.column_stack([values[:, 0], np.log(values[:, 1]) / 2.0, values[:, 2]])
+    found: Any = np.corrcoef(scores.T)
+    # The common score weighs sqrt(0.64) in one and sqrt(0.25) in the other; standard error of r below 0.012.
+    assert abs(found[0, 1] - 0.8 * 0.5) < 0.04
+    assert abs(found[0, 2]) < 0.04
+    assert np.allclose(scores.std(axis=0), 1.0, atol=0.03)
+
+
+def test_splits_share_no_world_and_training_none_of_a_test_region() -> None:
+    """1e5 draws of each split from the same seeds."""
+    count, region = 100_000, (1.5, 2.0)
+    spec = specified(x=number({"kind": "uniform", "low": 0.5, "high": 2.0}, test=[region]))
+    names = ("train", "validation", "test", "private:one", "private:two")
+    found = {name: drawn(spec, count, name) for name in names}
+    numbers = {name: table.arrays.number[:, 0] for name, (_, table) in found.items()}
+    for i, name in enumerate(names):
+        assert (numbers[name] & np.uint64(3) == min(i, 3)).all()
+        assert len(np.unique(numbers[name])) == count
+        for other in names[:i]:
+            assert not np.intersect1d(numbers[name], numbers[other]).size
+            assert not np.intersect1d(found[name][0], found[other][0]).size
+    for name in ("train", "validation"):
+        assert found[name][0].max() < region[0]
+    # The test split has the whole prior: a third of it lies in the region (standard error 0.0015).
+    assert abs((found["test"][0] >= region[0]).mean() - 1.0 / 3.0) < 0.006
+
+
+def test_test_regions_of_identities_are_options() -> None:
+    spec = specified(x=identity("choice", 2, ["b", "c", "d"], test=["d"]))
+    assert set(np.unique(drawn(spec, 500)[0])) == {1.0, 2.0}
+    assert set(np.unique(drawn(spec, 500, "test")[0])) == {1.0, 2.0, 3.0}
+
+
+def test_a_world_is_its_number() -> None:
+    spec = specified(
+        x=number({"kind": "normal", "mean": 0.0, "sd": 1.0}), y=identity("permutation", 3, ["b", "c", "d"])
+    )
+    split, variables = Split.of("test"), compile_draws(spec, MATERIALS)
+    table = world_draws(3, variables)
+    for member, seed in enumerate((5, 6, 5)):
+        table.arrays.work[member, 0] = np.uint64(split.world(seed))
+    draw_worlds(np.arange(3), variables.handle, table.handle, True)
+    values = table.arrays.values
+    assert (values[0] == values[2]).all()
+    assert (values[0] != values[1]).any()
+    named = named_values(spec, values[0], MATERIALS)
+    assert (given_values(spec, named, MATERIALS) == values[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"z": 1.0}, "'z' is not drawn; known: x, y"),
+        ({"x": "b"}, "x: must be a finite number"),
+        ({"x": 9.0}, "x: must be from 0 to 1, given 9"),
+        ({"y": "b"}, "y: must be a table of slot_0, slot_1"),
+        ({"y": {"slot_0": "a"}}, "y: must be one of b, c, given 'a'"),
+        ({"y": {"slot_7": "b"}}, "y: must be a table of slot_0, slot_1"),
+    ],
+)
+def test_worlds_that_cannot_be_asked_for(given: dict[str, Any], message: str) -> None:
+    spec = specified(x=number({"kind": "uniform", "low": 0.0, "high": 1.0}), y=identity("choice", 2, ["b", "c"]))
+    with pytest.raises(ValueError, match=message):
+        given_values(spec, given, MATERIALS)
+
+
+@pytest.mark.parametrize("name", ["", "Train", "private", "private:", "tests"])
+def test_splits_that_there_are_not(name: str) -> None:
+    with pytest.raises(ValueError, match=r"split: must be train, validation, test or private:SALT"):
+        Split.of(name)
+
+
+# -- scenario files ---------------------------------------------------------------------------------------------------
+
+UNIFORM = {"kind": "uniform", "low": 0.5, "high": 1.0}
+WURTZ = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"
+
+
+def file(**draw: Any) -> dict[str, Any]:
+    """A scenario with one draw."""
+    vessel = {"capacity_l": 1.0, "contents": {"diethyl_ether": 4.0, "1-chlorohexane": 1.0}}
+    return {
+        "base": "wurtz_dodecane",
+        "name": "tested",
+        "title": "tested",
+        "summary": "tested",
+        "shelf": {"slots": 8, "vessel": [vessel]},
+        "world": {"draws": {"x": {"distribution": UNIFORM, **draw}}},
+    }
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        ({"what": "titre", "of": ["slot_0"], "material": "1-chlorohexane"}, "x: inert: must be given for a titre"),
+        ({"what": "amount", "of": ["slot_0"]}, "x: material: must be given for amount"),
+        ({"what": "amount", "of": ["slot_1"], "material": "Na"}, "x.of: unknown vessel 'slot_1'; known: slot_0, rxn"),
+        ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
+        ({"what": "amount", "of": [], "material": "Na"}, "x: of: name at least one vessel"),
+        (
+            {
+                "what": "amount",
+                "of": ["slot_0"],
+                "material": "1-chlorohexane",
+                "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 1.0},
+            },
+            "x: slot_0: .* must be at least 0 and fit in capacity_l = 1; give low and high",
+        ),
+        (
+            {"what": "identity", "of": ["slot_0"], "material": "1-chlorohexane"},
+            "x: distribution: an identity is a choice or a permutation of materials",
+        ),
+        (
+            {
+                "what": "identity",
+                "of": ["slot_0"],
+                "material": "1-chlorohexane",
+                "distribution": {"kind": "choice", "options": ["gold"]},
+            },
+            "world.draws.x: unknown material 'gold'",
+        ),
+        ({"what": "colour"}, "x.what: 'colour' is nothing that may be drawn; known: identity, amount, titre, pre_exp"),
+        ({"what": "boiling_point", "of": ["Na"]}, "x.what: 'boiling_point' is nothing that may be drawn"),
+        ({"what": "pre_exponential", "of": ["A -> B"]}, "x.of: must be some of 2 1-chlorohexane"),
+        ({"what": "pre_exponential"}, "x.of: must be some of 2 1-chlorohexane .* given nothing"),
+        ({"what": "polarity", "of": ["gold"]}, "x.of: must be some of 1-chlorohexane"),
+        ({"what": "ambient_pressure", "of": ["Na"]}, "x.of: must be left out; given Na"),
+        (
+            {"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}},
+            "x: pre_exponential could come to -inf, and must stay above 0; give low",
+        ),
+        (
+            {"what": "ambient_pressure", "test": [[0.5, 0.99]]},
+            "world.draws.x.test: leaves 0.02 of all worlds to training",
+        ),
+        ({"what": "ambient_pressure", "test": [[0.9, 0.6]]}, r"test: \[0.9, 0.6\]: must be \[low, high\]"),
+        ({"what": "ambient_pressure", "group": "g", "correlation": 2.0}, "correlation: .* less than or equal to 1"),
+        ({"what": "ambient_pressure", "distribution": {"kind": "even"}}, "distribution: .*'uniform', 'normal'"),
+        (
+            {"what": "ambient_pressure", "distribution": {"kind": "uniform", "low": 2.0, "high": 1.0}},
+            "high = 1 must not be below low = 2",
+        ),
+    ],
+)
+def test_errors_name_file_key_and_bound(draw: dict[str, Any], message: str) -> None:
+    from chemlab.laboratory.core import Laboratories
+
+    with pytest.raises(DataError, match=message) as caught:
+        Laboratories(load_scenario(file(**draw)))
+    assert str(caught.value).startswith("(scenario given as a mapping): world")
+
+
+def test_a_scenario_with_a_world_comes_back_from_its_dump() -> None:
+    scenario = load_scenario(
+        file(what="titre", of=["slot_0", "rxn"], material="1-chlorohexane", inert="dodecane")
+        | {"benches": {"rxn": {"start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 1.0}}}}}
+    )
+    assert dump_scenario(restore_scenario(dump_scenario(scenario), "again")) == dump_scenario(scenario)
+    # Those without say nothing of it, so that they are what they ever were.
+    assert "world" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
