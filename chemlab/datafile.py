@@ -122,13 +122,13 @@ def bounded(content: Any, where: str) -> Any:
     Raises:
         DataError: something is nested too deeply, too long or too large, or a text has control characters.
     """
+
+    def wrong(problem: str) -> DataError:
+        return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
+
     left: list[tuple[tuple[str, ...], Any]] = [((), content)]
     while left:
         path, value = left.pop()
-
-        def wrong(problem: str, path: tuple[str, ...] = path) -> DataError:
-            return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
-
         if isinstance(value, Mapping):
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
