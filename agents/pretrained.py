@@ -112,6 +112,8 @@ class Card:
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
             ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
         background: who played the other roles, where it was trained in a laboratory.
+        masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be
+            seen as it learned.
     """
 
     name: str
@@ -134,6 +136,20 @@ class Card:
     output: str
     evaluation: dict[str, Any]
     background: str | None = None
+    masked: bool = True
+
+    @classmethod
+    def of(cls, workplace: Workplace, **more: Any) -> Card:
+        """The card of what was trained for a workplace; ``more`` are the fields that say nothing of it."""
+        own = {
+            "scenario": workplace.scenario.name,
+            "bench": workplace.key,
+            "fingerprint": fingerprint(workplace),
+            "interface": json.loads(json.dumps(interface(workplace))),
+            "observation_size": int(workplace.observation_space.shape[0]),
+            "action_size": workplace.action_count or len(workplace.action_meanings),
+        }
+        return cls(**{**own, **more})
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as the file has them."""
@@ -152,7 +168,7 @@ class PretrainedPolicy:
     """
 
     def __init__(self, card: Card, weights: Weights) -> None:
-        self.card = card
+        self.card, self.weights = card, weights
         depth = len(weights) // 2
         expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")}
         if set(weights) != expected or not depth:
@@ -217,7 +233,7 @@ class PretrainedPolicy:
         """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation)
         if self.card.output == "argmax":
-            if mask is not None:
+            if mask is not None and self.card.masked:
                 values = np.where(np.asarray(mask) != 0, values, -np.inf)
             return np.asarray(values.argmax(axis=1), dtype=np.int64)
         if self.card.output == "tanh":

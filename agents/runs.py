@@ -121,6 +121,9 @@ class RunResult:
 class RunBusy(ValueError):
     """Another process is training this run."""
 
+    exit_code = 75
+    """What a command ends with: it may succeed later (``EX_TEMPFAIL``)."""
+
 
 Line = TypeVar("Line", CurvePoint, Evaluation)
 

@@ -27,10 +27,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import chemlab
 from chemlab.files import write_text
 from chemlab.materials import read_toml
+from chemlab.parts import may_run
 
-from ..runs import Run, differences, to_text
+from ..runs import Run, RunBusy, differences, to_text
 from .arguments import TrainArguments, label_of, resolved
 from .tasks import task_fingerprint
 
@@ -43,6 +45,15 @@ a scenario that has changed since."""
 _OWN = ("name", "seeds")
 _LISTS = ("env_id", "scenario", "preset", "algo")
 """Keys that may have several values, of which every combination is run."""
+
+
+_CHILD = f"""import sys
+sys.path[:] = [path for path in sys.path if path] + [{str(Path(chemlab.__file__).parents[1])!r}]
+from chemlab.cli import main
+main()
+"""
+"""What a child runs: chemlab as it is here. Nothing is imported from the folder that the sweep is started in, which
+Python would look through first (``-P`` would keep it from that, from 3.11 on)."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +198,9 @@ def run_sweep(
             for process in [p for p in active if p.handle.poll() is not None]:
                 active.remove(process)
                 fresh.add(process.planned.name)
-                if process.handle.returncode != 0:
+                if process.handle.returncode == RunBusy.exit_code:  # another sweep's process was a moment earlier
+                    queue.append(process.planned)
+                elif process.handle.returncode != 0:
                     _note_failure(process.planned, process.handle.returncode)
             for one in list(queue):
                 if len(active) >= jobs:
@@ -214,8 +227,10 @@ def run_sweep(
 def _start(one: Planned) -> subprocess.Popen[bytes]:
     one.run.path.mkdir(parents=True, exist_ok=True)
     one.run.failed_file.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "chemlab", "train", one.arguments.env_id]
+    command = [sys.executable, "-c", _CHILD, "train", one.arguments.env_id]
     command += [*one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
+    if may_run(otherwise=False):
+        command.append("--trust")
     # One core a run: libraries that start threads of their own would share it with the other runs.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with one.log.open("ab") as log:

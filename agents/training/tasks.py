@@ -36,6 +36,8 @@ class Task(ABC):
     """Who learns: a bench by its key, or an agent of a laboratory by its id."""
     goals: tuple[str, ...]
     workplace: Workplace
+    background: str | None = None
+    """Who plays the other roles, where there are any."""
 
     @property
     def fingerprint(self) -> str:
@@ -163,7 +165,8 @@ class LaboratoryTask(Task):
         background: str = "heuristic",
         goals: tuple[str, ...] | None = None,
     ) -> None:
-        self.scenario, self.agent, self._background = load_scenario(scenario), agent, background
+        self.scenario, self.agent = load_scenario(scenario), agent
+        self.background = self._background = background
         known = self.scenario.lab_goals
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:

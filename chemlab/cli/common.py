@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..materials import DataError
+from ..parts import strangers_code
 from ..scenario import Scenario, load_scenario
 from .screen import err, out, page, plain
 
@@ -23,6 +24,7 @@ __all__ = [
     "PolicyOption",
     "ScenarioArgument",
     "SeedOption",
+    "TrustOption",
     "app",
     "chosen_agents",
     "err",
@@ -36,7 +38,7 @@ _shown = {"traceback": False}
 
 @contextmanager
 def readable_errors() -> Iterator[None]:
-    """What the user, a file or the disk got wrong is one line and exit code 2, not a traceback."""
+    """What the user, a file or the disk got wrong is one line and an exit code (2 or its own), not a traceback."""
     try:
         yield
     except BrokenPipeError:  # whoever read our output has seen enough: click ends quietly
@@ -45,7 +47,7 @@ def readable_errors() -> Iterator[None]:
         if _shown["traceback"]:
             raise
         err.print(f"[red]error[/red]: {plain(_message(error))}")
-        raise typer.Exit(2) from error
+        raise typer.Exit(getattr(error, "exit_code", 2)) from error
 
 
 def _message(error: Exception) -> str:
@@ -85,6 +87,23 @@ PolicyOption = Annotated[
 ]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
+
+
+def _trust(ctx: typer.Context, value: bool) -> bool:
+    """While the command runs, files may name code only if it was given the flag."""
+    ctx.with_resource(strangers_code(value))
+    return value
+
+
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        callback=_trust,
+        help="Run what files of other people bring along: parts that a scenario names (module:Name, file.py:Name), "
+        "checkpoints of runs that are not yours.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 
