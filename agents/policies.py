@@ -270,7 +270,10 @@ def agent_policy(
         saved = find_saved(own)
         if role_of(agent) in saved.load:
             return saved.load[role_of(agent)](role)
-        return agent_policy(saved.background, laboratories, number, seed, deep + 1)
+        try:
+            return agent_policy(saved.background, laboratories, number, seed, deep + 1)
+        except ValueError as error:
+            raise ValueError(f"{own}: background of this run: {error}" if deep == 0 else str(error)) from error
     if own == "random":
         return RandomPolicy(_size(laboratories.action_space(number)), seed)
     if own == "trained" or (own == "pretrained" and number > 0):

@@ -104,7 +104,8 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
-    task = find_task(_arguments(config))
+    arguments = _arguments(config, str(run.config_file))
+    task = find_task(arguments)
     if config["fingerprint"] != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
     model = _learner(best, str(config["algo"]))
@@ -118,7 +119,7 @@ def export_run(folder: Path, out: Path) -> Card:
     # What is exported is played with masks, however it learned.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
-    episodes = config["final_episodes"]
+    episodes = arguments.final_episodes
     found = task.by_goal(policy, episodes, RESULT_SEED)
     heuristic = task.scripted(episodes, RESULT_SEED)
     evaluation = {
@@ -157,27 +158,31 @@ def _player(best: Path, config: dict[str, Any], task: Task, model: Any) -> Pretr
         name=role,
         env_id=config["env_id"],
         goals=config["goals"],
-        starts=config["starts"],
+        starts=config.get("starts", "paper"),
         algo=config["algo"],
         label=config["label"],
         seed=config["seed"],
         step=int(best.name.rpartition("-")[2]),
         command=training_command(config),
-        versions=config["versions"],
+        versions=config.get("versions", {}),
         evaluation={},
         background=task.background,
     )
 
 
-def _arguments(config: dict[str, Any]) -> TrainArguments:
-    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given."""
-    defaults = {f.name: f.default for f in fields(TrainArguments)}
-    given = {name: config.get(name, default) for name, default in defaults.items()}
-    if "scenario" in gymnasium.spec(config["env_id"]).kwargs:
+def _arguments(config: dict[str, Any], where: str = "config") -> TrainArguments:
+    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given.
+
+    Raises:
+        ValueError: the file has others than a run of this version.
+    """
+    given = {f.name: config[f.name] for f in fields(TrainArguments) if f.name in config}
+    env_id = str(given.get("env_id"))
+    if env_id in gymnasium.registry and "scenario" in gymnasium.spec(env_id).kwargs:
         given["scenario"] = None
-    if given["env_id"] not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
+    if env_id not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
         given["bench"] = None
-    return TrainArguments(**{**given, "goals": tuple(given["goals"]) if given["goals"] else None})
+    return TrainArguments.as_recorded(given, where)
 
 
 def training_command(config: dict[str, Any]) -> str:

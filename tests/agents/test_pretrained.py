@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import slow_but
+from run_files import write_run
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
@@ -292,6 +293,9 @@ def test_export_says_what_is_missing(tmp_path: Path) -> None:
     assert "holds no training run" in result.output
     (tmp_path / "config.json").write_text("{}")
     result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
+    assert "config.json: label: Field required" in result.output
+    run = write_run(tmp_path / "run", "fictitious", "rxn", {"E": 1.0})
+    result = CliRunner().invoke(app, ["export", str(run), "-o", str(tmp_path / "x")])
     assert "holds no checkpoint" in result.output
 
 
