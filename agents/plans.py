@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -207,7 +207,7 @@ class _Plan(BaseModel):
 
     goals: list[str]
     score: float
-    steps: list[list[str | int]] = Field(max_length=10_000)
+    steps: list[Annotated[list[str | int], Field(max_length=8)]] = Field(max_length=10_000)
 
 
 class _Content(BaseModel):

@@ -8,6 +8,9 @@
 | `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; it is there when the run is finished |
 | `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
 | `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
+| `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` play (:mod:`~chemlab.agents.pretrained`), whoever trained \
+them; `model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are pickles, to go on with, each with a \
+seal (:mod:`~chemlab.agents.seals`) |
 | `tensorboard/` | TensorBoard's event files; not for version control |
 
 Numbers are floats with full precision; `null` where there is none (no episode ended; no scripted policy).
@@ -242,8 +245,9 @@ class Run:
 
     def checkpoint(self, kind: str) -> Path | None:
         """Folder of the ``last`` or ``best`` checkpoint (the newest complete one), or None."""
-        found = [p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()]
-        return max(found, key=lambda p: int(p.name.rpartition("-")[2]), default=None)
+        found = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
+        steps = [step for step in found if step.isdecimal() and len(step) < 20]
+        return found[max(steps, key=int)] if steps else None
 
     @contextmanager
     def locked(self, patience: float = 1.0) -> Iterator[None]:
