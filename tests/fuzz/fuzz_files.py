@@ -309,6 +309,8 @@ def campaign(
 def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
     """A :func:`campaign` of scenarios and what they are made of; ``turns`` are played where they load."""
     bases = seeds()
+    for name in scenario_names() if turns else ():
+        play(load_scenario(name), turns, 0)  # compiles kernels, which must not count as a hang
 
     def one(folder: Path, kind: str, rng: np.random.Generator) -> str:
         return attempt(folder, kind, bases[rng.integers(len(bases))], rng, turns)
