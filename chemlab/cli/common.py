@@ -90,8 +90,9 @@ SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.
 
 
 def _trust(ctx: typer.Context, value: bool) -> bool:
-    """While the command runs, files may name code only if it was given the flag."""
-    ctx.with_resource(strangers_code(value))
+    """While the command runs, what :func:`_options` has forbidden is allowed if it was given the flag."""
+    if value:
+        ctx.with_resource(strangers_code(True))
     return value
 
 
@@ -109,12 +110,15 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard
 
 @app.callback(invoke_without_command=True)
 def _options(
+    ctx: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
     traceback: Annotated[
         bool, typer.Option("--traceback", help="Where an error is shown, show where it comes from, too.")
     ] = False,
 ) -> None:
     _shown["traceback"] = traceback
+    # Of every command, also of one that has no --trust.
+    ctx.with_resource(strangers_code(False))
     if version:
         typer.echo(__version__)
         raise typer.Exit

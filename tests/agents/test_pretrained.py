@@ -147,6 +147,10 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
             np.testing.assert_allclose(chosen, expected, atol=1e-5)
         else:
             np.testing.assert_array_equal(chosen, expected)
+            # In the run's own folder it plays as it learned.
+            learned = act(load_pretrained(folder / key), seen, infos["action_mask"])
+            as_it_did = {"action_masks": infos["action_mask"]} if algo == "maskable-ppo" else {}
+            np.testing.assert_array_equal(learned, model.predict(seen, deterministic=True, **as_it_did)[0])
             masked = act(policy, seen, infos["action_mask"])
             assert infos["action_mask"][np.arange(50), masked].all()
             if algo == "maskable-ppo":
