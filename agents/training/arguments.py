@@ -13,6 +13,7 @@ how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 3
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -470,9 +471,14 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
     return value
 
 
+@functools.cache
+def _hints(kind: type[Arguments]) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
 def _given(kind: type[Arguments], values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """What was given of a dataclass's fields, as the fields' types."""
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     names = [f.name for f in fields(kind)]
     given = {}
     for name, value in values.items():

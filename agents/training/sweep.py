@@ -138,6 +138,8 @@ def _several(values: dict[str, Any], key: str) -> list[Any]:
 
 def _seeds(value: Any, where: str) -> list[int]:
     seeds = list(range(min(value, _MOST_RUNS + 1))) if type(value) is int else value
+    if isinstance(seeds, list) and len(seeds) > _MOST_RUNS:
+        raise DataError(f"{where}: seeds: at most {_MOST_RUNS} of them")
     if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
         raise ValueError(f"{where}: seeds: needs a list of integers from 0 or how many, given {value!r}")
     return seeds
