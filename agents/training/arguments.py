@@ -472,7 +472,7 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
 
 
 @functools.cache
-def _hints(kind: type[Arguments]) -> dict[str, Any]:
+def _hints(kind: Any) -> dict[str, Any]:
     return get_type_hints(kind)
 
 
