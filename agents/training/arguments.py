@@ -478,7 +478,8 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 def _given(kind: type[Arguments], values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """What was given of a dataclass's fields, as the fields' types."""
-    hints = _hints(kind)
+    own: Any = kind  # mypy takes a class for as little hashable as it thinks its objects are
+    hints = _hints(own)
     names = [f.name for f in fields(kind)]
     given = {}
     for name, value in values.items():
