@@ -13,13 +13,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Channel, channel_slices
+from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_text
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.core import Laboratories
@@ -194,8 +196,34 @@ class PlanFile:
         """
         try:
             return {tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans}
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise ValueError(f"plan of {self.scenario}: does not fit this laboratory: {error}") from error
+
+
+class _Plan(BaseModel):
+    """A plan as a file has it."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    goals: list[str]
+    score: float
+    steps: list[Annotated[list[str | int], Field(max_length=8)]] = Field(max_length=10_000)
+
+
+class _Content(BaseModel):
+    """A file of plans."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    kind: Literal["plan"]
+    format: Literal[1]
+    scenario: str
+    benches: str
+    command: str
+    versions: dict[str, str]
+    tried: int
+    evaluation: dict[str, int | float]
+    plans: list[_Plan]
 
 
 def _folder() -> Path:
@@ -219,14 +247,11 @@ def load_plans(path: Path) -> PlanFile:
         ValueError: it is not there, or not such a file.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.pop("kind") != "plan" or content.pop("format") != 1:
-            raise ValueError("not a file of plans")
-        return PlanFile(**content)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f"{path}: not a file of plans of this version ({error}); see `chemlab plan --out`") from error
+        content: _Content = validated(_Content, read_json(path), str(path))
+    except DataError as error:
+        what = "cannot be read: not a file of plans of this version; see `chemlab plan --out`"
+        raise DataError(f"{path}: {what}\n{error}") from error
+    return PlanFile(**content.model_dump(exclude={"kind", "format"}))
 
 
 def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> ConstantPlan:
@@ -249,4 +274,8 @@ def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> Constant
                 f"chemlab plan {labs.scenario.name} --benches {benches} --out FILE.json, and play it: "
                 f"--policy {benches},manager=plan:FILE.json"
             )
-    return ConstantPlan(labs.scenario, labs.channels, labs.actions, load_plans(path).decoded(labs.actions))
+    plans = load_plans(path)
+    try:
+        return ConstantPlan(labs.scenario, labs.channels, labs.actions, plans.decoded(labs.actions))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

@@ -57,6 +57,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
 }
 """Scripted policies by tier of physics and kind of bench."""
 
+_DEEPEST = 8
 _UNSCRIPTED: set[str] = set()
 """Kinds of benches without a script that have been spoken of."""
 
@@ -239,18 +240,24 @@ def _probability(name: str, text: str) -> float:
 
 
 def agent_policy(
-    name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None
+    name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None, deep: int = 0
 ) -> Policy:
     """A policy by name (see :func:`make_policies`) for agent ``number`` of a laboratory (0 is the manager).
+
+    Args:
+        name, laboratories, number, seed: whose policy it is.
+        deep: how many training runs have led here, each with the next one in its background.
 
     Raises:
         ValueError: unknown name, or no pretrained policy fits.
     """
+    if deep > _DEEPEST:
+        raise ValueError(f"policy: {name}: more than {_DEEPEST} runs, each in the background of the one before")
     agent, role = laboratories.agents[number], laboratories.role(number)
     own = _name_for(name, agent, laboratories.agents)
     steady, at, share = own.rpartition("@")
     if at and not is_saved(own):
-        policy = agent_policy(steady, laboratories, number, seed)
+        policy = agent_policy(steady, laboratories, number, seed, deep)
         return LapsingPolicy(policy, _probability(own, share), _size(laboratories.action_space(number)), seed)
     if own == "plan" or own.startswith("plan:"):
         if number == 0:
@@ -266,7 +273,10 @@ def agent_policy(
         saved = find_saved(own)
         if role_of(agent) in saved.load:
             return saved.load[role_of(agent)](role)
-        return agent_policy(saved.background, laboratories, number, seed)
+        try:
+            return agent_policy(saved.background, laboratories, number, seed, deep + 1)
+        except ValueError as error:
+            raise ValueError(f"{own}: background of this run: {error}" if deep == 0 else str(error)) from error
     if own == "random":
         return RandomPolicy(_size(laboratories.action_space(number)), seed)
     if own == "trained" or (own == "pretrained" and number > 0):

@@ -15,16 +15,18 @@ import json
 import shlex
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load_file, save
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
+from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
 from chemlab.scenario import Scenario, load_scenario, scenario_names
@@ -43,6 +45,10 @@ __all__ = [
 ]
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
+
+_EXACT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_MOST_BYTES = 256_000_000
+_MOST_LAYERS = 32
 
 
 Workplace = Bench | ManagerRole
@@ -112,6 +118,8 @@ class Card:
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
             ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
         background: who played the other roles, where it was trained in a laboratory.
+        masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be
+            seen as it learned.
     """
 
     name: str
@@ -134,10 +142,66 @@ class Card:
     output: str
     evaluation: dict[str, Any]
     background: str | None = None
+    masked: bool = True
+
+    @classmethod
+    def of(cls, workplace: Workplace, **more: Any) -> Card:
+        """The card of what was trained for a workplace; ``more`` are the fields that say nothing of it."""
+        own = {
+            "scenario": workplace.scenario.name,
+            "bench": workplace.key,
+            "fingerprint": fingerprint(workplace),
+            "interface": json.loads(json.dumps(interface(workplace))),
+            "observation_size": int(workplace.observation_space.shape[0]),
+            "action_size": workplace.action_count or len(workplace.action_meanings),
+        }
+        return cls(**{**own, **more})
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as the file has them."""
         return asdict(self)
+
+
+class _Interface(BaseModel):
+    """An :func:`interface` as a card has it."""
+
+    model_config = _EXACT
+
+    kind: str
+    channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
+    actions: list[str]
+    discrete: bool
+
+
+class _CardFile(BaseModel):
+    """A card as a file has it."""
+
+    model_config = _EXACT
+
+    name: str = Field(min_length=1)
+    env_id: str
+    scenario: str
+    bench: str = Field(min_length=1)
+    goals: list[str]
+    starts: str
+    fingerprint: str
+    interface: _Interface
+    observation_size: int = Field(ge=1)
+    action_size: int = Field(ge=1)
+    algo: str
+    label: str
+    seed: int
+    step: int
+    command: str
+    versions: dict[str, str]
+    activation: Literal["tanh", "relu"]
+    output: Literal["argmax", "clip", "tanh"]
+    evaluation: dict[str, Any]
+    background: str | None = None
+    masked: bool = True
+
+
+assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
 
 
 class PretrainedPolicy:
@@ -152,13 +216,24 @@ class PretrainedPolicy:
     """
 
     def __init__(self, card: Card, weights: Weights) -> None:
-        self.card = card
-        depth = len(weights) // 2
+        self.card, self.weights = card, weights
+        depth = min(len(weights) // 2, _MOST_LAYERS)
         expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")}
         if set(weights) != expected or not depth:
-            raise ValueError(f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ...; found {sorted(weights)}")
+            raise ValueError(
+                f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ... of {_MOST_LAYERS} layers at most; found "
+                f"{sorted(weights)!s:.500}"
+            )
         if card.activation not in ("tanh", "relu") or card.output not in ("argmax", "clip", "tanh"):
             raise ValueError(f"{card.name}: unknown activation {card.activation!r} or output {card.output!r}")
+        size = card.observation_size
+        for i in range(depth):
+            weight, bias = weights[f"{i}.weight"], weights[f"{i}.bias"]
+            if weight.ndim != 2 or bias.shape != weight.shape[:1] or (i and weight.shape[1] != size):
+                raise ValueError(f"{card.name}: layer {i}: {weight.shape} and {bias.shape} do not fit")
+            if not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in (weight, bias)):
+                raise ValueError(f"{card.name}: layer {i}: weights are not finite numbers")
+            size = weight.shape[0]
         self._layers = [
             (weights[f"{i}.weight"].T.astype(np.float64, order="C"), weights[f"{i}.bias"].astype(np.float64))
             for i in range(depth)
@@ -217,7 +292,7 @@ class PretrainedPolicy:
         """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation)
         if self.card.output == "argmax":
-            if mask is not None:
+            if mask is not None and self.card.masked:
                 values = np.where(np.asarray(mask) != 0, values, -np.inf)
             return np.asarray(values.argmax(axis=1), dtype=np.int64)
         if self.card.output == "tanh":
@@ -265,14 +340,13 @@ def pretrained_names() -> list[str]:
 
 
 def _read_card(path: Path) -> Card:
-    try:
-        return Card(**json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError as error:
-        raise ValueError(
+    if not path.exists():
+        raise DataError(
             f"{path}: no such card; policies that come with chemlab: {', '.join(pretrained_names()) or 'none'}"
-        ) from error
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: not a card of this version ({error}); export the run again") from error
+        )
+    content = read_json(path)
+    validated(_CardFile, content, f"{path}: not a card of this version")
+    return Card(**content)
 
 
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
@@ -289,10 +363,15 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     card = _read_card(path.with_name(f"{path.name}.json"))
     file = path.with_name(f"{path.name}.safetensors")
     try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise ValueError(f"larger than {_MOST_BYTES} bytes")
         weights = load_file(file)
     except Exception as error:  # safetensors has an exception class of its own, which is not part of its interface
-        raise ValueError(f"{file}: cannot be read ({error}); it belongs beside {path.name}.json") from error
-    return PretrainedPolicy(card, weights)
+        raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {path.name}.json") from error
+    try:
+        return PretrainedPolicy(card, weights)
+    except ValueError as error:
+        raise DataError(f"{file}: {error}") from error
 
 
 def save_policy(path: Path, card: Card, weights: Weights) -> None:

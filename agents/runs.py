@@ -8,6 +8,9 @@
 | `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; it is there when the run is finished |
 | `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
 | `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
+| `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` play (:mod:`~chemlab.agents.pretrained`), whoever trained \
+them; `model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are pickles, to go on with, each with a \
+seal (:mod:`~chemlab.agents.seals`) |
 | `tensorboard/` | TensorBoard's event files; not for version control |
 
 Numbers are floats with full precision; `null` where there is none (no episode ended; no scripted policy).
@@ -28,8 +31,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 import chemlab
+from chemlab.datafile import DataError, parse_json, read_json, read_text, validated
 from chemlab.files import write_text
 
 __all__ = [
@@ -74,9 +79,36 @@ class RunConfig:
         return {"label": self.label, **values.pop("arguments"), **values}
 
 
+_EXACT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""How files are read: nothing that is not meant, and no number that is none."""
+_FILE_BYTES = 64_000_000
+"""What a run's curve comes to after a hundred thousand rounds, several times over."""
+
+
+class _Config(BaseModel):
+    """What every ``config.json`` has, whatever else there is."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+    label: str = Field(min_length=1, max_length=200)
+    scenario: str
+    bench: str
+    goals: list[str]
+    fingerprint: str
+    env_id: str
+    algo: str
+    seed: int
+    versions: dict[str, str] = {}
+    background: str | None = None
+    starts: str = "paper"
+    rewards: str | None = None
+
+
 @dataclass(frozen=True)
 class CurvePoint:
     """A line of ``curve.jsonl``: the episodes that ended during one rollout."""
+
+    __pydantic_config__ = _EXACT
 
     step: int
     return_mean: float | None
@@ -90,6 +122,8 @@ class CurvePoint:
 class Evaluation:
     """A line of ``evaluations.jsonl``; ``mean`` is the mean over goals."""
 
+    __pydantic_config__ = _EXACT
+
     step: int
     mean: float
     by_goal: dict[str, float]
@@ -100,6 +134,8 @@ class Evaluation:
 @dataclass(frozen=True)
 class RunResult:
     """``result.json``. ``mean`` and ``by_goal`` are the best checkpoint's, ``last_`` the last one's."""
+
+    __pydantic_config__ = _EXACT
 
     env_id: str
     label: str
@@ -120,6 +156,9 @@ class RunResult:
 
 class RunBusy(ValueError):
     """Another process is training this run."""
+
+    exit_code = 75
+    """What a command ends with: it may succeed later (``EX_TEMPFAIL``)."""
 
 
 Line = TypeVar("Line", CurvePoint, Evaluation)
@@ -146,21 +185,26 @@ class Run:
         """``config.json`` as it is, or None.
 
         Raises:
-            ValueError: the file is not JSON.
+            DataError: the file is not what a run writes.
         """
-        return _read_json(self.config_file)
+        if not self.config_file.exists():
+            return None
+        values = read_json(self.config_file)
+        validated(_Config, values, str(self.config_file))
+        return dict(values)
 
     def result(self) -> RunResult | None:
         """``result.json``, or None while the run is not finished.
 
         Raises:
-            ValueError: the file is not what a run writes.
+            DataError: the file is not what a run writes.
         """
-        values = _read_json(self.result_file)
-        try:
-            return None if values is None else RunResult(**values)
-        except TypeError as error:
-            raise ValueError(f"{self.result_file}: not a result of this version ({error})") from error
+        if not self.result_file.exists():
+            return None
+        found: RunResult = validated(RunResult, read_json(self.result_file), str(self.result_file))
+        if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
+            raise DataError(f"{self.result_file}: by_goal and last_by_goal must be of the same goals")
+        return found
 
     def curve(self) -> list[CurvePoint]:
         """The learning curve so far."""
@@ -201,8 +245,9 @@ class Run:
 
     def checkpoint(self, kind: str) -> Path | None:
         """Folder of the ``last`` or ``best`` checkpoint (the newest complete one), or None."""
-        found = [p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()]
-        return max(found, key=lambda p: int(p.name.rpartition("-")[2]), default=None)
+        found = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
+        steps = [step for step in found if step.isdecimal() and len(step) < 20]
+        return found[max(steps, key=int)] if steps else None
 
     @contextmanager
     def locked(self, patience: float = 1.0) -> Iterator[None]:
@@ -253,29 +298,15 @@ def _lock(descriptor: int) -> bool:
     return True
 
 
-def _read_json(path: Path) -> dict[str, Any] | None:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except ValueError as error:
-        raise ValueError(f"{path}: not valid JSON: {error}") from error
-    if not isinstance(values, dict):
-        raise ValueError(f"{path}: must be a JSON object")
-    return values
-
-
 def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
     """The complete lines of a file; a last one that a crash has cut is not."""
     if not path.exists():
         return
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(keepends=True), start=1):
+    for number, line in enumerate(read_text(path, _FILE_BYTES).splitlines(keepends=True), start=1):
         if not line.endswith("\n"):
             return
-        try:
-            yield kind(**json.loads(line))
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}:{number}: not a line of this version ({error})") from error
+        where = f"{path}:{number}"
+        yield validated(kind, parse_json(line, where), where)
 
 
 def differences(saved: Mapping[str, Any], expected: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, str]:

@@ -123,6 +123,6 @@ def find_saved(name: str) -> Saved:
         return Saved(cards, background)
     if (folder / "model.zip").exists():
         role = role_of(str(config.get("bench", "")))
-        return Saved({role: _learner(folder, str(config["algo"]), path)}, background)
+        return Saved({role: _learner(folder, str(config.get("algo")), path)}, background)
     members = {file.stem.partition(".")[0] for file in folder.glob("*.zip")}
     return Saved({role: _member(folder, role, path) for role in sorted(members)}, background)

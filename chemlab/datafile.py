@@ -5,6 +5,7 @@ Whatever is wrong with a file is a :class:`DataError` that names file, key, valu
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import sys
@@ -12,14 +13,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, SerializerFunctionWrapHandler, ValidationError, model_serializer
+from pydantic import BaseModel, SerializerFunctionWrapHandler, TypeAdapter, ValidationError, model_serializer
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-__all__ = ["DataError", "Grown", "bounded", "dotted_key", "read_json", "read_toml", "validated"]
+__all__ = [
+    "DataError",
+    "Grown",
+    "bounded",
+    "dotted_key",
+    "parse_json",
+    "read_json",
+    "read_text",
+    "read_toml",
+    "validated",
+]
 
 _FILE_BYTES = 1_000_000
 _DEPTH = 12
@@ -43,7 +54,12 @@ class DataError(ValueError):
     """A data file (material, reaction, scenario) is wrong; the message names file, key, value and bound."""
 
 
-def _read(path: Path, limit: int) -> str:
+def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
+    """A file of at most ``limit`` bytes as text.
+
+    Raises:
+        DataError: the file is missing, too large, or no text; the message names it.
+    """
     if "\0" in str(path):
         raise DataError(f"{str(path)!r}: a path has no null character")
     try:
@@ -57,7 +73,10 @@ def _read(path: Path, limit: int) -> str:
         raise DataError(f"{_shown(str(path))}: {error.strerror or error}") from error
     if len(content) > limit:
         raise DataError(f"{path}: is larger than {limit} bytes")
-    return content.decode("utf-8")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not UTF-8: {error}") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -67,7 +86,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         DataError: the file is missing, too large, malformed, or nested too deeply; the message names it.
     """
     try:
-        text = _read(path, _FILE_BYTES)
+        text = read_text(path)
         if _DOTTED.search(text):
             raise DataError(f"{path}: a dotted key of more than {_DEPTH} parts")
         return dict(bounded(tomllib.loads(text), str(path)))
@@ -85,14 +104,23 @@ def read_json(path: Path, limit: int = _FILE_BYTES) -> Any:
     Raises:
         DataError: the file is missing, too large, malformed, or nested too deeply; the message names it.
     """
+    return parse_json(read_text(path, limit), str(path))
+
+
+def parse_json(text: str, where: str) -> Any:
+    """What a JSON text says; errors as :func:`read_json`.
+
+    Raises:
+        DataError: it is malformed, or nested too deeply; the message begins with ``where``.
+    """
     try:
-        return bounded(json.loads(_read(path, limit)), str(path))
+        return bounded(json.loads(text), where)
     except RecursionError as error:
-        raise DataError(f"{path}: nested more than {_DEPTH} levels deep") from error
+        raise DataError(f"{where}: nested more than {_DEPTH} levels deep") from error
     except DataError:
         raise
     except ValueError as error:
-        raise DataError(f"{path}: not valid JSON: {error}") from error
+        raise DataError(f"{where}: not valid JSON: {error}") from error
 
 
 def dotted_key(text: object, where: str) -> list[str]:
@@ -122,13 +150,13 @@ def bounded(content: Any, where: str) -> Any:
     Raises:
         DataError: something is nested too deeply, too long or too large, or a text has control characters.
     """
+
+    def wrong(problem: str) -> DataError:
+        return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
+
     left: list[tuple[tuple[str, ...], Any]] = [((), content)]
     while left:
         path, value = left.pop()
-
-        def wrong(problem: str, path: tuple[str, ...] = path) -> DataError:
-            return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
-
         if isinstance(value, Mapping):
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
@@ -173,10 +201,19 @@ def _described(error: ValidationError, where: str) -> str:
     return "\n".join(lines)
 
 
-def validated(model: type[BaseModel], values: Any, where: str) -> Any:
-    """Build ``model`` from ``values``; failures become a :class:`DataError` naming ``where`` and the key."""
+@functools.cache
+def _reader(kind: type) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def validated(kind: type, values: Any, where: str) -> Any:
+    """Build ``kind``, a model or a dataclass, from ``values``.
+
+    Raises:
+        DataError: that cannot be; the message names ``where`` and the key.
+    """
     try:
-        return model.model_validate(dict(values) if isinstance(values, Mapping) else values)
+        return _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
     except ValidationError as error:
         raise DataError(_described(error, where)) from error
 

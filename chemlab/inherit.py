@@ -100,6 +100,7 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
         # Paths are relative to the file that has them.
         if key not in own and key in under:
             under[key] = _absolute(under[key], path.parent)
+    under = _parts_from(under, folder, path.parent)
     if not isinstance(remove, (list, tuple)):
         raise DataError(f'{where}: remove: must be a list of keys, as ["benches.ext"], given {remove!r:.200}')
     for entry in remove:
@@ -111,6 +112,35 @@ def _absolute(files: Any, folder: Path) -> Any:
     if isinstance(files, list):
         return [_absolute(file, folder) for file in files]
     return str(folder / files) if str(files).endswith(".toml") else files
+
+
+_PARTS = ("kind", "observe", "reward")
+"""Keys that name parts, wherever they stand."""
+
+
+def _parts_from(value: Any, folder: Path, base: Path) -> Any:
+    """A base's tables with the files of its parts (``file.py:NAME``) as they are called from another folder."""
+    if isinstance(value, list):
+        return [_parts_from(item, folder, base) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    return {
+        key: _part_from(item, folder, base) if key in _PARTS else _parts_from(item, folder, base)
+        for key, item in value.items()
+    }
+
+
+def _part_from(name: Any, folder: Path, base: Path) -> Any:
+    if isinstance(name, list):
+        return [_part_from(item, folder, base) for item in name]
+    file, _, wanted = str(name).rpartition(":")
+    if not isinstance(name, str) or not file.endswith(".py"):
+        return name
+    try:
+        path = os.path.relpath(base / file, folder)
+    except ValueError:  # another drive
+        path = str((base / file).resolve())
+    return f"{Path(path).as_posix()}:{wanted}"
 
 
 def _without(table: Mapping[str, Any], key: list[str], entry: str, where: str, base: str) -> dict[str, Any]:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from .materials import DataError
 from .scenario import Scenario
 
-__all__ = ["Part", "PartError", "blamed", "checked", "load_part", "strangers_code"]
+__all__ = ["Part", "PartError", "blamed", "checked", "load_part", "may_run", "strangers_code"]
 
 __path__: list[str] = []
 """Makes the modules of files submodules of this one; :class:`_Files` finds them."""
@@ -71,17 +71,28 @@ def _from_file(path: Path) -> ModuleType:
     return importlib.import_module(f"{__name__}.{word}_{str(path).encode().hex()}")
 
 
-_strangers: ContextVar[bool] = ContextVar("strangers", default=True)
+_strangers: ContextVar[bool | None] = ContextVar("strangers", default=None)
 
 
 @contextlib.contextmanager
 def strangers_code(allowed: bool) -> Iterator[None]:
-    """Whether scenarios may name code that is not chemlab's while the block runs; where not, that is a DataError."""
+    """Whether files may make Python run code that is not chemlab's while the block runs: parts that a scenario names,
+    and pickles without this user's seal (:mod:`chemlab.agents.seals`); where not, that is a DataError.
+
+    Where nobody says so, a scenario that a Python program loads may name parts, as the program itself imports what it
+    likes, and an unsealed pickle is refused. The ``chemlab`` command says so each time, by ``--trust``.
+    """
     token = _strangers.set(allowed)
     try:
         yield
     finally:
         _strangers.reset(token)
+
+
+def may_run(otherwise: bool) -> bool:
+    """What :func:`strangers_code` was told, or ``otherwise`` outside of it."""
+    told = _strangers.get()
+    return otherwise if told is None else told
 
 
 def load_part(
@@ -106,11 +117,12 @@ def load_part(
         DataError: it cannot be loaded, or is something else.
     """
     known = known or {}
-    if name not in known and not _strangers.get():
+    if name not in known and not may_run(otherwise=True):
         raise DataError(
-            f"{scenario.origin}: {key}: needs {name!r}, which is imported only if you say that you trust it"
+            f"{scenario.origin}: {key}: needs {name!r:.500}, which is code that is imported only if you say that you "
+            "trust it: --trust"
         )
-    where, colon, wanted = known.get(name, name).partition(":")
+    where, colon, wanted = known.get(name, name).rpartition(":")
     try:
         if not (colon and where and wanted):
             raise ValueError("no such kind" if known else "it has no colon")

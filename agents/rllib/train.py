@@ -18,16 +18,13 @@ Needs the extra: ``pip install "chemlab-marl[rllib]"``.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
-import pickle
 import shutil
 import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +36,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario
 
 from ..policies import Policy
-from ..pretrained import Card, PretrainedPolicy, fingerprint, interface, load_pretrained, save_policy
+from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, role_of
 from ..runs import Evaluation, Run, RunResult
 from ..training.arguments import RllibArguments
@@ -54,13 +51,14 @@ try:
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
 
+    from ..training.checkpoints import load_state, save_state
     from ..training.loop import (
-        EVALUATION_SEED,
         LaboratoryTrainee,
         Progress,
         Watcher,
         described_team,
         open_run,
+        reached,
         train_in_rounds,
         training_versions,
     )
@@ -209,8 +207,6 @@ def algorithm_config(arguments: RllibArguments, scenario: Scenario, roles: Seque
 class _Team(LaboratoryTrainee):
     """The roles that learn, as an RLlib algorithm, and those that are played."""
 
-    models = "*.[js]*"  # ROLE.json and ROLE.safetensors, not state.pkl
-
     def __init__(self, arguments: RllibArguments, scenario: Scenario, roles: list[str], step: int) -> None:
         super().__init__(arguments, scenario)
         self._arguments, self.roles = arguments, roles
@@ -255,17 +251,12 @@ class _Team(LaboratoryTrainee):
         a, labs = self._arguments, Laboratories(self.scenario, 1)
         number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
         workplace = labs.role(number)
-        card = Card(
+        card = Card.of(
+            workplace,
             name=role,
             env_id="chemlab/Laboratory-v0",
-            scenario=self.scenario.name,
-            bench=role,
             goals=list(self.scenario.goals if number else self.scenario.lab_goals),
             starts="lab",
-            fingerprint=fingerprint(workplace),
-            interface=json.loads(json.dumps(interface(workplace))),
-            observation_size=int(workplace.observation_space.shape[0]),
-            action_size=workplace.action_count or len(workplace.action_meanings),
             algo=ALGORITHM,
             label=LABEL,
             seed=a.seed,
@@ -304,20 +295,12 @@ class _Team(LaboratoryTrainee):
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`; with networks and optimizers in ``state.pkl``."""
-        reached: dict[str, Any] = {}
-        if evaluation is not None:
-            reached = {
-                "episodes_per_goal": self._arguments.eval_episodes,
-                "seed": EVALUATION_SEED,
-                **asdict(evaluation),
-            }
-            del reached["step"]
         for role, state in self._states().items():
-            policy = self._exported(role, state, progress.step, reached)
+            policy = self._exported(role, state, progress.step, reached(self._arguments, evaluation))
             self._check(role, policy, state)
             save_policy(folder / role, policy.card, policy_weights(state))
         learned = {"learner_group": self.algorithm.learner_group.get_state(), "progress": vars(progress)}
-        (folder / "state.pkl").write_bytes(pickle.dumps(learned))
+        save_state(folder, learned)
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put networks and optimizers back as a checkpoint has them, here and in the env runners."""
@@ -357,8 +340,7 @@ def train_rllib(arguments: RllibArguments, out: Path, watcher: Watcher | None = 
     def go_on() -> RunResult:
         last, state, progress = run.checkpoint("last"), None, Progress()
         if last is not None:
-            # Only a run's own files are unpickled.
-            state = pickle.loads((last / "state.pkl").read_bytes())
+            state = load_state(last)
             progress = Progress.of(state.pop("progress"), last)
         with connected(arguments.address, arguments.runners):
             team = _Team(arguments, scenario, roles, progress.step)

@@ -13,6 +13,7 @@ how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 3
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -111,12 +112,14 @@ class Arguments:
     command: ClassVar[str] = ""
     """The command of ``chemlab`` that takes them."""
 
-    steps: int = _argument(1_000_000, "Steps in all environments together; rounded up to whole rollouts.", least=1)
+    steps: int = _argument(
+        1_000_000, "Steps in all environments together; rounded up to whole rollouts.", least=1, most=10**12
+    )
     split: str = _argument(
         "train", "Worlds to train in, of a scenario that draws some; evaluations of train are in validation."
     )
     seed: int = _argument(0, "Seed of networks, exploration and environments.", least=0, most=_MOST_SEED)
-    envs: int = _argument(10, "Environments side by side.", least=1)
+    envs: int = _argument(10, "Environments side by side.", least=1, most=100_000)
     learning_rate: float | None = _argument(None, "Learning rate.", above=0.0)
     gamma: float | None = _argument(None, "Discount.", least=0.0, most=1.0, otherwise=0.99)
     gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C.", least=0.0, most=1.0)
@@ -124,13 +127,15 @@ class Arguments:
         None, "Weight of the entropy.", least=0.0, otherwise="0 on policy, learned by SAC"
     )
     clip_range: float | None = _argument(None, "PPO's clip range.", above=0.0, otherwise=0.2)
-    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay.", least=2)
-    epochs: int | None = _argument(None, "PPO's passes over a rollout.", least=1, otherwise=10)
-    evaluations: int = _argument(10, "Evaluations during training, evenly spread, beside the scripted policy.", least=1)
-    eval_episodes: int = _argument(20, "Episodes a goal in each of them.", least=1)
-    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.", least=1)
+    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay.", least=2, most=10**7)
+    epochs: int | None = _argument(None, "PPO's passes over a rollout.", least=1, most=10_000, otherwise=10)
+    evaluations: int = _argument(
+        10, "Evaluations during training, evenly spread, beside the scripted policy.", least=1, most=100_000
+    )
+    eval_episodes: int = _argument(20, "Episodes a goal in each of them.", least=1, most=100_000)
+    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.", least=1, most=100_000)
     checkpoints: int = _argument(
-        40, "Checkpoints during training, evenly spread (a crash loses what is after the last).", least=1
+        40, "Checkpoints during training, evenly spread (a crash loses what is after the last).", least=1, most=100_000
     )
 
     def __post_init__(self) -> None:
@@ -154,6 +159,14 @@ class Arguments:
         given = cls._completed(_given(cls, values, where), where)
         try:
             return cls(**given)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+
+    @classmethod
+    def as_recorded(cls: type[A], values: Mapping[str, Any], where: str) -> A:
+        """Arguments as a run's ``config.json`` has them, where presets are filled in; errors as :meth:`of`."""
+        try:
+            return cls(**_given(cls, values, where))
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
 
@@ -259,18 +272,20 @@ class TrainArguments(Arguments):
     imitate: str | None = _argument(
         None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
     )
-    imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, otherwise="20000")
-    rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1)
+    imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
+    rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1, most=10**7)
     ent_coef_start: float | None = _argument(
         None, "What SAC's learned weight of the entropy begins with.", above=0.0, otherwise="1.0, SB3's"
     )
     gradient_steps: int | None = _argument(
-        None, "Gradient steps from replay after each rollout.", least=1, otherwise="256; SAC, TD3 128"
+        None, "Gradient steps from replay after each rollout.", least=1, most=10**7, otherwise="256; SAC, TD3 128"
     )
-    buffer_size: int | None = _argument(None, "Steps kept for replay.", least=1, otherwise=1_000_000)
-    learning_starts: int | None = _argument(None, "Random steps before learning from replay.", least=0, otherwise=100)
+    buffer_size: int | None = _argument(None, "Steps kept for replay.", least=1, most=10**9, otherwise=1_000_000)
+    learning_starts: int | None = _argument(
+        None, "Random steps before learning from replay.", least=0, most=10**12, otherwise=100
+    )
     exploration_steps: int | None = _argument(
-        None, "Steps in which DQN's exploration falls to its end.", least=1, otherwise=30_000
+        None, "Steps in which DQN's exploration falls to its end.", least=1, most=10**12, otherwise=30_000
     )
     exploration_final: float | None = _argument(
         None, "DQN's exploration after that.", least=0.0, most=1.0, otherwise=0.01
@@ -278,7 +293,7 @@ class TrainArguments(Arguments):
     action_noise: float | None = _argument(
         None, "Standard deviation of TD3's exploration, of [-1, 1].", least=0.0, otherwise=0.1
     )
-    net_arch: tuple[int, ...] | None = _argument(None, "Hidden layers; repeat the option.", least=1)
+    net_arch: tuple[int, ...] | None = _argument(None, "Hidden layers; repeat the option.", least=1, most=16_384)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -335,13 +350,13 @@ class TeamArguments(Arguments):
     background: str = _argument("heuristic", "Who plays the roles that do not learn, by name.")
     rewards: str | None = _argument(None, "Another reward mix than the scenario's.", otherwise="the scenario's")
     manager_gamma: float = _argument(1.0, "Discount a decision of the manager.", least=0.0, most=1.0)
-    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.", least=1)
+    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.", least=1, most=10**12)
     learning_rate: float = _other_default("learning_rate", 3e-4)
     gamma: float = _argument(0.99, "Discount a turn of a bench's agent.", least=0.0, most=1.0)
     gae_lambda: float = _other_default("gae_lambda", 0.95)
     ent_coef: float = _argument(0.01, "Weight of the entropy of discrete actions.", least=0.0)
     clip_range: float = _other_default("clip_range", 0.2)
-    batch_size: int = _argument(256, "Minibatch of each role.", least=2)
+    batch_size: int = _argument(256, "Minibatch of each role.", least=2, most=10**7)
     epochs: int = _other_default("epochs", 10)
 
 
@@ -352,14 +367,14 @@ class JointArguments(TeamArguments):
     command = "train-together"
 
     regime: str = _argument("together", "together, or in-turns (round-robin).", known=("together", "in-turns"))
-    period: int = _argument(10, "Updates before the next role's turn (in-turns).", least=1)
+    period: int = _argument(10, "Updates before the next role's turn (in-turns).", least=1, most=10**9)
     begin_from: str | None = _argument(
         None,
         "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
         otherwise="scratch",
     )
-    envs: int = _argument(64, "Laboratories side by side.", least=1)
-    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1)
+    envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
+    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
 
     def folder(self) -> Path:
@@ -380,10 +395,12 @@ class RllibArguments(TeamArguments):
         place=True,
     )
     runners: int = _argument(
-        1, "Env runners: processes that play, anywhere in the cluster, a CPU each.", least=1, place=True
+        1, "Env runners: processes that play, anywhere in the cluster, a CPU each.", least=1, most=10_000, place=True
     )
-    envs: int = _argument(8, "Laboratories in each env runner.", least=1)
-    batch: int = _argument(4096, "Turns gathered before each update, all runners and roles together.", least=1)
+    envs: int = _argument(8, "Laboratories in each env runner.", least=1, most=100_000)
+    batch: int = _argument(
+        4096, "Turns gathered before each update, all runners and roles together.", least=1, most=10**8
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -440,7 +457,7 @@ def _check(argument: Field[Any], value: Any) -> None:
     if above is not None and value <= above:
         raise ValueError(f"{name}: must be above {above:g}, given {value}")
     if (least is not None and value < least) or (most is not None and value > most):
-        wanted = f"at least {least:g}" if most is None else f"from {least} to {most}"
+        wanted = f"at least {least:g}" if least is not None and value < least else f"at most {most}"
         raise ValueError(f"{name}: must be {wanted}, given {value}")
 
 
@@ -465,9 +482,15 @@ def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
     return value
 
 
+@functools.cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
 def _given(kind: type[Arguments], values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """What was given of a dataclass's fields, as the fields' types."""
-    hints = get_type_hints(kind)
+    own: Any = kind  # mypy takes a class for as little hashable as it thinks its objects are
+    hints = _hints(own)
     names = [f.name for f in fields(kind)]
     given = {}
     for name, value in values.items():

@@ -20,10 +20,21 @@ from stable_baselines3.common.buffers import ReplayBuffer
 
 from chemlab.files import draft_of, sync_file, sync_folder
 
+from ..learners import load_learner, save_learner
 from ..runs import Run
 from ..sb3 import ChemlabVecEnv
+from ..seals import read_sealed, seal
 
-__all__ = ["commit_checkpoint", "load_agent", "random_state", "restore_random_state", "save_agent", "tidy"]
+__all__ = [
+    "commit_checkpoint",
+    "load_agent",
+    "load_state",
+    "random_state",
+    "restore_random_state",
+    "save_agent",
+    "save_state",
+    "tidy",
+]
 
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -44,16 +55,13 @@ def restore_random_state(state: dict[str, Any]) -> None:
     torch.set_rng_state(state["torch"])
 
 
-def commit_checkpoint(
-    run: Run, step: int, write: Callable[[Path], None], models: str, best: bool, best_step: int | None
-) -> None:
-    """Write the ``last`` checkpoint, and a copy of its models as ``best`` if it is that.
+def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: bool, best_step: int | None) -> None:
+    """Write the ``last`` checkpoint, and a copy of what plays as ``best`` if it is that.
 
     Args:
         run: whose checkpoint.
         step: where it is in training.
         write: writes all of it into a folder.
-        models: pattern of the files that the best checkpoint keeps.
         best: whether these are the best models so far.
         best_step: where the best ones were.
     """
@@ -62,15 +70,10 @@ def commit_checkpoint(
     draft.mkdir(parents=True)
     write(draft)
     run.keep_lines(draft)
-    # A folder must not be renamed before its content is on the disk.
-    for file in draft.iterdir():
-        sync_file(file)
     if best:
         copy = run.checkpoints / f"new-best-{step}"
         shutil.rmtree(copy, ignore_errors=True)
-        copy.mkdir()
-        for file in draft.glob(models):
-            shutil.copyfile(file, copy / file.name)
+        shutil.copytree(draft, copy, ignore=shutil.ignore_patterns("state.pkl*", "*.jsonl"))
         _renamed(copy, run.checkpoints / f"best-{step}")
     _renamed(draft, run.checkpoints / f"last-{step}")
     tidy(run, step, best_step)
@@ -85,7 +88,7 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
         model, venv: the learner between two rollouts and its environments.
         progress: what the training loop itself has to remember.
     """
-    model.save(folder / "model.zip")
+    save_learner(folder, model)
     state = {
         "replay_rows": _save_replay(run, model) if _replay(model) is not None else 0,
         "environments": venv.get_state(),
@@ -93,11 +96,30 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
         **random_state(),
         "progress": progress,
     }
+    save_state(folder, state)
+
+
+def save_state(folder: Path, state: dict[str, Any]) -> None:
+    """Write what a run needs to go on into the folder of a checkpoint, for :func:`load_state`."""
     (folder / "state.pkl").write_bytes(pickle.dumps(state))
+    seal(folder / "state.pkl")
+
+
+def load_state(folder: Path) -> dict[str, Any]:
+    """What :func:`save_state` wrote.
+
+    Raises:
+        DataError: it is not this user's file (:mod:`~chemlab.agents.seals`).
+    """
+    return dict(pickle.loads(read_sealed(folder / "state.pkl")))
 
 
 def _renamed(draft: Path, final: Path) -> None:
     """A folder of that name is from before a crash, of the same step."""
+    # It must not be renamed before its content is on the disk.
+    for file in draft.iterdir():
+        sync_file(file)
+    sync_folder(draft)
     shutil.rmtree(final, ignore_errors=True)
     draft.rename(final)
     sync_folder(final.parent)
@@ -159,19 +181,17 @@ def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
     buffer.pos, buffer.full = rows % size, rows >= size
 
 
-def load_agent(
-    run: Run, folder: Path, algorithm: type[BaseAlgorithm], venv: ChemlabVecEnv
-) -> tuple[BaseAlgorithm, dict[str, Any]]:
+def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[BaseAlgorithm, dict[str, Any]]:
     """The learner of a ``last`` checkpoint with the environments as they were, and the loop's own memory.
 
     The process's random streams go on as they were there.
 
     Raises:
         ValueError: replay memory is missing.
+        DataError: the checkpoint is not this user's.
     """
-    # Only a run's own files are unpickled, as SB3 does with the model beside them.
-    state = pickle.loads((folder / "state.pkl").read_bytes())
-    model = algorithm.load(folder / "model.zip", env=venv, device="cpu", force_reset=False)
+    state = load_state(folder)
+    model = load_learner(folder, algo, env=venv, force_reset=False)
     buffer = _replay(model)
     if buffer is not None:
         _load_replay(run, buffer, state["replay_rows"])

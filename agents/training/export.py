@@ -5,8 +5,7 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
-import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,53 +14,25 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import ObservationArray
+from chemlab.materials import DataError
 
 from ..policies import RandomPolicy
-from ..pretrained import Card, PretrainedPolicy, interface, save_policy
+from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
 from .arguments import TrainArguments, resolved
-from .tasks import LaboratoryTask, Task, find_task
+from .tasks import Task, find_task
 
 try:
     import torch
-    from torch import nn
 
     from ..learners import load_learner
+    from .networks import learned_policy
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
 
-__all__ = ["export_run", "largest_difference", "network_of", "training_command"]
+__all__ = ["export_run", "largest_difference", "training_command"]
 
 _TOLERANCE = 1e-5
-_ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
-
-
-def network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
-    """Weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
-
-    Raises:
-        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them.
-    """
-    policy = model.policy
-    if hasattr(policy, "q_net"):  # DQN
-        parts, output = [policy.q_net.q_net], "argmax"
-    elif hasattr(policy, "actor"):  # SAC has the mean in a layer of its own; TD3's network ends with it
-        actor = policy.actor
-        parts, output = [actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else [actor.mu], "tanh"
-    else:
-        parts = [policy.mlp_extractor.policy_net, policy.action_net]
-        output = "argmax" if isinstance(model.action_space, gymnasium.spaces.Discrete) else "clip"
-    modules = [m for part in parts for m in part.modules() if not isinstance(m, nn.Sequential)]
-    linear = [m for m in modules if isinstance(m, nn.Linear)]
-    activation = policy.activation_fn
-    others = {type(m) for m in modules} - {nn.Linear, activation, *([nn.Tanh] if output == "tanh" else [])}
-    if activation not in _ACTIVATIONS or others:
-        raise ValueError(f"cannot export a network with {activation.__name__}, {', '.join(o.__name__ for o in others)}")
-    weights = {}
-    for i, layer in enumerate(linear):
-        weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
-        weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
-    return weights, _ACTIVATIONS[activation], output
 
 
 def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
@@ -125,7 +96,7 @@ def export_run(folder: Path, out: Path) -> Card:
 
     Raises:
         ValueError: the folder holds no run or no checkpoint, its bench has changed since, or the exported policy is
-            not the same as SB3's to 1e-5.
+            not the same as SB3's to 1e-5 (which is only asked of a run of one's own, or that one trusts).
     """
     run = Run(folder)
     config, best = run.config(), run.checkpoint("best")
@@ -133,40 +104,22 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
-    task = find_task(_arguments(config))
+    arguments = _arguments(config, str(run.config_file))
+    task = find_task(arguments)
     if config["fingerprint"] != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
-    model: Any = load_learner(best, config["algo"])
-    weights, activation, output = network_of(model)
+    model = _learner(best, str(config["algo"]))
+    policy = _player(best, config, task, model)
+    if model is not None:
+        difference = largest_difference(model, policy, _observations(task))
+        if not difference <= _TOLERANCE:
+            raise ValueError(
+                f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
+            )
+    # What is exported is played with masks, however it learned.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
-    draft: dict[str, Any] = {
-        "name": path.name,
-        "env_id": config["env_id"],
-        "scenario": task.scenario.name,
-        "bench": task.workplace.key,
-        "goals": config["goals"],
-        "starts": config["starts"],
-        "fingerprint": config["fingerprint"],
-        "interface": json.loads(json.dumps(interface(task.workplace))),
-        "observation_size": int(task.workplace.observation_space.shape[0]),
-        "action_size": task.workplace.action_count or len(task.workplace.action_meanings),
-        "algo": config["algo"],
-        "label": config["label"],
-        "seed": config["seed"],
-        "step": int(best.name.rpartition("-")[2]),
-        "command": training_command(config),
-        "versions": config["versions"],
-        "activation": activation,
-        "output": output,
-        "background": _background(config, task),
-    }
-    policy = PretrainedPolicy(Card(**draft, evaluation={}), weights)
-    difference = largest_difference(model, policy, _observations(task))
-    if not difference <= _TOLERANCE:
-        raise ValueError(
-            f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
-        )
-    episodes = config["final_episodes"]
+    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
+    episodes = arguments.final_episodes
     found = task.by_goal(policy, episodes, RESULT_SEED)
     heuristic = task.scripted(episodes, RESULT_SEED)
     evaluation = {
@@ -177,24 +130,59 @@ def export_run(folder: Path, out: Path) -> Card:
         "heuristic_mean": sum(heuristic.values()) / len(heuristic) if heuristic else None,
         "heuristic_by_goal": heuristic,
     }
-    card = Card(**draft, evaluation=evaluation)
-    save_policy(path, card, weights)
+    card = replace(policy.card, evaluation=evaluation)
+    save_policy(path, card, policy.weights)
     return card
 
 
-def _arguments(config: dict[str, Any]) -> TrainArguments:
-    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given."""
-    defaults = {f.name: f.default for f in fields(TrainArguments)}
-    given = {name: config.get(name, default) for name, default in defaults.items()}
-    if "scenario" in gymnasium.spec(config["env_id"]).kwargs:
+def _learner(best: Path, algo: str) -> Any:
+    """The learner itself, to compare with; None where it is a stranger's: its weights as they are have to do."""
+    try:
+        return load_learner(best, algo)
+    except DataError:
+        if not any(best.glob("*.safetensors")):  # of a run of an older version there is nothing else
+            raise
+        return None
+
+
+def _player(best: Path, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
+    """What plays in a checkpoint."""
+    role = task.workplace.key
+    if (best / f"{role}.safetensors").exists():
+        policy = load_pretrained(best / role)
+        policy.check(task.workplace)
+        return policy
+    return learned_policy(
+        model,
+        task.workplace,
+        name=role,
+        env_id=config["env_id"],
+        goals=config["goals"],
+        starts=config.get("starts", "paper"),
+        algo=config["algo"],
+        label=config["label"],
+        seed=config["seed"],
+        step=int(best.name.rpartition("-")[2]),
+        command=training_command(config),
+        versions=config.get("versions", {}),
+        evaluation={},
+        background=task.background,
+    )
+
+
+def _arguments(config: dict[str, Any], where: str = "config") -> TrainArguments:
+    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given.
+
+    Raises:
+        ValueError: the file has others than a run of this version.
+    """
+    given = {f.name: config[f.name] for f in fields(TrainArguments) if f.name in config}
+    env_id = str(given.get("env_id"))
+    if env_id in gymnasium.registry and "scenario" in gymnasium.spec(env_id).kwargs:
         given["scenario"] = None
-    if given["env_id"] not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
+    if env_id not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
         given["bench"] = None
-    return TrainArguments(**{**given, "goals": tuple(given["goals"]) if given["goals"] else None})
-
-
-def _background(config: dict[str, Any], task: Task) -> str | None:
-    return str(config.get("background") or "heuristic") if isinstance(task, LaboratoryTask) else None
+    return TrainArguments.as_recorded(given, where)
 
 
 def training_command(config: dict[str, Any]) -> str:

@@ -12,7 +12,6 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,9 @@ from chemlab.laboratory.state import RUNNING
 from chemlab.scenario import Scenario
 
 from ..policies import Policy, agent_policy
+from ..pretrained import PretrainedPolicy, load_pretrained
 from ..roles import MANAGER_ROLE, role_of
-from ..runs import Evaluation, Run, RunResult
+from ..runs import Evaluation, Run, RunConfig, RunResult
 from .arguments import JointArguments
 from .experience import Experience
 
@@ -43,8 +43,18 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 
     from ..learners import load_learner, load_team, save_team
-    from .checkpoints import random_state, restore_random_state
-    from .loop import LaboratoryTrainee, Progress, Watcher, described_team, open_run, train_in_rounds, training_versions
+    from .checkpoints import load_state, random_state, restore_random_state, save_state
+    from .loop import (
+        LaboratoryTrainee,
+        Progress,
+        Watcher,
+        described_team,
+        open_run,
+        reached,
+        train_in_rounds,
+        training_versions,
+    )
+    from .networks import save_learned
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
@@ -155,11 +165,11 @@ class _Acting:
 class _Team(LaboratoryTrainee):
     """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
 
-    models = "*.zip"
-
-    def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str]) -> None:
+    def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str], config: RunConfig) -> None:
         super().__init__(arguments, scenario)
         a = self.arguments = arguments
+        self._config = config
+        self._taken: dict[str, PretrainedPolicy] | None = None
         self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
         # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
@@ -257,18 +267,31 @@ class _Team(LaboratoryTrainee):
 
     def learned(self) -> Mapping[str, Policy]:
         """See :class:`~chemlab.agents.training.loop.LaboratoryTrainee`."""
-        return {role: as_policy(learner.model) for role, learner in self.learners.items()}
+        return self._taken or {role: as_policy(learner.model) for role, learner in self.learners.items()}
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
         save_team(folder, {role: learner.model for role, learner in self.learners.items()})
-        state = {"team": self.get_state(), **random_state(), "progress": vars(progress)}
-        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+        save_state(folder, {"team": self.get_state(), **random_state(), "progress": vars(progress)})
+        for number, agent in enumerate(self.labs.agents):
+            role = role_of(agent)
+            if role in self.learners and not (folder / f"{role}.json").exists():
+                save_learned(
+                    folder,
+                    self.learners[role].model,
+                    self.labs.role(number),
+                    self._config,
+                    goals=list(self.scenario.goals if number else self.scenario.lab_goals),
+                    starts="lab",
+                    step=progress.step,
+                    command=self.arguments.command_line(),
+                    evaluation=reached(self.arguments, evaluation),
+                    background=self.arguments.background,
+                )
 
     def load(self, folder: Path) -> Progress:
         """Go on from a checkpoint."""
-        # Only a run's own files are unpickled, as SB3 does with the models beside them.
-        state = pickle.loads((folder / "state.pkl").read_bytes())
+        state = load_state(folder)
         for role, model in load_team(folder).items():
             mine = self.learners[role].model
             mine.policy.load_state_dict(model.policy.state_dict())
@@ -280,8 +303,7 @@ class _Team(LaboratoryTrainee):
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
-        for role, model in load_team(folder).items():
-            self.learners[role].model.policy.load_state_dict(model.policy.state_dict())
+        self._taken = {role: load_pretrained(folder / role) for role in self.learners}
 
     def get_state(self) -> dict[str, Any]:
         """Everything that changes but the learners' networks."""
@@ -316,7 +338,7 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
     scenario, roles, described = described_team(arguments, label, "joint", training_versions())
 
     def go_on() -> RunResult:
-        team, last = _Team(arguments, scenario, roles), run.checkpoint("last")
+        team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
         progress = Progress() if last is None else team.load(last)
         if last is None and arguments.begin_from is not None:
             _begin_from(arguments.begin_from, team)

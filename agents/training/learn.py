@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.laboratory.policy import as_policy
+from chemlab.laboratory.policy import Policy, as_policy
 
+from ..pretrained import load_pretrained
 from ..runs import Evaluation, Run, RunConfig, RunResult
 from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
 from .tasks import Task, find_task
@@ -33,11 +34,12 @@ try:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.noise import NormalActionNoise
 
-    from ..learners import LEARNERS, load_learner
+    from ..learners import LEARNERS
     from ..sb3 import ChemlabVecEnv
     from .checkpoints import load_agent, save_agent
     from .imitate import imitate
-    from .loop import Progress, Trainee, Watcher, open_run, train_in_rounds, training_versions
+    from .loop import Progress, Trainee, Watcher, open_run, reached, train_in_rounds, training_versions
+    from .networks import save_learned
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
@@ -96,18 +98,17 @@ class _Ended(BaseCallback):
 class _Agent(Trainee):
     """One agent: a learner of SB3's and its environments, as the run's last checkpoint has them or fresh ones."""
 
-    models = "model.zip"
-
-    def __init__(self, run: Run, arguments: TrainArguments, task: Task) -> None:
+    def __init__(self, run: Run, arguments: TrainArguments, task: Task, config: RunConfig, command: str) -> None:
         a = self._arguments = arguments
         self._run, self._task, self._rollout = run, task, a.envs * a.rollout
+        self._config, self._command = config, command
         self.steps = math.ceil(a.steps / self._rollout) * self._rollout
         self.venv = ChemlabVecEnv(task.batch(a.envs))
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         last, self.progress = run.checkpoint("last"), Progress()
         if last is not None:
-            self.model, progress = load_agent(run, last, LEARNERS[a.algo], self.venv)
+            self.model, progress = load_agent(run, last, a.algo, self.venv)
             self.progress = Progress.of(progress, last)
         else:
             shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
@@ -115,7 +116,7 @@ class _Agent(Trainee):
             if a.imitate is not None:
                 turns = a.imitate_steps or _IMITATED
                 imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed)
-        self._player = as_policy(self.model)
+        self._player: Policy = as_policy(self.model)
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.training.loop.Trainee`; episodes begin as the curriculum says for this step."""
@@ -140,10 +141,22 @@ class _Agent(Trainee):
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
         save_agent(self._run, folder, self.model, self.venv, vars(progress))
+        save_learned(
+            folder,
+            self.model,
+            self._task.workplace,
+            self._config,
+            goals=list(self._task.goals),
+            starts=self._arguments.starts,
+            step=progress.step,
+            command=self._command,
+            evaluation=reached(self._arguments, evaluation),
+            background=self._task.background,
+        )
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
-        self._player = as_policy(load_learner(folder, self._arguments.algo))
+        self._player = load_pretrained(folder / self._task.workplace.key)
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:
@@ -166,7 +179,7 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         ValueError: the folder holds another run, another process trains it, or an argument is wrong for this bench.
         DataError: unknown scenario, bench, goal or starting states.
     """
-    run, arguments = Run(out), resolved(arguments)
+    run, command, arguments = Run(out), arguments.command_line(), resolved(arguments)
     task = find_task(arguments)
     _check_algorithm(arguments.algo, discrete=bool(task.workplace.action_count))
     warning = task.warning()
@@ -183,7 +196,7 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
     )
 
     def go_on() -> RunResult:
-        agent = _Agent(run, arguments, task)
+        agent = _Agent(run, arguments, task, described, command)
         result = train_in_rounds(run, described, agent, arguments, agent.progress, watcher)
         agent.venv.close()
         # A finished run is not gone on with: what only that needs is large.

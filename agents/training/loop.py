@@ -46,6 +46,7 @@ __all__ = [
     "Watcher",
     "described_team",
     "open_run",
+    "reached",
     "train_in_rounds",
     "training_versions",
 ]
@@ -99,8 +100,6 @@ class Trainee(ABC):
 
     steps: int
     """How many steps it is to learn from."""
-    models: str
-    """Pattern of the files of a checkpoint that play."""
     logger: Logger
     """Set by the loop: its own numbers go there, and losses and the like may, too."""
 
@@ -196,6 +195,15 @@ def described_team(
             packages,
         ),
     )
+
+
+def reached(arguments: Arguments, evaluation: Evaluation | None) -> dict[str, Any]:
+    """What a checkpoint's card says of its evaluation; nothing where there was none."""
+    if evaluation is None:
+        return {}
+    values = {"episodes_per_goal": arguments.eval_episodes, "seed": EVALUATION_SEED, **asdict(evaluation)}
+    del values["step"]
+    return values
 
 
 def training_versions() -> dict[str, str]:
@@ -355,7 +363,7 @@ def _save(run: Run, trainee: Trainee, progress: Progress, evaluation: Evaluation
     def write(folder: Path) -> None:
         trainee.save(folder, progress, evaluation)
 
-    commit_checkpoint(run, progress.step, write, trainee.models, best, progress.best_step)
+    commit_checkpoint(run, progress.step, write, best, progress.best_step)
 
 
 def _result(run: Run, described: RunConfig, trainee: Trainee, arguments: Arguments, progress: Progress) -> RunResult:

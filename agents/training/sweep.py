@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import subprocess
 import sys
 import time
@@ -27,10 +28,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import chemlab
 from chemlab.files import write_text
-from chemlab.materials import read_toml
+from chemlab.materials import DataError, read_toml
+from chemlab.parts import may_run
 
-from ..runs import Run, differences, to_text
+from ..runs import Run, RunBusy, differences, to_text
 from .arguments import TrainArguments, label_of, resolved
 from .tasks import task_fingerprint
 
@@ -43,6 +46,17 @@ a scenario that has changed since."""
 _OWN = ("name", "seeds")
 _LISTS = ("env_id", "scenario", "preset", "algo")
 """Keys that may have several values, of which every combination is run."""
+
+
+_MOST_RUNS = 10_000
+_FOLDER = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}")
+_CHILD = f"""import sys
+sys.path[:] = [path for path in sys.path if path] + [{str(Path(chemlab.__file__).parents[1])!r}]
+from chemlab.cli import main
+main()
+"""
+"""What a child runs: chemlab as it is here. Nothing is imported from the folder that the sweep is started in, which
+Python would look through first (``-P`` would keep it from that, from 3.11 on)."""
 
 
 @dataclass(frozen=True)
@@ -85,20 +99,36 @@ def plan(file: Path, out: Path) -> list[Planned]:
             f"{file}: needs [[runs]] tables, and may have [defaults]; found {', '.join(content) or 'nothing'}"
         )
     found: dict[Path, Planned] = {}
+    defaults = content.get("defaults", {})
     for number, table in enumerate(tables, start=1):
         where = f"{file}: runs {number}"
-        values = {**content.get("defaults", {}), **table}
+        if not isinstance(table, dict) or not isinstance(defaults, dict):
+            raise DataError(f"{where}: [[runs]] and [defaults] must be tables")
+        values = {**defaults, **table}
         for seed in _seeds(values.get("seeds", 1), where):
             for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
                 own = {k: v for k, v in values.items() if k not in _OWN}
                 arguments = TrainArguments.of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
                 label = str(values.get("name", label_of(arguments)))
-                path = out / arguments.folder(label)
+                path = out / _folder(arguments, label, where)
                 one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
                 if path in found and found[path].arguments != arguments:
                     raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
                 found.setdefault(path, one)
+                if len(found) > _MOST_RUNS:
+                    raise DataError(f"{where}: more than {_MOST_RUNS} runs")
     return list(found.values())
+
+
+def _folder(arguments: TrainArguments, label: str, where: str) -> Path:
+    """Where a run stands, below the folder of results and nowhere else."""
+    folder = arguments.folder(label)
+    if len(folder.parts) != 3 or not all(_FOLDER.fullmatch(part) for part in folder.parts):
+        raise DataError(
+            f"{where}: a run's folder cannot be called {str(folder)!r:.300}: BENCH/LABEL/seed-N, without slashes "
+            "and without a dot at the beginning"
+        )
+    return folder
 
 
 def _several(values: dict[str, Any], key: str) -> list[Any]:
@@ -107,7 +137,9 @@ def _several(values: dict[str, Any], key: str) -> list[Any]:
 
 
 def _seeds(value: Any, where: str) -> list[int]:
-    seeds = list(range(value)) if type(value) is int else value
+    seeds = list(range(min(value, _MOST_RUNS + 1))) if type(value) is int else value
+    if isinstance(seeds, list) and len(seeds) > _MOST_RUNS:
+        raise DataError(f"{where}: seeds: at most {_MOST_RUNS} of them")
     if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
         raise ValueError(f"{where}: seeds: needs a list of integers from 0 or how many, given {value!r}")
     return seeds
@@ -187,7 +219,9 @@ def run_sweep(
             for process in [p for p in active if p.handle.poll() is not None]:
                 active.remove(process)
                 fresh.add(process.planned.name)
-                if process.handle.returncode != 0:
+                if process.handle.returncode == RunBusy.exit_code:  # another sweep's process was a moment earlier
+                    queue.append(process.planned)
+                elif process.handle.returncode != 0:
                     _note_failure(process.planned, process.handle.returncode)
             for one in list(queue):
                 if len(active) >= jobs:
@@ -214,8 +248,10 @@ def run_sweep(
 def _start(one: Planned) -> subprocess.Popen[bytes]:
     one.run.path.mkdir(parents=True, exist_ok=True)
     one.run.failed_file.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "chemlab", "train", one.arguments.env_id]
+    command = [sys.executable, "-c", _CHILD, "train", one.arguments.env_id]
     command += [*one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
+    if may_run(otherwise=False):
+        command.append("--trust")
     # One core a run: libraries that start threads of their own would share it with the other runs.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with one.log.open("ab") as log:

@@ -36,6 +36,8 @@ class Task(ABC):
     """Who learns: a bench by its key, or an agent of a laboratory by its id."""
     goals: tuple[str, ...]
     workplace: Workplace
+    background: str | None = None
+    """Who plays the other roles, where there are any."""
 
     @property
     def fingerprint(self) -> str:
@@ -178,7 +180,8 @@ class LaboratoryTask(Task):
         splits: tuple[str, str] = ("train", "validation"),
     ) -> None:
         self._splits = splits
-        self.scenario, self.agent, self._background = load_scenario(scenario), agent, background
+        self.scenario, self.agent = load_scenario(scenario), agent
+        self.background = self._background = background
         known = self.scenario.lab_goals
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:

@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..materials import DataError
+from ..parts import strangers_code
 from ..scenario import Scenario, load_scenario
 from .screen import err, out, page, plain
 
@@ -24,6 +25,7 @@ __all__ = [
     "ScenarioArgument",
     "SeedOption",
     "SplitOption",
+    "TrustOption",
     "app",
     "chosen_agents",
     "err",
@@ -37,7 +39,7 @@ _shown = {"traceback": False}
 
 @contextmanager
 def readable_errors() -> Iterator[None]:
-    """What the user, a file or the disk got wrong is one line and exit code 2, not a traceback."""
+    """What the user, a file or the disk got wrong is one line and an exit code (2 or its own), not a traceback."""
     try:
         yield
     except BrokenPipeError:  # whoever read our output has seen enough: click ends quietly
@@ -46,7 +48,7 @@ def readable_errors() -> Iterator[None]:
         if _shown["traceback"]:
             raise
         err.print(f"[red]error[/red]: {plain(_message(error))}")
-        raise typer.Exit(2) from error
+        raise typer.Exit(getattr(error, "exit_code", 2)) from error
 
 
 def _message(error: Exception) -> str:
@@ -90,17 +92,38 @@ SplitOption = Annotated[
     str,
     typer.Option(help="Worlds, of a scenario that draws some: train, validation, test, or private:SALT of your own."),
 ]
+
+
+def _trust(ctx: typer.Context, value: bool) -> bool:
+    """While the command runs, what :func:`_options` has forbidden is allowed if it was given the flag."""
+    if value:
+        ctx.with_resource(strangers_code(True))
+    return value
+
+
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        callback=_trust,
+        help="Run what files of other people bring along: parts that a scenario names (module:Name, file.py:Name), "
+        "checkpoints of runs that are not yours.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 
 @app.callback(invoke_without_command=True)
 def _options(
+    ctx: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
     traceback: Annotated[
         bool, typer.Option("--traceback", help="Where an error is shown, show where it comes from, too.")
     ] = False,
 ) -> None:
     _shown["traceback"] = traceback
+    # Of every command, also of one that has no --trust.
+    ctx.with_resource(strangers_code(False))
     if version:
         typer.echo(__version__)
         raise typer.Exit

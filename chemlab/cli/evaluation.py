@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from ..files import check_folder, write_text
-from .common import JsonOption, SeedOption, SplitOption, app, out, readable_errors
+from .common import JsonOption, SeedOption, SplitOption, TrustOption, app, out, readable_errors
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -37,6 +37,7 @@ def evaluate(
     output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON.")
     ] = None,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare policies goal by goal from the same seeds, with bootstrap confidence intervals.
@@ -112,6 +113,7 @@ def figures(
     file_format: Annotated[
         list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
     ] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Make pages of training runs: what each algorithm came to, with intervals, and learning curves.
 

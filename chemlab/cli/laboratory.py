@@ -19,6 +19,7 @@ from .common import (
     ScenarioArgument,
     SeedOption,
     SplitOption,
+    TrustOption,
     app,
     chosen_agents,
     prepare,
@@ -65,6 +66,7 @@ def describe(
         list[str] | None,
         typer.Option(help="Whose observation and actions, number by number: an agent (rxn_0), a kind (rxn) or all."),
     ] = None,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Tell what is in a scenario: agents, vessels, stock, prices, limits, rewards; of an agent all it sees and may do.
@@ -178,6 +180,7 @@ def run(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
+    trust: TrustOption = False,
 ) -> None:
     """Play episodes: a live account of what each agent does and what comes of it, then the results."""
     _, env = prepare(scenario, quiet=as_json, split=split)
@@ -287,6 +290,7 @@ def compare(
     split: SplitOption = "train",
     as_json: JsonOption = False,
     update: Annotated[Path | None, typer.Option(help="Replace the results table in this Markdown file.")] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Compare policies over many episodes with the same seeds; also regenerates README's table."""
     from rich.progress import Progress
@@ -365,6 +369,7 @@ def starts(
     output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
     ] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
     from rich.progress import Progress

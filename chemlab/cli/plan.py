@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..scenario import load_scenario
-from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
+from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, TrustOption, app, out, readable_errors
 from .screen import counting
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def plan(
         Path | None,
         typer.Option("--out", "-o", help="Also write the plans, to be played with --policy BENCHES,manager=plan:FILE."),
     ] = None,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Search for the best constant plan: what a manager reaches that never looks.

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import JsonOption, ScenarioArgument, SeedOption, app, chosen_agents, prepare
-from .records import TrustOption
+from .common import JsonOption, ScenarioArgument, SeedOption, TrustOption, app, chosen_agents, prepare
 from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
@@ -109,6 +108,7 @@ def play(
         typer.Option(help="Write the episode's record here; of an episode that you leave early, FILE.part."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a record that is there already.")] = False,
+    trust: TrustOption = False,
 ) -> None:
     """Play one or more roles yourself in the terminal; policies play the others.
 

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import app
-from .records import TrustOption
+from .common import TrustOption, app
 from .screen import out, plain
 
 __all__: list[str] = []

@@ -9,14 +9,10 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from .common import JsonOption, app, err, out, readable_errors
+from .common import JsonOption, TrustOption, app, err, out, readable_errors
 
 __all__: list[str] = []
 
-TrustOption = Annotated[
-    bool,
-    typer.Option("--trust", help="Import parts of somebody's own (module:Name, file.py:Name) that the record names."),
-]
 _COLORS = {
     "ok": "green",
     "tampered": "red",

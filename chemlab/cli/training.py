@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
-from .common import JsonOption, app, err, out, readable_errors
+from .common import JsonOption, TrustOption, app, err, out, readable_errors
 
 if TYPE_CHECKING:
     from ..agents.runs import Evaluation, RunResult
@@ -153,10 +153,11 @@ def _command(kind: type[Arguments], trainer: Callable[[], Any], about: str, fold
     parameters.append(("config", Annotated[Optional[Path], config], None))  # noqa: UP045
     parameters.append(("out", Annotated[Optional[Path], folder], None))  # noqa: UP045
     parameters.append(("quiet", Annotated[bool, quiet], False))
+    parameters.append(("trust", TrustOption, False))
     parameters.append(("as_json", JsonOption, False))
 
     def run(**given: Any) -> None:
-        config, folder, quiet, as_json = (given.pop(name) for name in ("config", "out", "quiet", "as_json"))
+        config, folder, quiet, as_json, _ = (given.pop(name) for name in ("config", "out", "quiet", "as_json", "trust"))
         flags = {name: value for name, value in given.items() if value is not None and value != []}
         with readable_errors():
             arguments = kind.load(config, flags)
@@ -214,6 +215,7 @@ def sweep(
     jobs: Annotated[int | None, typer.Option(min=1, help="Runs at a time. Default: one for each core.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),
     status: Annotated[bool, typer.Option("--status", help="Show what is done and run nothing.")] = False,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
@@ -288,6 +290,7 @@ def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Tab
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Make a policy that needs no PyTorch out of a run's best checkpoint: NAME.safetensors and NAME.json.

@@ -286,18 +286,19 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _check_values(value: Any, deeper: int) -> None:
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ValueError("has a number that is not finite")
-    elif isinstance(value, int):
-        if abs(value) >= LIMITS.integer:
-            raise ValueError("has a whole number of 2**128 or more")
-    elif isinstance(value, (dict, list)):
-        if not deeper:
-            raise ValueError(f"has more than {LIMITS.depth} lists and objects inside each other")
-        for inner in value.values() if isinstance(value, dict) else value:
-            _check_values(inner, deeper - 1)
+def _check_values(values: dict[str, Any] | list[Any], deeper: int) -> None:
+    """Refuse numbers that are not finite or too large, and more than ``deeper`` lists and objects in each other."""
+    if not deeper:
+        raise ValueError(f"has more than {LIMITS.depth} lists and objects inside each other")
+    for value in values.values() if isinstance(values, dict) else values:
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                raise ValueError("has a number that is not finite")
+        elif isinstance(value, int):
+            if abs(value) >= LIMITS.integer:
+                raise ValueError("has a whole number of 2**128 or more")
+        elif isinstance(value, (dict, list)):
+            _check_values(value, deeper - 1)
 
 
 def recorded_scenario(record: Record) -> Scenario:

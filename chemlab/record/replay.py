@@ -117,7 +117,10 @@ class Replay:
                 raise ValueError(f"play.{agent}: must be an observation's hash and an action, given {short(entry)}")
             if not isinstance(entry[1], (int, list)):
                 raise ValueError(f"play.{agent}.1: must be an action, given {short(entry[1])}")
-            action = labs.checked(number, np.array(entry[1]) if isinstance(entry[1], list) else entry[1])
+            try:
+                action = labs.checked(number, np.array(entry[1]) if isinstance(entry[1], list) else entry[1])
+            except (TypeError, ValueError) as error:  # which may show all of an array
+                raise ValueError(short(str(error), 200)) from error
             mask = labs.mask(number, labs.members)
             seen = labs.observe(number, labs.members)[0]
             plays.append(Play(number, seen, None if mask is None else mask[0], action[0]))

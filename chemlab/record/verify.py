@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -241,14 +242,18 @@ def _other_version(record: Record) -> str:
 
 def _foreign(spec: Scenario, asked: Scenario | None) -> str:
     """What to say of a record on a scenario that nobody but the record vouches for."""
-    expected = asked
-    if asked is None and spec.name in scenario_names():
-        expected = load_scenario(spec.name)
     actual = scenario_hash(spec)
-    if expected is None:
+    if asked is None and spec.name not in scenario_names():
         return f"scenario {spec.name} is the record's own (hash {actual}), none that chemlab ships"
-    same = scenario_hash(expected) == actual
-    return "" if same else f"its scenario {spec.name} (hash {actual}) is not {expected.origin}"
+    expected, origin = _shipped(spec.name) if asked is None else (scenario_hash(asked), asked.origin)
+    return "" if expected == actual else f"its scenario {spec.name} (hash {actual}) is not {origin}"
+
+
+@functools.cache
+def _shipped(name: str) -> tuple[str, str]:
+    """Hash and file of a scenario that comes with chemlab."""
+    scenario = load_scenario(name)
+    return scenario_hash(scenario), scenario.origin
 
 
 def _verdict(check: _Check, other: str, foreign: str) -> Verification:

@@ -36,8 +36,8 @@ SMALL: dict[str, Any] = {
 
 def team_of(arguments: JointArguments) -> joint._Team:
     """What a run with these arguments begins with."""
-    scenario, roles, _ = described_team(arguments, "joint", "joint", {})
-    return joint._Team(arguments, scenario, roles)
+    scenario, roles, config = described_team(arguments, "joint", "joint", {})
+    return joint._Team(arguments, scenario, roles, config)
 
 
 def turn(experience: Experience, stream: int, value: float, tick: int, action: int = 0) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import slow_but
+from run_files import write_run
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
@@ -146,6 +147,10 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
             np.testing.assert_allclose(chosen, expected, atol=1e-5)
         else:
             np.testing.assert_array_equal(chosen, expected)
+            # In the run's own folder it plays as it learned.
+            learned = act(load_pretrained(folder / key), seen, infos["action_mask"])
+            as_it_did = {"action_masks": infos["action_mask"]} if algo == "maskable-ppo" else {}
+            np.testing.assert_array_equal(learned, model.predict(seen, deterministic=True, **as_it_did)[0])
             masked = act(policy, seen, infos["action_mask"])
             assert infos["action_mask"][np.arange(50), masked].all()
             if algo == "maskable-ppo":
@@ -292,6 +297,9 @@ def test_export_says_what_is_missing(tmp_path: Path) -> None:
     assert "holds no training run" in result.output
     (tmp_path / "config.json").write_text("{}")
     result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
+    assert "config.json: label: Field required" in result.output
+    run = write_run(tmp_path / "run", "fictitious", "rxn", {"E": 1.0})
+    result = CliRunner().invoke(app, ["export", str(run), "-o", str(tmp_path / "x")])
     assert "holds no checkpoint" in result.output
 
 

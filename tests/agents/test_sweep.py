@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -14,7 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from chemlab.agents.runs import Run
-from chemlab.agents.training.sweep import plan, status_of
+from chemlab.agents.training import sweep
+from chemlab.agents.training.sweep import Planned, Status, plan, run_sweep, status_of
 from chemlab.cli import app
 from chemlab.materials import DataError
 
@@ -162,3 +164,41 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     assert status_of(one).state == "done"
     assert "resuming at step" in one.log.read_text()
     assert [point.step for point in one.run.curve()] == list(range(32, 1601, 32))
+
+
+def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
+    """Whose process comes second waits for the first one's run, and calls nothing failed."""
+    pytest.importorskip("stable_baselines3")
+    file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    (one,) = plan(file, tmp_path / "out")
+    command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")]
+    for _ in range(2):
+        both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+        found = [json.loads(process.communicate()[0]) for process in both]
+        assert [process.returncode for process in both] == [0, 0]
+        assert [rows[0]["state"] for rows in found] == ["done", "done"]
+    assert not one.run.failed_file.exists()
+    assert one.run.result() is not None
+
+
+def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("stable_baselines3")
+    file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    (one,) = plan(file, tmp_path / "out")
+    # It was free when the sweep looked, and taken when its process came.
+    busy, start, started = one.run.busy, sweep._start, list[Planned]()
+    monkeypatch.setattr(one.run, "busy", lambda: bool(started) and busy())
+    monkeypatch.setattr(sweep, "_start", lambda planned: (started.append(planned), start(planned))[1])
+    states: list[str] = []
+    with contextlib.ExitStack() as held:
+        held.enter_context(one.run.locked())
+
+        def watch(found: list[Status]) -> None:
+            states.append(found[0].state)
+            if one.log.exists() and "another process is training" in one.log.read_text():
+                held.close()
+
+        ended = run_sweep([one], 1, watch, interval=0.05)
+    assert "failed" not in states
+    assert ended[0].state == "done"
+    assert not one.run.failed_file.exists()

@@ -381,7 +381,7 @@ def test_a_killed_env_runner_is_replaced_and_a_stopped_run_goes_on(
     assert len(points) >= 3
     assert all(after.step >= before.step + 200 for before, after in itertools.pairwise(points))
     # What it had learned is there: the policies in the checkpoint are those of RLlib's networks.
-    weights = training.pickle.loads((last / "state.pkl").read_bytes())["learner_group"]["learner"]["rl_module"]
+    weights = training.load_state(last)["learner_group"]["learner"]["rl_module"]
     for role in ROLES:
         policy = load_pretrained(last / role)
         for name, array in policy_weights(weights[role]).items():

@@ -12,12 +12,13 @@ from __future__ import annotations
 import argparse
 import copy
 import json
+import shutil
 import signal
 import sys
 import tempfile
 import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -274,43 +275,58 @@ def limited(seconds: int) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
-    """Try ``files`` broken files.
+def campaign(
+    kinds: Sequence[str], one: Callable[[Path, str, np.random.Generator], str], files: int, seed: int, keep: Path | None
+) -> tuple[Counter[str], list[str]]:
+    """Try ``files`` broken files, each of its kind in turn, each with its own random numbers.
+
+    Args:
+        kinds: kinds of files.
+        one: makes a file of a kind in a folder and reads it; ``loaded``, or what was wrong with it.
+        files, seed: how many, and which.
+        keep: folder for those that failed.
 
     Returns:
         How many loaded and how many were refused, by kind; and a traceback of everything else, with its number.
     """
-    bases, outcomes, failures = seeds(), Counter[str](), []
+    outcomes, failures = Counter[str](), []
     for number in range(files):
-        rng = np.random.default_rng([seed, number])
-        kind = KINDS[number % len(KINDS)]
-        base = bases[rng.integers(len(bases))]
+        rng, kind = np.random.default_rng([seed, number]), kinds[number % len(kinds)]
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
                 with limited(SECONDS):
-                    said = attempt(folder, kind, base, rng, turns)
+                    said = one(folder, kind, rng)
                 outcomes[f"{kind}: {'loaded' if said == 'loaded' else 'refused'}"] += 1
             except Exception:
                 outcomes[f"{kind}: failed"] += 1
                 failures.append(f"--- {seed}/{number} ({kind})\n{traceback.format_exc()[-3000:]}")
                 if keep is not None:
-                    kept = keep / f"{seed}-{number}"
-                    kept.mkdir(parents=True, exist_ok=True)
-                    for path in folder.iterdir():
-                        (kept / path.name).write_bytes(path.read_bytes())
+                    shutil.copytree(folder, keep / f"{seed}-{number}", dirs_exist_ok=True)
     return outcomes, failures
 
 
-def main() -> int:
-    """Run the fuzzer, print what failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
+    """A :func:`campaign` of scenarios and what they are made of; ``turns`` are played where they load."""
+    bases = seeds()
+    for name in scenario_names() if turns else ():
+        play(load_scenario(name), turns, 0)  # compiles kernels, which must not count as a hang
+
+    def one(folder: Path, kind: str, rng: np.random.Generator) -> str:
+        return attempt(folder, kind, bases[rng.integers(len(bases))], rng, turns)
+
+    return campaign(KINDS, one, files, seed, keep)
+
+
+def main(text: str | None = __doc__, run: Callable[..., tuple[Counter[str], list[str]]] = fuzz) -> int:
+    """Run a fuzzer, print what failed."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--turns", type=int, default=0, help="random turns to play where a file loads")
     parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
     arguments = parser.parse_args()
-    outcomes, failures = fuzz(arguments.files, arguments.seed, arguments.turns, arguments.keep)
+    outcomes, failures = run(arguments.files, arguments.seed, arguments.turns, arguments.keep)
     print("\n".join(failures))
     for outcome, count in sorted(outcomes.items()):
         print(f"{outcome}: {count}")

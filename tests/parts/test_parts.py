@@ -389,6 +389,25 @@ def test_what_cannot_be_loaded_is_named(tmp_path: Path, old: str, new: str, says
     assert str(path) in str(caught.value)
 
 
+def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
+    """Two files deep: a name is of the folder of the file that says it."""
+    below = tmp_path / "below"
+    below.mkdir()
+    (tmp_path / "first.toml").write_text(f'base = "{FILE}"\nname = "first"\n[costs]\ntick = 0.0\n')
+    own = '[manager]\nobserve = ["my_parts.py:WASTE_CAN"]\n'
+    (below / "second.toml").write_text(f'base = "../first.toml"\nname = "second"\n{own}')
+    with pytest.raises(DataError, match=f"no file {below}/my_parts.py"):
+        raw_env(below / "second.toml")
+    (below / "my_parts.py").write_text((HERE / "my_parts.py").read_text())
+    env, original = raw_env(below / "second.toml"), raw_env(FILE)
+    for one in (env, original):
+        one.reset(seed=1)
+    assert env.laboratories.agents == original.laboratories.agents
+    for agent in range(len(env.laboratories.agents)):
+        seen, expected = (one.laboratories.observe(agent, np.array([0])) for one in (env, original))
+        np.testing.assert_array_equal(seen, expected)
+
+
 def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"cannot load 'my_parts.py:\w+' \(NameError: .*'unheard_of'"):
         raw_env(copied(tmp_path, parts="\nunheard_of\n"))

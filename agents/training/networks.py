@@ -1,0 +1,86 @@
+"""What a learner of Stable-Baselines3's has learned, as a policy that needs numpy alone.
+
+Needs the extra: ``pip install "chemlab-marl[train]"``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..pretrained import Card, PretrainedPolicy, Workplace, save_policy
+from ..runs import RunConfig
+
+try:
+    from sb3_contrib import MaskablePPO
+    from torch import nn
+except ImportError as error:
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+
+__all__ = ["learned_policy", "save_learned"]
+
+_ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+
+
+def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedPolicy:
+    """A learner's policy network; it is played with masks if it learned with masks.
+
+    Args:
+        model: the learner.
+        workplace: what it operates.
+        card: what its :class:`~chemlab.agents.pretrained.Card` says besides.
+
+    Raises:
+        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them, or whose
+            weights are not finite.
+    """
+    weights, activation, output = _network_of(model)
+    own = {"activation": activation, "output": output, "masked": isinstance(model, MaskablePPO)}
+    return PretrainedPolicy(Card.of(workplace, **own, **card), weights)
+
+
+def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConfig, **card: Any) -> None:
+    """Write what a learner plays into a checkpoint, as ``ROLE.safetensors`` and ``ROLE.json``.
+
+    Args:
+        folder: the checkpoint's.
+        model, workplace: see :func:`learned_policy`.
+        config: of the run.
+        card: what the card says besides: ``goals``, ``starts``, ``step``, ``command``, ``evaluation``, ``background``.
+    """
+    told, role = config.as_dict(), workplace.key
+    own = {name: told[name] for name in ("env_id", "algo", "label", "seed", "versions")}
+    policy = learned_policy(model, workplace, name=role, **own, **card)
+    save_policy(folder / role, policy.card, policy.weights)
+
+
+def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
+    """Weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
+
+    Raises:
+        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them.
+    """
+    policy = model.policy
+    if hasattr(policy, "q_net"):  # DQN
+        parts, output = [policy.q_net.q_net], "argmax"
+    elif hasattr(policy, "actor"):  # SAC has the mean in a layer of its own; TD3's network ends with it
+        actor = policy.actor
+        parts, output = [actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else [actor.mu], "tanh"
+    else:
+        parts = [policy.mlp_extractor.policy_net, policy.action_net]
+        output = "argmax" if isinstance(model.action_space, gymnasium.spaces.Discrete) else "clip"
+    modules = [m for part in parts for m in part.modules() if not isinstance(m, nn.Sequential)]
+    linear = [m for m in modules if isinstance(m, nn.Linear)]
+    activation = policy.activation_fn
+    others = {type(m) for m in modules} - {nn.Linear, activation, *([nn.Tanh] if output == "tanh" else [])}
+    if activation not in _ACTIVATIONS or others:
+        raise ValueError(f"cannot export a network with {activation.__name__}, {', '.join(o.__name__ for o in others)}")
+    weights = {}
+    for i, layer in enumerate(linear):
+        weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
+        weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
+    return weights, _ACTIVATIONS[activation], output

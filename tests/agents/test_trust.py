@@ -1,0 +1,310 @@
+"""Files from strangers run no code: run folders, checkpoints, what their ``config.json`` names, scenarios, the folder
+that one works in. Every attack is shown to work where it is trusted, so that a refusal means something."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("stable_baselines3")
+
+from chemlab.agents.runs import Run
+from chemlab.agents.saved import find_saved
+from chemlab.agents.seals import read_sealed, seal
+from chemlab.agents.training.arguments import JointArguments, TrainArguments
+from chemlab.agents.training.joint import train_together
+from chemlab.agents.training.learn import train
+from chemlab.cli import app
+from chemlab.datafile import DataError
+from chemlab.parts import strangers_code
+
+SCENARIO = "wurtz_dodecane"
+TINY = {"envs": 2, "rollout": 16, "evaluations": 1, "checkpoints": 1, "eval_episodes": 1, "final_episodes": 1}
+MANAGER = TrainArguments.of({"env_id": "manager", "algo": "maskable-ppo", "scenario": SCENARIO, "steps": 32, **TINY})
+JOINT = JointArguments.of({"scenario": SCENARIO, "roles": ("dit", "ext"), "steps": 16, **TINY})
+PARTS = """
+from pathlib import Path
+Path({marker!r}).write_text("ran")
+"""
+FOREIGN = """
+base = "wurtz_dodecane"
+name = "bait"
+title = "Bait"
+summary = "A scenario that brings code."
+[manager]
+reward = ["bait.py:NOTHING"]
+"""
+
+
+class Payload:
+    """Leaves a mark where it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.marker),)
+
+
+def poison_zip(path: Path, marker: Path) -> None:
+    """Put a payload into a learner's file, where Stable-Baselines3 has pickles."""
+    source = io.BytesIO(path.read_bytes())
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "data":
+                data = json.loads(content)
+                data["policy_class"][":serialized:"] = base64.b64encode(pickle.dumps(Payload(marker))).decode()
+                content = json.dumps(data).encode()
+            new.writestr(name, content)
+
+
+def poison(run: Path, marker: Path) -> None:
+    """Put a payload into everything in a run's folder that somebody might unpickle."""
+    for file in [*run.rglob("*.zip"), *run.rglob("state.pkl")]:
+        if file.suffix == ".zip":
+            poison_zip(file, marker)
+        else:
+            file.write_bytes(pickle.dumps(Payload(marker)))
+
+
+def without_weights(run: Path) -> None:
+    """As an older version left it: pickles alone."""
+    for folder in (run / "checkpoints").iterdir():
+        for file in [*folder.glob("*.safetensors"), *folder.glob("*.json")] if folder.is_dir() else ():
+            file.unlink()
+
+
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with runs that somebody else has trained: a manager's and a joint one."""
+    folder = tmp_path_factory.mktemp("strangers")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CHEMLAB_STATE_DIR", str(folder / "state"))
+        train(MANAGER, folder / "manager")
+        train_together(JOINT, folder / "joint")
+    return folder
+
+
+@pytest.fixture
+def bait(strangers: Path, tmp_path: Path) -> Path:
+    """A copy of those runs, poisoned, beside a scenario with code; ``ran`` is the mark."""
+    for name in ("manager", "joint"):
+        shutil.copytree(strangers / name, tmp_path / name)
+        poison(tmp_path / name, tmp_path / "ran")
+    (tmp_path / "bait.toml").write_text(FOREIGN)
+    (tmp_path / "bait.py").write_text(PARTS.format(marker=str(tmp_path / "ran")) + "NOTHING = None\n")
+    return tmp_path
+
+
+def chemlab(*words: object) -> tuple[int, str]:
+    """(exit code, what was said on one line) of a command."""
+    result = CliRunner().invoke(app, list(map(str, words)))
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, " ".join(result.output.split())
+
+
+def no_end(run: Path) -> Path:
+    """A run that has not finished: training it again goes on from its checkpoint."""
+    (run / "result.json").unlink()
+    return run
+
+
+PICKLES = {
+    "evaluate": lambda at: ["evaluate", SCENARIO, "--policy", at / "manager", "--episodes", 1, "--goal", "dodecane"],
+    "evaluate a checkpoint": lambda at: [
+        *("evaluate", SCENARIO, "--policy", next((at / "manager").rglob("best-*")) / "model.zip"),
+        *("--episodes", 1, "--goal", "dodecane"),
+    ],
+    "run": lambda at: ["run", SCENARIO, "--policy", at / "manager", "--json"],
+    "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
+    "compare": lambda at: ["compare", SCENARIO, "--policy", at / "manager", "--episodes", 1],
+    "plan": lambda at: ["plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
+    "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
+    "imitate": lambda at: [
+        *("train", "manager", "--algo", "maskable-ppo", "--imitate", at / "manager", "--out", at / "new"),
+        *("--steps", 32, "--envs", 2, "--rollout", 16, "--imitate-steps", 800),
+        *("--evaluations", 1, "--eval-episodes", 1, "--final-episodes", 1),
+    ],
+}
+"""Commands that play what a folder holds."""
+
+
+@pytest.mark.parametrize("way", PICKLES)
+def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> None:
+    code, said = chemlab(*PICKLES[way](bait))
+    assert code == 0, said
+    assert not (bait / "ran").exists()
+
+
+@pytest.mark.parametrize("way", PICKLES)
+def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
+    for name in ("manager", "joint"):
+        without_weights(bait / name)
+    code, said = chemlab(*PICKLES[way](bait))
+    assert code == 2
+    assert "has been changed, or was written by somebody else" in said
+    assert "--trust" in said
+    assert not (bait / "ran").exists()
+    # It is the refusal that keeps it from running.
+    chemlab_trusting(PICKLES[way](bait))
+    assert (bait / "ran").exists()
+
+
+def chemlab_trusting(words: list[object]) -> None:
+    """The same command with the flag; whatever comes of loading a payload."""
+    CliRunner().invoke(app, [*map(str, words), "--trust"])
+
+
+def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
+    words = ["figures", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
+    code, said = chemlab(*words)
+    assert code == 0, said
+    assert "left out" not in said
+    without_weights(bait / "manager")
+    code, said = chemlab(*words[:-1], bait / "others")
+    assert code == 0, said
+    assert "--trust" in said[said.index("left out") :]
+    assert not (bait / "ran").exists()
+    chemlab_trusting([*words[:-1], bait / "third"])
+    assert (bait / "ran").exists()
+
+
+def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
+    single = ["train", "manager", *MANAGER.flags(), "--out", no_end(bait / "manager")]
+    together = ["train-together", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
+    begin = ["train-together", SCENARIO, *JOINT.flags(), "--begin-from", bait / "joint", "--out", bait / "new"]
+    for words in (single, together, begin):
+        code, said = chemlab(*words)
+        assert code == 2, said
+        assert "--trust" in said
+        assert not (bait / "ran").exists()
+        chemlab_trusting(words)
+        assert (bait / "ran").is_dir()
+        (bait / "ran").rmdir()
+
+
+def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path) -> None:
+    without_weights(bait / "joint")
+    own = bait / "pretty"
+    shutil.copytree(strangers / "manager", own)  # weights that play, and others in the background
+    config = json.loads((own / "config.json").read_text())
+    (own / "config.json").write_text(json.dumps({**config, "background": str(bait / "joint")}))
+    code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
+    assert (code, "--trust" in said) == (2, True)
+    # A background that leads back to itself ends.
+    (own / "config.json").write_text(json.dumps({**config, "background": str(own)}))
+    code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
+    assert (code, "in the background" in said) == (2, True)
+    # A scenario that brings code.
+    (own / "config.json").write_text(json.dumps({**config, "scenario": str(bait / "bait.toml")}))
+    code, said = chemlab("export", own, "--out", bait / "mine")
+    assert (code, "--trust" in said) == (2, True)
+    code, said = chemlab("figures", own, "--out", bait / "pages", "--collect", bait / "tables")
+    assert (code, "--trust" in said) == (0, True)
+    assert not (bait / "ran").exists()
+    chemlab_trusting(["export", own, "--out", bait / "mine"])
+    assert (bait / "ran").read_text() == "ran"
+
+
+SCENARIOS = {
+    "describe": ["describe", "bait.toml"],
+    "run": ["run", "bait.toml", "--json"],
+    "play": ["play", "bait.toml"],
+    "compare": ["compare", "bait.toml", "--episodes", 1],
+    "starts": ["starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
+    "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
+    "plan": ["plan", "bait.toml", "--budget", 1, "--episodes", 1],
+    "train": ["train", "manager", "--scenario", "bait.toml", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],
+    "train-together": ["train-together", "bait.toml", "--steps", 32, "--out", "new"],
+    "sweep": ["sweep", "sweep.toml", "--status"],
+}
+
+
+@pytest.mark.parametrize("way", SCENARIOS)
+def test_a_scenarios_code_waits_for_the_flag(way: str, bait: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(bait)
+    if way == "sweep":  # its status needs the task of a folder that has a run
+        run = '[[runs]]\nenv_id = "manager"\nalgo = "maskable-ppo"\nscenario = "bait.toml"\n'
+        (bait / "sweep.toml").write_text(run)
+        folder = bait / "results" / "bait-manager_0" / "maskable-ppo" / "seed-0"
+        folder.mkdir(parents=True)
+        shutil.copy(bait / "manager" / "config.json", folder)
+    code, said = chemlab(*SCENARIOS[way])
+    assert code == 2, said
+    assert "--trust" in said, said
+    assert not (bait / "ran").exists()
+    chemlab_trusting(SCENARIOS[way])
+    assert (bait / "ran").exists()
+
+
+def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path) -> None:
+    sweep = "[defaults]\n" + "".join(f"{key} = {value}\n" for key, value in TINY.items())
+    sweep += '[[runs]]\nenv_id = "chemlab/WurtzDistillation-v0"\nalgo = "ppo"\nsteps = 32\n'
+    (bait / "sweep.toml").write_text(sweep)
+    for module in ("typer", "json", "chemlab", "numpy"):
+        (bait / f"{module}.py").write_text(PARTS.format(marker=str(bait / "ran")))
+    # Not imported by the parent either, which the console script starts with a safe path.
+    code = "import sys; sys.path[:] = [p for p in sys.path if p]; from chemlab.cli import main; main()"
+    command = [sys.executable, "-c", code, "sweep", "sweep.toml", "--out", "results"]
+    done = subprocess.run(command, cwd=bait, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (bait / "results/WurtzDistillation/ppo/seed-0/result.json").exists()
+    assert not (bait / "ran").exists()
+    subprocess.run([sys.executable, "-c", "import json"], cwd=bait, check=True)
+    assert (bait / "ran").exists(), "they would be imported by a process that looks there"
+
+
+def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "state.pkl"
+    file.write_bytes(b"mine")
+    with pytest.raises(DataError, match="has no seal of yours"):
+        read_sealed(file)
+    seal(file)
+    assert read_sealed(file) == b"mine"
+    assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
+    file.write_bytes(b"mind")
+    with pytest.raises(DataError, match="has been changed"):
+        read_sealed(file)
+    with strangers_code(True):
+        assert read_sealed(file) == b"mind"
+    file.write_bytes(b"mine")
+    monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "other"))
+    with pytest.raises(DataError, match="written by somebody else"):
+        read_sealed(file)
+    key = tmp_path / "other" / "seal.key"
+    assert len(key.read_bytes()) == 32
+    assert os.name != "posix" or key.stat().st_mode & 0o077 == 0, "nobody else reads it"
+    (tmp_path / "state.pkl.seal").write_text("é" * 32)
+    with pytest.raises(DataError, match="written by somebody else"):
+        read_sealed(file)
+
+
+def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "no folder").write_text("")
+    monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "no folder" / "state"))
+    (tmp_path / "file").write_bytes(b"mine")
+    with pytest.warns(UserWarning, match="CHEMLAB_STATE_DIR names another folder"):
+        seal(tmp_path / "file")
+    assert read_sealed(tmp_path / "file") == b"mine"
+
+
+def test_own_runs_need_no_flag(tmp_path: Path) -> None:
+    train(MANAGER, tmp_path / "manager")
+    without_weights(tmp_path / "manager")
+    saved = find_saved(str(tmp_path / "manager"))
+    assert list(saved.load) == ["manager"]
+    assert chemlab("run", SCENARIO, "--policy", tmp_path / "manager", "--json")[0] == 0
+    assert Run(tmp_path / "manager").result() is not None

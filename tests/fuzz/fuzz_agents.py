@@ -1,0 +1,237 @@
+"""Broken files about agents, by the thousand: whatever is in a policy's card or weights, a file of plans, a training
+run's folder, a sweep or a configuration, either it is read or the error is a ValueError that names the file.
+
+    python tests/fuzz/fuzz_agents.py --files 5000 --seed 0     # what fails is kept in --keep, one folder each
+
+Each try takes a file that is read, changes it as ``fuzz_files.py`` does, in its structure or in its text, and gives it
+to everything that reads such files: a policy that loads plays, a run is put into tables, its task looked for.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from fuzz_files import LONGEST_MESSAGE, campaign, change, main, scribble, toml, write_json
+from run_files import write_run
+
+import chemlab.agents.pretrained
+from chemlab.agents.evaluation.curves import group_tasks
+from chemlab.agents.evaluation.laboratory import collect_count
+from chemlab.agents.evaluation.results import read_runs, write_runs
+from chemlab.agents.plans import plan_for, stored_plans
+from chemlab.agents.policies import agent_policy, bench_policy
+from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.runs import Run
+from chemlab.agents.training.arguments import JointArguments, RllibArguments, TrainArguments
+from chemlab.agents.training.sweep import plan, status_of
+from chemlab.datafile import read_json
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.starts import lab_starts
+from chemlab.parts import strangers_code
+from chemlab.scenario import load_scenario
+
+MODELS = Path(chemlab.agents.pretrained.__file__).parent / "models"
+NAME, SCENARIO = "fictitious_rxn", "fictitious"
+
+SWEEP: dict[str, Any] = {
+    "defaults": {"envs": 2, "steps": 64, "gamma": 0.9, "net_arch": [8, 8]},
+    "runs": [
+        {"env_id": ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"], "algo": ["ppo", "sac"], "seeds": 2},
+        {"env_id": "chemlab/Bench-v0", "scenario": "salt_from_oil", "bench": "ext", "name": "lab", "starts": "both"},
+        {"env_id": "manager", "preset": "manager", "seeds": [1, 5], "curriculum": ["20: ext=0.5", "40: submit=1"]},
+    ],
+}
+CONFIGURATIONS: dict[type[Any], dict[str, Any]] = {
+    TrainArguments: {
+        "env_id": "chemlab/WurtzExtraction-v0",
+        "algo": "ppo",
+        "steps": 1000,
+        "gamma": 0.9,
+        "clip_range": 0.1,
+        "gae_lambda": 0.9,
+        "ent_coef": 0.01,
+        "net_arch": [64, 64],
+        "goals": ["dodecane"],
+        "learning_rate": 1e-3,
+    },
+    JointArguments: {"scenario": "wurtz_dodecane", "roles": ["manager", "ext"], "regime": "in-turns", "envs": 3},
+    RllibArguments: {"scenario": "wurtz_dodecane", "roles": ["rxn"], "runners": 2, "batch": 512, "batch_size": 32},
+}
+CURVE = [(100, 0.1, 0.2), (200, 0.4, 0.2), (300, None, None)]
+
+
+@cache
+def laboratory(scenario: str) -> Laboratories:
+    """One laboratory."""
+    return Laboratories(load_scenario(scenario))
+
+
+def act(policy: Any, size: int, mask: Any = None) -> None:
+    """Let a policy choose; whatever it has learned, actions are numbers."""
+    nothing = np.zeros(3, dtype=np.int64)
+    with np.errstate(all="ignore"):  # weights as large as a float holds
+        policy.act(np.zeros((3, size), dtype=np.float32), mask, nothing, nothing)
+
+
+def try_card(folder: Path, rng: np.random.Generator) -> None:
+    """A card beside good weights."""
+    shutil.copy(MODELS / f"{NAME}.safetensors", folder / "a.safetensors")
+    write_json(folder / "a.json", json.loads((MODELS / f"{NAME}.json").read_text()), rng)
+    bench = laboratory(SCENARIO).benches[0]
+    bench_policy(str(folder / "a.json"), bench)
+    act(load_pretrained(folder / "a"), bench.observation_space.shape[0])
+
+
+def try_weights(folder: Path, rng: np.random.Generator) -> None:
+    """Weights that are not what the card says: header, numbers or text changed."""
+    shutil.copy(MODELS / f"{NAME}.json", folder / "a.json")
+    content = (MODELS / f"{NAME}.safetensors").read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header, data = json.loads(content[8 : 8 + size]), content[8 + size :]
+    if rng.random() < 0.6:
+        change(header, rng)
+    text = json.dumps(header).encode()
+    whole = (len(text) if rng.random() < 0.8 else int(rng.integers(2**40))).to_bytes(8, "little") + text + data
+    if rng.random() < 0.4:
+        whole = scribble(whole.decode("latin-1"), rng)
+    (folder / "a.safetensors").write_bytes(whole)
+    act(load_pretrained(folder / "a"), load_pretrained(folder / "a").card.observation_size)
+
+
+def try_plan(folder: Path, rng: np.random.Generator) -> None:
+    """A file of plans, played."""
+    files = stored_plans()
+    source = files[rng.integers(len(files))]
+    write_json(folder / "plans.json", json.loads(source.read_text()), rng)
+    labs = laboratory(source.name.partition(".")[0])
+    mask = labs.mask(0, labs.members)
+    assert mask is not None
+    act(plan_for(labs, str(folder / "plans.json")), labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
+
+
+def try_run(folder: Path, rng: np.random.Generator) -> None:
+    """A run's folder: configuration, curve, evaluations, result; and exported weights in its checkpoint."""
+    more = {"background": "pretrained", "final_episodes": 10, "env_id": "chemlab/FictitiousReaction-v0", "algo": "ppo"}
+    returns = {"dodecane": 0.5, "hexane": 0.4}
+    manager = rng.random() < 0.5
+    bench = ("wurtz_dodecane", "manager_0") if manager else (SCENARIO, "rxn")
+    path = write_run(folder / "task" / "run", *bench, returns, curve=CURVE, evaluations={100: 0.1}, **more)
+    run = Run(path)
+    file = [run.config_file, run.result_file, run.curve_file, run.evaluations_file][rng.integers(4)]
+    if file.suffix == ".json":
+        write_json(file, json.loads(file.read_text()), rng)
+    else:
+        lines = file.read_text().splitlines()
+        at = int(rng.integers(len(lines)))
+        write_json(file, json.loads(lines[at]), rng)
+        lines[at] = file.read_bytes().decode("utf-8", "surrogateescape").replace("\n", " ")
+        file.write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
+    best = run.checkpoints / "best-5"
+    best.mkdir(parents=True)
+    for ending in (".json", ".safetensors"):
+        shutil.copy(MODELS / f"{NAME}{ending}", best / f"rxn{ending}")
+    runs = read_runs(folder)
+    group_tasks(runs)
+    write_runs(folder / "tables", runs)
+    read_runs(folder / "tables")
+    collect_count(folder)
+    run.rewind(150)
+    agent_policy(str(path), laboratory(SCENARIO), 0)
+    from chemlab.agents.training.export import _arguments
+
+    config = run.config()
+    assert config is not None
+    _arguments(config, str(run.config_file))
+
+
+def write_toml(path: Path, content: dict[str, Any], rng: np.random.Generator) -> None:
+    """A TOML file with a change or two."""
+    for _ in range(int(rng.integers(1, 4))):
+        change(content, rng)
+    text = toml(content)
+    path.write_bytes(scribble(text, rng) if rng.random() < 0.2 else text.encode())
+
+
+def try_sweep(folder: Path, rng: np.random.Generator) -> None:
+    """A sweep: what is planned, where it stands, and how it is doing."""
+    write_toml(folder / "sweep.toml", json.loads(json.dumps(SWEEP)), rng)
+    out = folder / "out"
+    runs = plan(folder / "sweep.toml", out)
+    for one in runs[:20]:
+        assert one.run.path.resolve().is_relative_to(out.resolve()), "a run would stand somewhere else"
+        status_of(one)
+
+
+def try_configuration(folder: Path, rng: np.random.Generator) -> None:
+    """A configuration of a command."""
+    kind = list(CONFIGURATIONS)[rng.integers(len(CONFIGURATIONS))]
+    write_toml(folder / "own.toml", json.loads(json.dumps(CONFIGURATIONS[kind])), rng)
+    arguments = kind.load(folder / "own.toml", {})
+    arguments.command_line()
+    arguments.folder()
+
+
+def try_starts(folder: Path, rng: np.random.Generator) -> None:
+    """Vessels that were recorded for starting states."""
+    recorded = Path(load_scenario.__code__.co_filename).parent / "data" / "starts" / "salt_from_oil.json"
+    (folder / "lab.toml").write_text('base = "salt_from_oil"\nname = "lab"\n', encoding="utf-8")
+    write_json(folder / "lab.starts.json", read_json(recorded), rng)
+    scenario = load_scenario(folder / "lab.toml")
+    for bench in scenario.benches:
+        lab_starts(scenario, bench)
+
+
+TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
+    "card": try_card,
+    "weights": try_weights,
+    "plan": try_plan,
+    "run": try_run,
+    "sweep": try_sweep,
+    "configuration": try_configuration,
+    "starts": try_starts,
+}
+
+
+def attempt(folder: Path, kind: str, rng: np.random.Generator) -> str:
+    """One try: ``loaded``, or what was wrong with the file.
+
+    Raises:
+        Exception: anything but a readable error: that is what is looked for.
+    """
+    try:
+        with warnings.catch_warnings(), strangers_code(False):
+            warnings.simplefilter("ignore")
+            TRIES[kind](folder, rng)
+    except ValueError as error:
+        return refused(error, folder)
+    return "loaded"
+
+
+def refused(error: ValueError, folder: Path) -> str:
+    """What was wrong, if it can be read."""
+    message = str(error)
+    assert str(folder) in message or "does not fit" in message, f"names no file: {message[:300]}"
+    assert len(message) <= LONGEST_MESSAGE, f"a message of {len(message)} characters: {message[:300]}"
+    assert type(error).__module__.startswith(("builtins", "chemlab")), f"of another library: {error!r:.300}"
+    return message.replace(str(folder), "")
+
+
+def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
+    """A campaign of files about agents; nothing takes ``turns``."""
+    return campaign(tuple(TRIES), attempt, files, seed, keep)
+
+
+if __name__ == "__main__":
+    sys.exit(main(__doc__, fuzz))
