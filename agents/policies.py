@@ -17,6 +17,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
 from .heuristics.manager import ManagerHeuristic
@@ -51,6 +52,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
         "reaction": RealReactionHeuristic,
         "extraction": RealExtractionHeuristic,
         "distillation": RealDistillationHeuristic,
+        "crystallization": CrystallizationHeuristic,
     },
 }
 """Scripted policies by tier of physics and kind of bench."""

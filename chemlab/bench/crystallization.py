@@ -2,7 +2,7 @@
 
 | Observation | Actions | Steps |
 |---|---|---|
-| 3 x 100 layer pixels (CV, F, W), T, V, P and solids of CV, goal | Discrete(36): 12 processes, end | 60 by default |
+| 3 x 100 layer pixels (CV, F, W), T, V, P and solids of CV, goal | Discrete(35): 11 processes, end | 60 by default |
 """
 
 from __future__ import annotations
