@@ -23,7 +23,7 @@ _SOLVENT = "water"
 _SPARE = 1.1
 """Solvent taken, by what would dissolve the crude product if it were all goal."""
 _HOT_K = 3.0
-"""Kept below the hottest that the bath can be."""
+"""Kept below the hottest, and above the coolest, that the bath can be."""
 _COLD_K = 283.15
 """Colder, and impurities come down, too."""
 _SEED_AT = 0.8
@@ -97,7 +97,7 @@ class CrystallizationHeuristic:
         self._slices = channel_slices(bench.channels)
         self._gauges = {channel.name: channel for channel in bench.channels}
         self._hot_k = bench.options.hottest_k - _HOT_K
-        self._cold_k = max(_COLD_K, bench.options.coolest_k)
+        self._cold_k = max(_COLD_K, bench.options.coolest_k + _HOT_K)
         processes = bench.options.process
         starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
         self._actions: dict[tuple[str | None, ...], list[tuple[float, int]]] = {}
