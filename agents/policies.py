@@ -18,6 +18,7 @@ from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
 from .heuristics.campaign import CampaignManager, has_unknown_rate
+from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
 from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
@@ -53,6 +54,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
         "reaction": RealReactionHeuristic,
         "extraction": RealExtractionHeuristic,
         "distillation": RealDistillationHeuristic,
+        "crystallization": CrystallizationHeuristic,
     },
 }
 """Scripted policies by tier of physics and kind of bench."""

@@ -38,6 +38,7 @@ def _register_benches() -> None:
         "RealWurtzReaction": {"scenario": "wurtz_real", "bench": "rxn"},
         "RealWurtzExtraction": {"scenario": "wurtz_real", "bench": "ext"},
         "RealWurtzDistillation": {"scenario": "wurtz_real", "bench": "dit"},
+        "BenzoicAcidCrystallization": {"scenario": "recrystallization", "bench": "cry"},
         "Bench": {},
     }
     for name, arguments in benches.items():

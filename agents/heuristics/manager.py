@@ -46,7 +46,7 @@ class _Line:
 
 
 class ManagerHeuristic:
-    """For each order: react; decant the leftover metal and throw it away; wash; distil; analyse what comes out until
+    """For each order: react; decant the leftover metal and throw it away; wash; distil; crystallize; analyse what comes out until
     something is pure enough; submit the best.
 
     Uses only the benches the scenario has, one of each kind for every order, and works on as many orders at once as
@@ -79,7 +79,9 @@ class ManagerHeuristic:
         self._keys = list(scenario.benches)
         self._orders = [name for name, _ in order_channels(scenario)]
         kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
-        self._rxn, self._ext, self._dit = (kinds.get(kind) for kind in ("reaction", "extraction", "distillation"))
+        self._rxn, self._ext, self._dit, self._cry = (
+            kinds.get(kind) for kind in ("reaction", "extraction", "distillation", "crystallization")
+        )
         # In order: that of a set of names is another in every process.
         self._salts = tuple(salt.solid for salt in scenario.family.salt)
         self._balance = next((n for n, spec in scenario.instruments.items() if spec.kind == "balance"), None)
@@ -122,7 +124,7 @@ class ManagerHeuristic:
             decant = self._careful and self._rxn is not None and metals
             # Washing takes a salt away: where it is the goal, only the metal has to go.
             plan += [self._ext] * (2 if decant and goal not in self._salts else 1)
-        return [*plan, *([self._dit] if self._dit else [])]
+        return [*plan, *(bench for bench in (self._dit, self._cry) if bench)]
 
     def _occupied(self, observation: ObservationArray) -> list[int]:
         return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
@@ -220,7 +222,7 @@ class ManagerHeuristic:
         return self._actions.encode("submit", slot, *([line.order] if len(self._orders) > 1 else []))
 
     def _finish(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
-        last = self._dit or self._ext or self._rxn
+        last = self._cry or self._dit or self._ext or self._rxn
         candidates = [
             s
             for s in self._occupied(observation)

@@ -63,6 +63,7 @@ BENCH_KINDS: dict[str, str] = {
     "reaction": "chemlab.bench.reaction:ReactionBench",
     "extraction": "chemlab.bench.extraction:ExtractionBench",
     "distillation": "chemlab.bench.distillation:DistillationBench",
+    "crystallization": "chemlab.bench.crystallization:CrystallizationBench",
 }
 """Bench kinds that a scenario may name in short."""
 

@@ -22,7 +22,7 @@ from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
 from ..parts import PartError, blamed, checked, load_part
 from ..physics.constants import SOLIDS
-from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, vapor_pressure
+from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, solid_volume, vapor_pressure
 from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
@@ -35,6 +35,7 @@ __all__ = ["OperationBench", "OperationOptions", "Process"]
 END = -1
 _KIND, _VESSEL, _TARGET, _MATERIAL, _MAGNITUDE, _TOUCHES, _COLUMNS = range(7)
 _BUILT_IN = len(OPERATIONS)
+_GAUGES = (("temperature", "K"), ("volume", "L"), ("pressure", "kPa"), ("solids", "share of the volume"))
 
 
 class Process(BaseModel):
@@ -43,17 +44,17 @@ class Process(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: str
-    """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, or an operation of your own,
-    ``my_parts.py:NAME``."""
+    """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, ``seed``, ``filter``, ``dry``, or an operation of
+    your own, ``my_parts.py:NAME``."""
     vessel: str
     """Position the process works on (``settle`` works on all of the bench's vessels)."""
     target: str | None = None
-    """Position that receives (drain, pour, heat: the condenser's)."""
+    """Position that receives (drain, pour, filter, heat: the condenser's)."""
     material: str | None = None
     """What ``add`` adds, from stock."""
     magnitudes: tuple[float, ...] = Field(min_length=1, max_length=1000)
-    """drain: percent of the vessel's height; mix, settle: settling clock; pour: fraction; add: L; heat: kJ (< 0
-    cools)."""
+    """drain: percent of the vessel's height; mix, settle: settling clock; pour, filter: fraction; add: L; heat: kJ
+    (< 0 cools); seed: g; dry: L of air."""
 
 
 class OperationOptions(BaseModel):
@@ -72,6 +73,9 @@ class OperationOptions(BaseModel):
     """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics ``real``)."""
     reflux: float = Field(default=1.0, ge=0.0, le=100.0)
     """mol that the head of a column returns for each that it lets pass."""
+
+    cake_liquid: float = Field(default=0.4, ge=0.0, le=10.0)
+    """Litres of liquid that a litre of solids keeps in a filter: the void fraction of what is sucked dry, a guess."""
 
     @model_validator(mode="after")
     def _ordered(self) -> OperationOptions:
@@ -100,9 +104,10 @@ class ApparatusRules(NamedTuple):
     table: Annotated[FloatArray, Array("A 6")]
     """[A, 6] kind, vessel, target, material, magnitude, whether vessels are touched; kind -1 ends the experiment"""
     gauges: Annotated[FloatArray, Array("g 2")]
-    """[3, 2] low and high of T (K), V (L), P (kPa); [0, 2] where the bench shows none"""
-    limits: Annotated[FloatArray, Array("4")]
-    """K, temperatures of the heating mantle and of the coolant; theoretical stages; mol returned for each distilled"""
+    """[g, 2] low and high of T (K), V (L), P (kPa), share of solids: the first g of them"""
+    limits: Annotated[FloatArray, Array("5")]
+    """K, temperatures of the heating mantle and of the coolant; theoretical stages; mol returned for each distilled;
+    litres of liquid that a litre of solids keeps in a filter"""
     settle_per_step: Annotated[float, Array("")]
 
 
@@ -125,6 +130,7 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
         state.layers[m, vessel],
         state.profile[m, vessel],
         rules.limits,
+        int(rules.parts[state.goal[m], 0]),
         rules.limits[:0],
     )
 
@@ -227,11 +233,12 @@ def _observe(
             for x in range(state.image.shape[2]):
                 out[b, at] = state.image[m, p, x]
                 at += 1
-        if rules.gauges.shape[0] == 3:
+        if rules.gauges.shape[0] > 0:
             row, chem = arrays.rows[state.places[m, 0]], chemistry[arrays.variant[m]]
-            ambient = opened(Chemistry, chem).ambient_pressure
-            readings = (row[TEMPERATURE], volume(row, chem), min(vapor_pressure(row, chem), ambient))
-            for g in range(3):
+            ambient, filled = opened(Chemistry, chem).ambient_pressure, volume(row, chem)
+            solid = solid_volume(row, chem) / filled if filled > 0.0 else 0.0
+            readings = (row[TEMPERATURE], filled, min(vapor_pressure(row, chem), ambient), solid)
+            for g in range(rules.gauges.shape[0]):
                 value = (readings[g] - rules.gauges[g, 0]) / (rules.gauges[g, 1] - rules.gauges[g, 0])
                 out[b, at] = min(max(value, 0.0), 1.0)
                 at += 1
@@ -296,10 +303,9 @@ class OperationBench(Bench):
             Channel(f"layers_{name}", CAMERA_PIXELS, "grey", 0.0, 1.0, f"layers of {name}, bottom first")
             for name in self.positions
         )
-        names = (("temperature", "K"), ("volume", "L"), ("pressure", "kPa")) if len(self.gauges) else ()
         gauges = tuple(
             Channel(name, 1, unit, float(low), float(high), f"{name} of {self.positions[0]}")
-            for (name, unit), (low, high) in zip(names, self.gauges, strict=True)
+            for (name, unit), (low, high) in zip(_GAUGES, self.gauges, strict=False)
         )
         self._set_spaces((*shown, *gauges), gymnasium.spaces.Discrete(len(self.table)))
 
@@ -313,12 +319,14 @@ class OperationBench(Bench):
         return {
             "table": self.table,
             "gauges": self.gauges,
-            "limits": np.array([options.hottest_k, options.coolest_k, options.stages, options.reflux]),
+            "limits": np.array(
+                [options.hottest_k, options.coolest_k, options.stages, options.reflux, options.cake_liquid]
+            ),
             "settle_per_step": options.settle_per_step,
         }
 
     def _gauges(self) -> FloatArray:
-        """[3, 2] range of the temperature, volume and pressure gauges, or [0, 2] for none."""
+        """[g, 2] range of the temperature, volume, pressure and solids gauges, the first g of them."""
         return np.zeros((0, 2))
 
     def _operation(self, process: Process, where: str) -> tuple[int, Operation]:

@@ -7,6 +7,7 @@
 | `chemlab/WurtzExtraction-v0` | ext of `wurtz_dodecane` | Box(307) | Discrete(41) |
 | `chemlab/SaltFromOilExtraction-v0` | ext of `salt_from_oil` | Box(301) | Discrete(41) |
 | `chemlab/WurtzDistillation-v0` | dit of `wurtz_dodecane` | Box(310) | Discrete(31) |
+| `chemlab/BenzoicAcidCrystallization-v0` | cry of `recrystallization` | Box(305) | Discrete(35) |
 | `chemlab/Bench-v0` | `bench` of any `scenario` | follows the scenario | follows the scenario |
 
 ### Arguments

@@ -6,7 +6,7 @@ To add one of chemlab's: a file with an ``OPERATION``, and an entry in :data:`OP
 """
 
 from ..jit import chained
-from . import add, drain, heat, mix, pour, settle
+from . import add, drain, dry, filter, heat, mix, pour, seed, settle
 from .base import Operation, Turn
 
 __all__ = ["OPERATIONS", "Operation", "Turn", "act", "legal"]
@@ -18,6 +18,9 @@ OPERATIONS: dict[str, Operation] = {
     "add": add.OPERATION,
     "settle": settle.OPERATION,
     "heat": heat.OPERATION,
+    "seed": seed.OPERATION,
+    "filter": filter.OPERATION,
+    "dry": dry.OPERATION,
 }
 """Operations by kind; their order numbers them."""
 

@@ -40,7 +40,10 @@ class Turn(NamedTuple):
     :func:`chemlab.physics.layers.profile`)"""
     profile: FloatArray
     limits: FloatArray
-    """[4] of the apparatus, see :func:`chemlab.physics.laws.heat`"""
+    """[5] of the apparatus: see :func:`chemlab.physics.laws.heat`; then the litres of liquid that a litre of solids
+    keeps in a filter"""
+    goal: int
+    """index of the material that the experiment is for"""
     numbers: FloatArray
     """what :attr:`Operation.numbers` has made of the scenario"""
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
-from ..chemistry import AMOUNTS, CLOCK, PRESENT, ROLE_SOLID, Chemistry
+from ..chemistry import CLOCK, PRESENT, Chemistry
 from ..jit import helper, kernel, opened, scratch
 from ..rng import uniform
 from ..shelf import CLOCK_SETTLED, T_MIX
 from .constants import SOLIDS
-from .laws import find_layers, layer_density, layer_shade
+from .laws import find_layers, layer_density, layer_shade, solid_mol, solid_volume
 
 __all__ = ["camera", "profile"]
 
@@ -301,15 +301,13 @@ def camera(
 def _solid_shade(row: FloatArray, chem: Handle, draw: float) -> float:
     """Grey value of one of the solids, drawn by volume."""
     chemistry = opened(Chemistry, chem)
-    total = 0.0
-    for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_SOLID:
-            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
+    total = solid_volume(row, chem)
     reached, shade = 0.0, 0.0
     for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_SOLID and row[AMOUNTS + i] > 0.0:
+        mol = solid_mol(row, i, chem)
+        if mol > 0.0:
             shade = chemistry.shade[i]
-            reached += row[AMOUNTS + i] * chemistry.molar_volume[i]
+            reached += mol * chemistry.molar_volume[i]
             if draw * total < reached:
                 break
     return shade

@@ -20,7 +20,7 @@ from ..chemistry import (
 )
 from ..jit import helper, kernel, opened
 from ..shelf import CLOCK_SETTLED, T_MIX
-from .constants import TRACE_MOL
+from .constants import SOLIDS, TRACE_MOL
 from .events import SPILL
 from .laws import drain_layer, solid_volume
 
@@ -28,6 +28,7 @@ __all__ = [
     "add",
     "clear",
     "drain",
+    "free_liquid",
     "heat_capacity",
     "liquid_volume",
     "move",
@@ -36,6 +37,7 @@ __all__ = [
     "remove_fraction",
     "row_has",
     "spill",
+    "strain",
     "take",
     "turn_clock",
     "volume",
@@ -190,6 +192,48 @@ def drain(
             total += profile[c, p]
         share = min(low / total, 1.0) if total > 0.0 else 0.0
         if share > 0.0:
+            arriving += drain_layer(source, target, layers[1 + c], share, chem)
+    _mix_temperature(target, there, arriving, source[TEMPERATURE])
+    _stir(target, before, volume(target, chem))
+    spill(target, chem, waste, events)
+
+
+@helper
+def free_liquid(row: FloatArray, cake_liquid: float, chem: Handle) -> float:
+    """Liquid that runs through a filter, L: all but ``cake_liquid`` litres for each litre of the solids that stay."""
+    return max(liquid_volume(row, chem) - cake_liquid * solid_volume(row, chem), 0.0)
+
+
+@kernel
+def strain(
+    source: FloatArray,
+    target: FloatArray,
+    litres: float,
+    layers: IntArray,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+) -> None:
+    """Let ``litres`` of the liquids of ``source`` run into ``target``, of every layer the same share; solids and
+    crystals stay.
+
+    Args:
+        source, target: vessel rows.
+        litres: of at most the liquid there is.
+        layers: [C + 1] the source's layers (see :func:`chemlab.physics.layers.profile`).
+        chem: the chemistry.
+        waste: [M] mol, receives what spills.
+        events: safety events row.
+    """
+    air, wet = opened(Chemistry, chem).air, liquid_volume(source, chem)
+    share = min(litres / wet, 1.0) if wet > 0.0 else 0.0
+    if share <= 0.0:
+        return
+    before = volume(target, chem)
+    there = heat_capacity(target, chem)
+    arriving = 0.0
+    for c in range(layers[0]):
+        if layers[1 + c] != air and layers[1 + c] != SOLIDS:
             arriving += drain_layer(source, target, layers[1 + c], share, chem)
     _mix_temperature(target, there, arriving, source[TEMPERATURE])
     _stir(target, before, volume(target, chem))

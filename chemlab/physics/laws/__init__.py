@@ -26,6 +26,7 @@ from ...jit import COMPILED, SETTINGS, address, calling
 __all__ = [
     "distant_law",
     "drain_layer",
+    "dry",
     "elapse",
     "find_layers",
     "headspace_gas",
@@ -39,6 +40,7 @@ __all__ = [
     "react",
     "reflux",
     "settle_phases",
+    "solid_mol",
     "solid_volume",
     "vapor_pressure",
     "vent",
@@ -162,7 +164,7 @@ def heat(
     Args:
         row, receiver: vessel rows.
         joules: heat offered, J.
-        limits: [4] temperatures of the heating mantle and of the coolant, K, past which no heat flows; theoretical
+        limits: [4, or more] temperatures of the heating mantle and of the coolant, K, past which no heat flows; theoretical
             stages between pot and condenser (1: the pot alone), and the mol that the column's head returns for each mol
             that it lets pass.
         chem: the chemistry.
@@ -215,6 +217,12 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     Returns:
         Number of columns.
     """
+    raise NotImplementedError
+
+
+@law
+def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
+    """mol of a material that lies in a vessel as a solid."""
     raise NotImplementedError
 
 
@@ -282,6 +290,14 @@ def react(
 def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """A condenser above a boiling vessel, open to the room: it takes up to ``joules`` from what is above its boiling
     point and lets it run back; vapour beyond that is lost to ``waste`` [M], and is an event."""
+    raise NotImplementedError
+
+
+@distant_law
+def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
+    """Air is drawn over the contents of an open vessel: ``litres`` of it leave at the contents' temperature, saturated
+    with the vapour of their liquids, which goes to ``waste`` [M]. The air brings the heat that this takes, so the
+    temperature stays as it is; solids stay, too."""
     raise NotImplementedError
 
 

@@ -5,14 +5,15 @@ Arguments and results are those of :mod:`chemlab.physics.laws`.
 
 from ...kinetics import arrhenius as rate_constant
 from .boiling import heat
-from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
 from .phases import settle_phases
 from .rates import elapse, react, reflux, work_size
-from .vapor import headspace_gas, vapor_pressure, vent
+from .vapor import dry, headspace_gas, vapor_pressure, vent
 
 __all__ = [
     "drain_layer",
+    "dry",
     "elapse",
     "find_layers",
     "headspace_gas",
@@ -24,6 +25,7 @@ __all__ = [
     "react",
     "reflux",
     "settle_phases",
+    "solid_mol",
     "solid_volume",
     "vapor_pressure",
     "vent",

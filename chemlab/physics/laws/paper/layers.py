@@ -8,7 +8,7 @@ from ....jit import helper, opened
 from ...constants import SOLIDS, TRACE_MOL
 from ...transfer import row_has
 
-__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_volume"]
+__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
 
 
 @helper
@@ -52,13 +52,18 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
 
 
 @helper
+def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
+    """All of what is a solid."""
+    return float(row[AMOUNTS + material]) if opened(Chemistry, chem).role[material] == ROLE_SOLID else 0.0
+
+
+@helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Volume of the solids, L."""
     chemistry = opened(Chemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_SOLID:
-            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
+        total += solid_mol(row, i, chem) * chemistry.molar_volume[i]
     return total
 
 

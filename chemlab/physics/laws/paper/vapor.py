@@ -8,12 +8,16 @@ import math
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, CAPACITY, ROLE_SOLUTE, ROLE_SOLVENT, TEMPERATURE, Chemistry
 from ....jit import helper, kernel, opened
-from ...constants import GAS_CONSTANT
+from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
 from ...thermal import pressure
 from ...transfer import take, volume
 
-__all__ = ["headspace_gas", "vapor_pressure", "vent"]
+__all__ = ["dry", "headspace_gas", "vapor_pressure", "vent"]
+
+_STEP = 0.05
+"""Share of the liquids that a step of drying takes."""
+_MOST_STEPS = 1000
 
 
 @helper
@@ -76,3 +80,27 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
             take(row, chem, i, lost)
             waste[i] += lost
             events[RELIEF] += lost
+
+
+@kernel
+def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
+    """Air leaves saturated with every liquid's x_i p_i(T), in steps that count the air by what it has taken."""
+    chemistry = opened(Chemistry, chem)
+    left = litres
+    for _step in range(_MOST_STEPS):
+        moles = 0.0
+        for j in range(chemistry.volatile.shape[0]):
+            moles += row[AMOUNTS + chemistry.volatile[j]]
+        rate = vapor_pressure(row, chem) / (GAS_CONSTANT * row[TEMPERATURE])  # mol a litre of air
+        if moles <= TRACE_MOL or rate <= 0.0 or left <= 1e-9 * litres:
+            return
+        air = min(left, _STEP * moles / rate)
+        gone = 0.0
+        for j in range(chemistry.volatile.shape[0]):
+            i = chemistry.volatile[j]
+            partial = 101.325 * _atmospheres(i, row[TEMPERATURE], chem) / (GAS_CONSTANT * row[TEMPERATURE] * moles)
+            lost = row[AMOUNTS + i] * -math.expm1(-partial * air)
+            take(row, chem, i, lost)
+            waste[i] += lost
+            gone += lost
+        left -= gone / rate

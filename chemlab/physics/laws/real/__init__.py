@@ -7,8 +7,9 @@ from ...kinetics import arrhenius as rate_constant
 from .boiling import heat
 from .chemistry import RealChemistry as DECLARATION
 from .chemistry import build
+from .drying import dry
 from .kinetics import react
-from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_volume
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
 from .phases import elapse, settle_phases, work_size
 from .vapor import headspace_gas, reflux, vapor_pressure, vent
@@ -17,6 +18,7 @@ __all__ = [
     "DECLARATION",
     "build",
     "drain_layer",
+    "dry",
     "elapse",
     "find_layers",
     "headspace_gas",
@@ -28,6 +30,7 @@ __all__ = [
     "react",
     "reflux",
     "settle_phases",
+    "solid_mol",
     "solid_volume",
     "vapor_pressure",
     "vent",

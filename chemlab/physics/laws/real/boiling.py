@@ -19,7 +19,7 @@ from .column import LADDER, MOST_STAGES, overhead
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .vapor import bubble_point, write_back
 
-__all__ = ["heat"]
+__all__ = ["evaporate", "heat"]
 
 _STEP = 0.08
 """Share of the liquid that may boil off in a step of the integration (second order)."""
@@ -32,7 +32,7 @@ _TRIFLE = 2e-3
 
 
 @inner
-def _evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
+def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
     """Amounts after ``mol`` of vapour with the composition ``partial`` has left ``before``, each at the rate that it
     has at the amounts ``at``: none becomes negative, however volatile."""
     total = 0.0
@@ -120,13 +120,13 @@ def heat(
             if trays > 0:
                 overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
                 warm = True
-            _evaporate(n, 0.5 * mol, partial, before, before, liquids)
+            evaporate(n, 0.5 * mol, partial, before, before, liquids)
             for a in range(n):
                 halfway[a] = liquids.mol[a]
             warmer = bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
             if trays > 0:
                 overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
-            _evaporate(n, mol, partial, before, halfway, liquids)
+            evaporate(n, mol, partial, before, halfway, liquids)
             spent, after = 0.0, heat_capacity(row, chem)
             for a in range(n):
                 i = int(liquids.who[a])

@@ -9,7 +9,18 @@ from ...constants import FIRST_PHASE, SOLIDS, TRACE_MOL
 from .chemistry import RealChemistry
 from .heats import crystals
 
-__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_volume"]
+__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
+
+@helper
+def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
+    """All of what is a solid, and the crystals of a fluid."""
+    chemistry = opened(RealChemistry, chem)
+    if chemistry.role[material] == ROLE_SOLID:
+        return float(row[AMOUNTS + material])
+    if chemistry.fusion[material] > 0.0 and row[AMOUNTS + material] > 0.0:
+        return crystals(row, chem, chemistry.dissolved_at[material])
+    return 0.0
+
 
 
 @helper
@@ -18,12 +29,7 @@ def solid_volume(row: FloatArray, chem: Handle) -> float:
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_SOLID:
-            total += row[AMOUNTS + i] * chemistry.molar_volume[i]
-    for k in range(chemistry.dissolved.shape[0]):
-        i = chemistry.dissolved[k]
-        if chemistry.fusion[i] > 0.0 and row[AMOUNTS + i] > 0.0:
-            total += crystals(row, chem, k) * chemistry.molar_volume[i]
+        total += solid_mol(row, i, chem) * chemistry.molar_volume[i]
     return total
 
 

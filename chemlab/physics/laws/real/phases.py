@@ -24,6 +24,10 @@ __all__ = ["elapse", "settle_phases", "work_size"]
 _MOST_ROUNDS = 60
 _RTOL, _ATOL = 1e-3, 1e-9
 _CLOSE = 1e-12
+_SATURATED = 1e-9
+"""Of the logarithm of what is dissolved, where saturation counts as found."""
+_FLAT = 0.1
+"""Slope of an activity over the logarithm of its amount, below which its secant is not followed."""
 
 
 def work_size(chemistry: Any) -> tuple[int, int]:
@@ -157,27 +161,34 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
 
 @inner
 def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liquids: Liquids) -> float:
-    """mol of molecule ``at`` that the vessel's liquids hold in equilibrium with its crystals, by bisection."""
+    """mol of molecule ``at`` that the vessel's liquids hold in equilibrium with its crystals, by the secant of its
+    activity over the logarithm of its amount, within a bracket."""
     chemistry = opened(RealChemistry, chem)
     i = int(liquids.who[at])
     total = row[AMOUNTS + i]
     target = -chemistry.fusion[i] / GAS_CONSTANT * (1.0 / row[TEMPERATURE] - 1.0 / chemistry.melting[i])
     low, high = math.log(1e-9 * total), math.log(total)
-    for step in range(46):
-        middle = high if step == 0 else 0.5 * (low + high)
-        liquids.mol[at] = math.exp(middle)
+    here, before, gap_before = high, high, 0.0
+    for step in range(_MOST_ROUNDS):
+        liquids.mol[at] = math.exp(here)
         split(n, row[TEMPERATURE], chem, liquids)
         phase = n + at if liquids.share[at] > 0.5 else at
-        activity = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300))
-        if activity > target:
-            high = middle
+        gap = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300)) - target
+        if gap > 0.0:
+            high = here
         elif step == 0:
             return total
         else:
-            low = middle
-        if high - low < 1e-9:
+            low = here
+        # In a thin solution the activity goes with the amount; where it hardly changes, or turns, halves are safe.
+        slope = (gap - gap_before) / (here - before) if here != before else 1.0
+        there = here - gap / slope if slope > _FLAT else low
+        if not low < there < high:
+            there = 0.5 * (low + high)
+        before, gap_before, here = here, gap, there
+        if abs(here - before) < _SATURATED or high - low < _SATURATED:
             break
-    return math.exp(low)
+    return math.exp(here)
 
 
 @inner

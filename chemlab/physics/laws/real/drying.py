@@ -1,0 +1,54 @@
+"""Drying: what evaporates into a stream of air that is drawn over the contents of a vessel."""
+
+from __future__ import annotations
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import TEMPERATURE
+from ....jit import kernel, scratch
+from ...constants import GAS_CONSTANT, TRACE_MOL
+from .boiling import evaporate
+from .chemistry import MOST_FLUIDS
+from .liquids import clear_liquids, gather, partial_pressures, split
+from .vapor import write_back
+
+__all__ = ["dry"]
+
+_STEP = 0.1
+"""Share of the liquids that a step of the integration (second order) may take."""
+_MOST_STEPS = 400
+
+
+@kernel
+def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
+    """Air leaves saturated: with x gamma p_i(T) of each liquid, so that a little of one goes at a rate of first order.
+    Air is counted by what it has taken, which is exact where the pressure stays the same."""
+    liquids = clear_liquids()
+    partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
+    n = gather(row, chem, liquids)
+    temperature, left = row[TEMPERATURE], litres
+    for _step in range(_MOST_STEPS):
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        if everything <= 10.0 * n * TRACE_MOL or left <= 1e-9 * litres:
+            break
+        split(n, temperature, chem, liquids)
+        rate = partial_pressures(n, temperature, chem, liquids, partial) / (GAS_CONSTANT * temperature)  # mol/L
+        mol = min(_STEP * everything, rate * left)
+        for a in range(n):
+            before[a] = liquids.mol[a]
+        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+        for a in range(n):
+            halfway[a] = liquids.mol[a]
+        split(n, temperature, chem, liquids)
+        rate = partial_pressures(n, temperature, chem, liquids, partial) / (GAS_CONSTANT * temperature)
+        if rate <= 0.0:
+            break
+        evaporate(n, min(mol, rate * left), partial, before, halfway, liquids)
+        gone = 0.0
+        for a in range(n):
+            waste[int(liquids.who[a])] += before[a] - liquids.mol[a]
+            gone += before[a] - liquids.mol[a]
+        left -= gone / rate
+    if n > 0:
+        write_back(row, n, chem, liquids)

@@ -1,0 +1,346 @@
+"""Crystals, filters and drying of the tier ``real``: closed forms, an independent integration, balances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_real import Glass
+
+from chemlab.agents.heuristics.crystallization import solubility
+from chemlab.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
+from chemlab.materials import shipped_materials
+from chemlab.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.physics import laws
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.physics.laws.real.chemistry import CURVE_POINTS
+from chemlab.physics.laws.real.heats import enthalpy
+from chemlab.physics.layers import profile
+from chemlab.physics.transfer import add, free_liquid, liquid_volume, pour, strain
+from chemlab.scenario import load_scenario
+from chemlab.shelf import Shelf
+
+MATERIALS = shipped_materials()
+CRUDE = ("benzoic_acid", "salicylic_acid", "NaCl", "silica", "water", "ethanol")
+STANDARD_K = 298.15
+PIXELS = 100
+
+
+def elapse(glass: Glass, position: int, ticks: float, kelvin: float | None = None) -> None:
+    """Time passes, at a temperature that is kept if one is given."""
+    row = glass.rows[position]
+    for _ in range(10):
+        if kelvin is not None:
+            row[TEMPERATURE] = kelvin
+        laws.elapse(row, ticks / 10.0, glass.chem, glass.waste, glass.events, glass.work)
+        laws.partition(row, glass.chem, glass.work)
+    if kelvin is not None:
+        row[TEMPERATURE] = kelvin
+
+
+def settle(glass: Glass, position: int) -> None:
+    """What is at equilibrium at once."""
+    laws.settle_phases(glass.rows[position], glass.chem, glass.waste, glass.events, glass.work)
+    laws.partition(glass.rows[position], glass.chem, glass.work)
+
+
+def strained(glass: Glass, share: float = 1.0, cake_liquid: float = 0.4) -> None:
+    """Filter vessel 0 into vessel 1."""
+    columns = glass.shelf.layout.fluid_columns
+    layers, shares = np.zeros(columns + 1, dtype=np.int64), np.zeros((columns, PIXELS))
+    profile(glass.rows[0], glass.chem, layers, shares, np.zeros((columns + 9, PIXELS)))
+    litres = share * free_liquid(glass.rows[0], cake_liquid, glass.chem)
+    strain(glass.rows[0], glass.rows[1], litres, layers, glass.chem, glass.waste, glass.events)
+
+
+def crystals(glass: Glass, position: int, name: str) -> float:
+    return float(laws.solid_mol(glass.rows[position], glass.names.index(name), glass.chem))
+
+
+def litres(name: str, mol: float) -> float:
+    return mol * MATERIALS[name].molar_mass_g_mol / (1000.0 * MATERIALS[name].density_kg_l)
+
+
+# -- saturation -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kelvin", [278.15, 298.15, 323.15, 353.15])
+@pytest.mark.parametrize("solute", ["benzoic_acid", "salicylic_acid", "acetanilide"])
+def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> None:
+    """From above and from below: the heat of fusion and NRTL in NumPy say the same."""
+    glass = Glass(solute, "water")
+    water = 20.0
+    held = solubility(glass.scenario, solute, "water", kelvin) * litres("water", water)
+    glass.fill(0, {solute: 3.0 * held, "water": water}, kelvin=kelvin)
+    elapse(glass, 0, 1000.0, kelvin)
+    assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
+    glass.fill(0, {solute: 3.0 * held, "water": water}, kelvin=kelvin + 10.0)
+    elapse(glass, 0, 1000.0, kelvin + 10.0)
+    warm = crystals(glass, 0, solute)
+    elapse(glass, 0, 1000.0, kelvin)
+    assert crystals(glass, 0, solute) > warm
+    assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
+
+
+def test_a_clear_solution_waits_for_a_seed() -> None:
+    """Below the metastable limit nothing comes down until there is a crystal; beyond it all by itself."""
+    kelvin, water = 298.15, 20.0
+    for supersaturation, alone in ((1.2, False), (1.4, True)):
+        glass = Glass("benzoic_acid", "water")
+        assert 1.2 < glass.scenario.real.metastable < 1.4
+        held = solubility(glass.scenario, "benzoic_acid", "water", kelvin) * litres("water", water)
+        mol = supersaturation * held
+        glass.fill(0, {"benzoic_acid": mol, "water": water}, kelvin=353.15)
+        elapse(glass, 0, 1000.0, 353.15)
+        assert crystals(glass, 0, "benzoic_acid") == 0.0
+        elapse(glass, 0, 1000.0, kelvin)
+        assert (crystals(glass, 0, "benzoic_acid") > 0.0) == alone
+        add(glass.rows[0], glass.names.index("benzoic_acid"), 1e-4, kelvin, glass.chem, glass.waste, glass.events)
+        elapse(glass, 0, 1000.0, kelvin)
+        assert mol + 1e-4 - crystals(glass, 0, "benzoic_acid") == pytest.approx(held, rel=1e-5)
+
+
+def test_crystals_grow_at_the_scenarios_rate() -> None:
+    """What is missing to saturation falls as exp(-k t)."""
+    glass, kelvin, water = Glass("benzoic_acid", "water"), 298.15, 20.0
+    real = glass.scenario.real
+    held = solubility(glass.scenario, "benzoic_acid", "water", kelvin) * litres("water", water)
+    glass.fill(0, {"benzoic_acid": 5.0 * held, "water": water}, kelvin=368.15)
+    elapse(glass, 0, 1000.0, 368.15)
+    elapse(glass, 0, 3.0, kelvin)
+    left = 5.0 * held - crystals(glass, 0, "benzoic_acid") - held
+    expected = (5.0 * held - held) * math.exp(-real.crystal_rate * 3.0 * real.tick_s)
+    # Half of a tenth of each step is at a temperature that crystallization has raised.
+    assert left == pytest.approx(expected, rel=0.02)
+
+
+# -- filter and wash --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
+    glass = Glass(*CRUDE)
+    contents = {"benzoic_acid": 0.3, "salicylic_acid": 0.01, "NaCl": 0.1, "silica": 0.2, "water": 30.0, "ethanol": 1.0}
+    glass.fill(0, contents)
+    glass.fill(1, {})
+    settle(glass, 0)
+    elapse(glass, 0, 100.0, 298.15)
+    settle(glass, 0)
+    before, solids = glass.rows[0].copy(), float(laws.solid_volume(glass.rows[0], glass.chem))
+    liquid = float(liquid_volume(glass.rows[0], glass.chem))
+    content = enthalpy(glass.rows[0], glass.chem)
+    strained(glass, share)
+    assert solids > 0.03
+    assert float(laws.solid_volume(glass.rows[0], glass.chem)) == pytest.approx(solids, rel=1e-12)
+    ran = share * (liquid - 0.4 * solids)
+    assert float(liquid_volume(glass.rows[1], glass.chem)) == pytest.approx(ran, rel=1e-9)
+    assert float(laws.solid_volume(glass.rows[1], glass.chem)) == pytest.approx(0.0, abs=1e-15)
+    # Both liquors are one solution, and nothing is lost, neither matter nor heat.
+    for k, name in enumerate(glass.shelf.layout.dissolved):
+        there, here = glass.shelf.dissolved[0, 1, k].sum(), glass.shelf.dissolved[0, 0, k].sum()
+        assert there * (liquid - ran) == pytest.approx(here * ran, rel=1e-9, abs=1e-15), name
+    np.testing.assert_allclose((glass.rows[0] + glass.rows[1])[AMOUNTS:], before[AMOUNTS:], rtol=1e-12, atol=1e-15)
+    after = enthalpy(glass.rows[0], glass.chem) + enthalpy(glass.rows[1], glass.chem)
+    assert after == pytest.approx(content, rel=1e-12)
+
+
+def test_a_wash_thins_the_liquor_in_the_cake() -> None:
+    """Salt left: by what stays in the cake over what was there with the wash, each time."""
+    glass = Glass(*CRUDE)
+    glass.fill(0, {"silica": 5.0, "NaCl": 0.1, "water": 20.0})
+    glass.fill(1, {})
+    settle(glass, 0)
+    strained(glass)
+    expected = glass.mol(0, "Na+")
+    for wash_mol in (3.0, 6.0):
+        add(glass.rows[0], glass.names.index("water"), wash_mol, 298.15, glass.chem, glass.waste, glass.events)
+        settle(glass, 0)
+        wet = float(liquid_volume(glass.rows[0], glass.chem))
+        strained(glass)
+        expected *= 0.4 * litres("silica", 5.0) / wet
+        assert glass.mol(0, "Na+") == pytest.approx(expected, rel=1e-9)
+    assert expected < 0.01 * 0.1
+
+
+# -- drying -----------------------------------------------------------------------------------------------------------
+
+
+def pascal(name: str, kelvin: float) -> float:
+    real = MATERIALS[name].real
+    assert real is not None
+    assert real.vapor_pressure is not None
+    return float(real.vapor_pressure.pascal(kelvin))
+
+
+@pytest.mark.parametrize(("name", "kelvin"), [("water", 298.15), ("water", 330.0), ("ethanol", 310.0)])
+def test_air_leaves_saturated(name: str, kelvin: float) -> None:
+    glass, air = Glass(name), 50.0
+    glass.fill(0, {name: 3.0}, kelvin=kelvin)
+    laws.dry(glass.rows[0], air, glass.chem, glass.waste)
+    gone = 3.0 - glass.mol(0, name)
+    # The vapour pressure's table has straight lines between its points.
+    assert gone == pytest.approx(pascal(name, kelvin) * 1e-3 * air / (GAS_CONSTANT * kelvin), rel=2e-3)
+    assert CURVE_POINTS > 200
+    assert glass.waste[glass.names.index(name)] == pytest.approx(gone, rel=1e-12)
+    assert glass.rows[0, TEMPERATURE] == kelvin
+
+
+def test_a_mixture_dries_as_integrated_by_scipy() -> None:
+    """dn/dV = x gamma p / RT of ethanol and water, one liquid."""
+    names, kelvin, start, air = ("ethanol", "water"), 300.0, np.array([1.0, 2.0]), 400.0
+    table = pair_table(names, shipped_pairs())
+    tau = table.a + table.b / kelvin + table.c * math.log(kelvin / REFERENCE_K)
+    pressure = np.array([pascal(name, kelvin) for name in names]) * 1e-3
+
+    def rates(_: float, n: np.ndarray) -> np.ndarray:
+        n = np.maximum(n, 1e-30)
+        x = n / n.sum()
+        return np.asarray(-x * np.exp(log_activity_coefficients(x, tau, table.alpha)) * pressure / GAS_CONSTANT / kelvin)
+
+    expected = solve_ivp(rates, (0.0, air), start, rtol=1e-9, atol=1e-12).y[:, -1]
+    glass = Glass(*names)
+    glass.fill(0, dict(zip(names, start.tolist(), strict=True)), kelvin=kelvin)
+    laws.dry(glass.rows[0], air, glass.chem, glass.waste)
+    assert 0.1 < expected[0] < 0.8
+    assert [glass.mol(0, name) for name in names] == pytest.approx(expected, rel=3e-3)
+
+
+def test_what_does_not_fly_stays() -> None:
+    glass = Glass(*CRUDE)
+    glass.fill(0, {"benzoic_acid": 0.3, "NaCl": 0.01, "silica": 0.1, "water": 1.0, "ethanol": 0.2})
+    settle(glass, 0)
+    elapse(glass, 0, 100.0, 298.15)
+    for _ in range(5):
+        laws.dry(glass.rows[0], 1e4, glass.chem, glass.waste)
+        settle(glass, 0)
+        elapse(glass, 0, 100.0, 298.15)
+    assert glass.mol(0, "water") < 1e-9
+    assert glass.mol(0, "ethanol") < 1e-9
+    assert glass.mol(0, "NaCl") == pytest.approx(0.01, rel=1e-9)
+    assert glass.mol(0, "silica") == 0.1
+    # Benzoic acid that was in solution has a vapour pressure of its own, of about a pascal.
+    assert glass.mol(0, "benzoic_acid") == pytest.approx(0.3, rel=5e-3)
+    assert crystals(glass, 0, "benzoic_acid") == pytest.approx(glass.mol(0, "benzoic_acid"), rel=1e-6)
+
+
+def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
+    scenario = load_scenario("wurtz_dodecane")
+    shelf = Shelf(build_chemistry(scenario), 1, 1)
+    row, chem, names = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem(), shelf.layout.materials
+    waste, air = np.zeros(len(names)), 30.0
+    row[TEMPERATURE] = 290.0
+    pressure = float(laws.vapor_pressure(row, chem))
+    laws.dry(row, air, chem, waste)
+    gone = 4.0 - row[AMOUNTS + names.index("diethyl_ether")]
+    assert gone == pytest.approx(pressure * air / (GAS_CONSTANT * 290.0), rel=1e-9)
+    assert waste.sum() == pytest.approx(gone, rel=1e-12)
+    laws.dry(row, 1e6, chem, waste)
+    assert row[AMOUNTS + names.index("diethyl_ether")] < 1e-9
+    assert row[AMOUNTS + names.index("Na")] == 0.5
+
+
+# -- balances ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> None:
+    """Every joule: what the bath gives, what solvents and seeds bring, what vapour takes along as liquid (its heat of
+    vaporization is the air's, or the condenser's)."""
+    rng, glass = np.random.default_rng(seed), Glass(*CRUDE)
+    atoms = element_matrix(glass.scenario)
+    known = glass.shelf.known()
+    formation = np.array([MATERIALS[n].real.formation_enthalpy_j_mol for n in glass.names])  # type: ignore[union-attr]
+    fusion = np.asarray(known.fusion)  # type: ignore[attr-defined]
+    liquid = formation + np.where([MATERIALS[n].real.formation_state == "s" for n in glass.names], fusion, 0.0)  # type: ignore[union-attr]
+    limits = np.array([368.15, 275.15, 1.0, 1.0, 0.4])
+    glass.shelf.chemistry.parameters["room_transfer"][...] = 0.0  # insulated
+    boiled = 0
+    glass.fill(0, {"benzoic_acid": 0.3, "salicylic_acid": 0.05, "NaCl": 0.1, "silica": 0.2}, capacity_l=50.0)
+    glass.fill(1, {}, capacity_l=50.0)
+    glass.fill(2, {}, capacity_l=50.0)
+    settle(glass, 0)
+
+    def energy() -> float:
+        return sum(float(enthalpy(row, glass.chem)) for row in glass.rows)
+
+    def held(mol: np.ndarray, kelvin: float) -> float:
+        return float(mol @ (liquid + known.heat_capacity * (kelvin - STANDARD_K)))
+
+    total, books = glass.shelf.amounts[0].sum(axis=0), energy()
+    added = np.zeros_like(total)
+    for _ in range(150):
+        kind = rng.integers(7)
+        row, kelvin = glass.rows[0], float(glass.rows[0, TEMPERATURE])
+        waste = glass.waste.copy()
+        if kind == 0:
+            went, taken = laws.heat(
+                row, glass.rows[1], float(rng.normal(0.0, 40e3)), limits, glass.chem, glass.waste, glass.events
+            )
+            books += went - taken
+        elif kind == 1:
+            name = str(rng.choice(["water", "ethanol", "benzoic_acid"], p=[0.5, 0.3, 0.2]))
+            mol, i = float(rng.uniform(0.0, 8.0)) if name != "benzoic_acid" else 1e-3, glass.names.index(name)
+            add(row, i, mol, 298.15, glass.chem, glass.waste, glass.events)
+            added[i] += mol
+            books += mol * (liquid[i] - (fusion[i] if name == "benzoic_acid" else 0.0))
+        elif kind == 2:
+            strained(glass, float(rng.uniform()))
+        elif kind == 3:
+            laws.dry(row, float(rng.uniform(0.0, 100.0)), glass.chem, glass.waste)
+            books -= held(glass.waste - waste, kelvin)
+        elif kind == 4:
+            pour(glass.rows[1], row, float(rng.uniform()), glass.chem, glass.waste, glass.events)
+        elif kind == 5:
+            pour(row, glass.rows[2], float(rng.uniform(0.0, 0.2)), glass.chem, glass.waste, glass.events)
+        before, waste = energy(), glass.waste.copy()
+        for position in range(3):
+            settle(glass, position)
+            laws.elapse(glass.rows[position], 3.0, glass.chem, glass.waste, glass.events, glass.work)
+            laws.partition(glass.rows[position], glass.chem, glass.work)
+        if (glass.waste != waste).any():  # what boils from the heat of crystals takes its heat of vaporization along
+            books += energy() - before
+            boiled += 1
+        assert np.isfinite(glass.rows).all()
+        assert glass.shelf.amounts.min() >= 0.0
+        assert glass.shelf.dissolved.min() >= 0.0
+        # In joules: what stands there amounts to some ten million.
+        assert energy() == pytest.approx(books, rel=1e-9)
+        now = glass.shelf.amounts[0].sum(axis=0) + glass.waste
+        np.testing.assert_allclose(atoms @ now, atoms @ (total + added), rtol=1e-9, atol=1e-12)
+    assert boiled < 50
+
+
+def test_growing_crystals_keep_the_heat_in_an_insulated_vessel() -> None:
+    glass = Glass("benzoic_acid", "water")
+    glass.fill(0, {"benzoic_acid": 0.3, "water": 55.0}, kelvin=365.0)
+    elapse(glass, 0, 1000.0, 365.0)
+    glass.rows[0, TEMPERATURE] = 298.15
+    content, kelvin = float(enthalpy(glass.rows[0], glass.chem)), 298.15
+    laws.elapse(glass.rows[0], 1e-3, glass.chem, glass.waste, glass.events, glass.work)
+    grown = crystals(glass, 0, "benzoic_acid")
+    assert grown > 0.0
+    real = MATERIALS["benzoic_acid"].real
+    assert real is not None
+    capacity = 0.3 * MATERIALS["benzoic_acid"].heat_capacity_j_mol_k + 55.0 * MATERIALS["water"].heat_capacity_j_mol_k
+    rise = grown * float(real.fusion_enthalpy_j_mol or 0.0) / capacity
+    assert glass.rows[0, TEMPERATURE] - kelvin == pytest.approx(rise, rel=1e-3)
+    assert float(enthalpy(glass.rows[0], glass.chem)) == pytest.approx(content, rel=1e-9)
+
+
+# -- data -------------------------------------------------------------------------------------------------------------
+
+
+def test_silica_is_what_its_sources_list() -> None:
+    chemicals = pytest.importorskip("chemicals")
+    silica = MATERIALS["silica"]
+    assert silica.real is not None
+    found = chemicals.search_chemical(silica.cas)
+    assert silica.molar_mass_g_mol == pytest.approx(found.MW, rel=1e-4)
+    assert silica.boiling_point_k == chemicals.Tb(silica.cas, method="CRC_INORG")
+    crystal, gas = chemicals.Hfs(silica.cas, method="CRC"), chemicals.Hfg(silica.cas, method="CRC")
+    assert silica.real.formation_enthalpy_j_mol == crystal
+    assert silica.vaporization_enthalpy_j_mol == pytest.approx(gas - crystal, rel=1e-9)
+    listed = chemicals.heat_capacity.CRC_standard_data.loc[silica.cas]["Cps"]
+    assert silica.heat_capacity_j_mol_k == listed
