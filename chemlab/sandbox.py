@@ -28,19 +28,20 @@ import numpy as np
 import numpy.typing as npt
 
 from .arrays import FloatArray, Handle
-from .chemistry import AMOUNTS, TEMPERATURE, ChemistryTable, build_chemistry
+from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
+from .instruments.table import InstrumentTable
 from .materials import DataError, load_materials, shipped_materials
 from .physics import laws, transfer
 from .physics.constants import FIRST_PHASE, SOLIDS, TRACE_MOL
 from .physics.events import SPILL
 from .physics.layers import profile
-from .scenario import SAFETY_EVENTS, Scenario, load_scenario
+from .scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
 from .shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
 
 if TYPE_CHECKING:
     from .render.scene import Scene
 
-__all__ = ["Flask", "Heated", "Layer", "SpillWarning"]
+__all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
 
 _PIXELS = 4000
 """Heights at which a flask can be cut; a real separating funnel does not do better."""
@@ -82,6 +83,32 @@ class Layer:
         return f"{self.name} {self.volume_l:.3f} L: {_listed(self.contents)}"
 
 
+@dataclass(frozen=True)
+class Measurement:
+    """What an instrument reads, without noise and sample."""
+
+    values: FloatArray
+    """[size] in ``unit``"""
+    unit: str
+    labels: tuple[str, ...]
+    """[size] what each value is of, for chromatographs; empty for other instruments"""
+    words: str
+    """the same in words"""
+
+    def __str__(self) -> str:
+        return self.words
+
+    def __float__(self) -> float:
+        """The only value.
+
+        Raises:
+            TypeError: there are several.
+        """
+        if len(self.values) != 1:
+            raise TypeError(f"there are {len(self.values)} values; take .values")
+        return float(self.values[0])
+
+
 class _Setting(NamedTuple):
     """What flasks that exchange matter must have in common."""
 
@@ -112,27 +139,30 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
         DataError: something is missing that the tier needs of them.
     """
     listed = sorted(names) or ["water"]
-    scenario = load_scenario(
-        {
-            "name": "flask",
-            "title": "A flask",
-            "summary": "",
-            "physics": setting.physics,
-            "reactions": setting.reactions,
-            "material_files": list(setting.material_files),
-            **({"pair_files": list(setting.pair_files)} if setting.pair_files else {}),
-            "goals": listed[:1],
-            "lab_goals": listed[:1],
-            "theoretical_maximum_mol": {listed[0]: 1.0},
-            "ambient_temperature_k": setting.room_k,
-            "ambient_pressure_kpa": setting.room_kpa,
-            "stock": dict.fromkeys(listed, 1.0),
-            "shelf": {"slots": 1, "vessel": [{"capacity_l": 1.0}]},
-            "benches": {"none": {"kind": "extraction", "step_limit": 1}},
-            "limits": {"manager_actions": 1, "ticks": 1},
-        }
-    )
-    return _Known(scenario, build_chemistry(scenario))
+    values = {
+        "name": "flask",
+        "title": "A flask",
+        "summary": "",
+        "physics": setting.physics,
+        "reactions": setting.reactions,
+        "material_files": list(setting.material_files),
+        **({"pair_files": list(setting.pair_files)} if setting.pair_files else {}),
+        "goals": listed[:1],
+        "lab_goals": listed[:1],
+        "theoretical_maximum_mol": {listed[0]: 1.0},
+        "ambient_temperature_k": setting.room_k,
+        "ambient_pressure_kpa": setting.room_kpa,
+        "stock": dict.fromkeys(listed, 1.0),
+        "shelf": {"slots": 1, "vessel": [{"capacity_l": 1.0}]},
+        "benches": {"none": {"kind": "extraction", "step_limit": 1}},
+        "limits": {"manager_actions": 1, "ticks": 1},
+    }
+    try:
+        scenario = load_scenario(values)
+        scenario._origin = "flask"
+        return _Known(scenario, build_chemistry(scenario))
+    except DataError as error:
+        raise DataError(str(error).replace("(scenario given as a mapping)", "flask")) from error
 
 
 def _number(name: str, value: Any, low: float, high: float = math.inf) -> float:
@@ -155,8 +185,9 @@ class Flask:
     """An open flask in a room.
 
     A flask gets to know a material when it first meets it, by its contents, by :meth:`add` or from another flask; what
-    reactions can make of it comes with it. Liquids are at once where they belong; crystals dissolve, grow and react in
-    time (:meth:`wait`, :meth:`react`). All amounts are in mol, volumes in L, temperatures in K, heats in J.
+    reactions can make of it comes with it. A new flask has settled, its layers at equilibrium. What comes in later
+    stirs it a little; :meth:`mix` shakes it, which brings the layers to equilibrium again. Crystals dissolve and grow in
+    time (:meth:`wait`). All amounts are in mol, volumes in L, temperatures in K, heats in J.
 
     Args:
         contents: mol by material.
@@ -215,7 +246,9 @@ class Flask:
         self._shelf.fill(0, 0, capacity_l, contents)
         if temperature_k is not None:
             self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
+        self._row[CLOCK] = T_MIX  # shaken, so that everything is where it belongs; then left to settle
         self._after()
+        self.settle()
 
     # -- what is in it ------------------------------------------------------------------------------------------------
 
@@ -439,8 +472,9 @@ class Flask:
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
     def drain(self, receiver: Flask, share: float) -> None:
-        """Let the lowest ``share`` (0 to 1) of the volume run into another flask, solids first. Of one that has settled,
-        ``flask.drain(other, flask.layers[0].share)`` takes the lowest layer.
+        """Let the lowest ``share`` (0 to 1) of the volume run into another flask, solids first.
+
+        Of a flask that has settled, ``flask.drain(other, flask.layers[0].share)`` takes the lowest layer.
 
         Raises:
             ValueError: the share is out of bounds, or the other flask has other physics.
@@ -480,6 +514,25 @@ class Flask:
         transfer.pour(self._row, other._row, share, self._chem, other._shelf.waste[0], other._events)
         self._after()
         other._after()
+
+    def measure(self, kind: str) -> Measurement:
+        """Measure it with an instrument of a kind (:data:`chemlab.instruments.INSTRUMENTS`, or ``my_parts.py:NAME``).
+
+        Raises:
+            DataError: unknown kind, or one that the tier has no laws for.
+        """
+        instruments = {"reading": InstrumentSpec(kind=kind)}
+        table = InstrumentTable(self._known.scenario.model_copy(update={"instruments": instruments}), self._known.table)
+        channel, instrument = table.channels[0], table.kinds[0]
+        readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
+        # Which pixel shows which layer is all that is drawn by lot.
+        table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
+        return Measurement(
+            channel.low + readings[0, 0] * (channel.high - channel.low),
+            channel.unit,
+            (*table.analytes[0], instrument.rest) if instrument.picture == "bars" else (),
+            table.words(0, readings[0, 0]),
+        )
 
     # -- how it looks -------------------------------------------------------------------------------------------------
 
@@ -565,13 +618,12 @@ class Flask:
         old, was = self._shelf, self._known.table.layout
         new = Shelf(known.table, 1, 1)
         new.rows[0, :AMOUNTS] = old.rows[0, :AMOUNTS]
-        for i, name in enumerate(was.materials):
-            at = new.layout.index(name)
-            new.amounts[0, 0, at], new.waste[0, at] = old.amounts[0, 0, i], old.waste[0, i]
-        for k, name in enumerate(was.dissolved):
-            for layer, solvent in enumerate(was.solvents):
-                at = new.layout.dissolved.index(name), new.layout.solvents.index(solvent)
-                new.dissolved[0, 0, at[0], at[1]] = old.dissolved[0, 0, k, layer]
+        if self._names:  # of none it knows water, but has none
+            same = [new.layout.materials.index(name) for name in was.materials]
+            new.amounts[0, 0, same], new.waste[0, same] = old.amounts[0, 0], old.waste[0]
+            fluids = [new.layout.dissolved.index(name) for name in was.dissolved]
+            solvents = [new.layout.solvents.index(name) for name in was.solvents]
+            new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
         self._names, self._known, self._shelf = names, known, new
         self._make_scratch()
 

@@ -118,7 +118,7 @@ class ReadingPicture:
     values: tuple[float, ...]
     """in [0, 1], which stand for [low, high]"""
     labels: tuple[str, ...]
-    """what each value is about: the chromatograph's materials and ``residue``; empty for other instruments"""
+    """what each value is about: a chromatograph's materials and the rest; empty for other instruments"""
 
 
 @dataclass(frozen=True)
@@ -525,7 +525,7 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
                     low=channel.low,
                     high=channel.high,
                     values=tuple(state.reading[member, s, table.start[i] : table.start[i + 1]].tolist()),
-                    labels=(*table.analytes[i], "residue") if picture == "bars" else (),
+                    labels=(*table.analytes[i], table.kinds[i].rest) if picture == "bars" else (),
                 )
             )
     return SlotPicture(s, vessel, labs.bench_agents[holder] if holder >= 0 else None, origin, tuple(readings))
