@@ -6,7 +6,7 @@ turns and no random numbers.
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
 >>> receiver = ether.another(capacity_l=2.0)
 >>> heated = ether.heat(150e3, receiver)
->>> sum(flask.amounts["diethyl_ether"] for flask in (ether, receiver))  # none is lost
+>>> round(ether.amounts["diethyl_ether"] + receiver.amounts["diethyl_ether"], 9)  # none is lost
 4.0
 """
 
@@ -186,14 +186,15 @@ class Flask:
 
     A flask gets to know a material when it first meets it, by its contents, by :meth:`add` or from another flask; what
     reactions can make of it comes with it. A new flask has settled, its layers at equilibrium. What comes in later
-    stirs it a little; :meth:`mix` shakes it, which brings the layers to equilibrium again. Crystals dissolve and grow in
-    time (:meth:`wait`). All amounts are in mol, volumes in L, temperatures in K, heats in J.
+    stirs it a little; :meth:`mix` shakes it, which brings the layers to equilibrium again. Crystals of molecules
+    dissolve and grow in time (:meth:`wait`), salts at once. All amounts are in mol, volumes in L, temperatures in K,
+    heats in J.
 
     Args:
         contents: mol by material.
         physics: tier of physical laws: ``real`` or ``paper``.
         capacity_l: L; what is more runs over.
-        temperature_k: of the contents; the room's by default.
+        temperature_k: of what is put together in it; the room's by default.
         reactions: what can happen: a shipped family's name or the path of a reaction file. By default sodium salts
             dissolve, and nothing else.
         material_files: files with materials of your own.

@@ -463,7 +463,9 @@ def test_lint(name: str) -> None:
     # Actions and step limits.
     goals, slots = len(scenario.goals), scenario.shelf.slots
     for bench in labs.benches:
-        assert bench.spec.step_limit == {"rxn": 20 if scenario.physics == "paper" else 60, "ext": 50, "dit": 50}[bench.key]
+        assert (
+            bench.spec.step_limit == {"rxn": 20 if scenario.physics == "paper" else 60, "ext": 50, "dit": 50}[bench.key]
+        )
         if bench.key == "rxn":
             assert bench.action_space == gymnasium.spaces.Box(0.0, 1.0, (len(bench.options.reagents) + 2,), np.float32)
         else:
