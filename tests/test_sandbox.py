@@ -8,6 +8,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -101,14 +102,14 @@ def test_nothing_is_lost(physics: str) -> None:
             flasks[2].add("Na", 0.1)
             expected["Na"] += 0.1
         steps: list[Callable[[], object]] = [
-            lambda one=one, other=other, share=share: one.pour(other, share),
-            lambda one=one, other=other, share=share: one.drain(other, share),
-            lambda one=one, other=other, share=share: one.filter(other, share),
-            lambda one=one, other=other: one.heat(20e3, other),
-            lambda one=one: one.cool(10e3),
-            lambda one=one: one.mix(),
-            lambda one=one: one.wait(60.0),
-            lambda one=one: one.react(0.01, 300.0),
+            partial(one.pour, other, share),
+            partial(one.drain, other, share),
+            partial(one.filter, other, share),
+            partial(one.heat, 20e3, other),
+            partial(one.cool, 10e3),
+            one.mix,
+            partial(one.wait, 60.0),
+            partial(one.react, 0.01, 300.0),
         ]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SpillWarning)
@@ -171,7 +172,7 @@ def test_without_a_receiver_what_boils_is_lost() -> None:
 @pytest.mark.parametrize("physics", TIERS)
 def test_layers_are_all_there_is(physics: str) -> None:
     flask = Flask({**MIXTURE, "NaCl": 3.0}, physics=physics, capacity_l=2.0)
-    assert [layer.name for layer in flask.layers][0] == "solids"
+    assert flask.layers[0].name == "solids"
     assert len(flask.layers) == 3
     assert sum(layer.volume_l for layer in flask.layers) == pytest.approx(flask.volume_l, rel=1e-9)
     assert sum(layer.share for layer in flask.layers) == pytest.approx(1.0, rel=1e-9)
@@ -420,7 +421,7 @@ def test_docstrings() -> None:
 def test_the_page_says_what_its_code_prints(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of docs/printed.py, which writes it there."""
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    from printed import PAGES, printed  # type: ignore[import-not-found]
+    from printed import PAGES, printed
 
     for name in PAGES:
         text = (ROOT / "docs" / name).read_text(encoding="utf-8")
