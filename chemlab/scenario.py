@@ -177,19 +177,29 @@ class BenchSpec(Grown):
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
 
-class InstrumentSpec(BaseModel):
-    """An entry of the characterization bench."""
+class InstrumentSpec(Grown):
+    """An entry of the characterization bench. A reading is gain x what is there + bias + noise, on the scale from 0 to
+    1 of its channel."""
 
     model_config = _FROZEN
+    _later = ("detection_limit", "gain", "bias")
 
     kind: Key
-    """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, or one of your own, ``my_parts.py:NAME``."""
+    """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, ``thermometer``, ``density_meter``,
+    ``karl_fischer``, ``hplc``; with physics ``real`` ``ph_meter`` and ``melting_point``; or one of your own,
+    ``my_parts.py:NAME``."""
     price: Price = 0.0
     """Cost of one use, in units of the score."""
     sample_fraction: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Fraction of the vessel's contents that one use consumes (it goes to waste)."""
     noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of Gaussian noise on every value of the (0 to 1) reading."""
+    detection_limit: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Below it a value of the (0 to 1) reading, noise included, is 0."""
+    gain: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Calibration: what every value is multiplied by; 1 is right."""
+    bias: float = Field(default=0.0, ge=-1.0, le=1.0)
+    """Calibration: what is added to every value of the (0 to 1) reading; 0 is right."""
 
 
 class LimitSpec(BaseModel):

@@ -5,7 +5,18 @@ To add one of chemlab's: a file with an ``INSTRUMENT``, and an entry in :data:`I
 ``kind = "my_parts.py:NAME"``.
 """
 
-from . import balance, gas_chromatograph, layer_camera, uv_vis
+from . import (
+    balance,
+    density_meter,
+    gas_chromatograph,
+    hplc,
+    karl_fischer,
+    layer_camera,
+    melting_point,
+    ph_meter,
+    thermometer,
+    uv_vis,
+)
 from .base import Instrument, Reading
 
 __all__ = ["INSTRUMENTS", "Instrument", "Reading"]
@@ -15,5 +26,11 @@ INSTRUMENTS: dict[str, Instrument] = {
     "layer_camera": layer_camera.INSTRUMENT,
     "balance": balance.INSTRUMENT,
     "gas_chromatograph": gas_chromatograph.INSTRUMENT,
+    "thermometer": thermometer.INSTRUMENT,
+    "ph_meter": ph_meter.INSTRUMENT,
+    "density_meter": density_meter.INSTRUMENT,
+    "karl_fischer": karl_fischer.INSTRUMENT,
+    "melting_point": melting_point.INSTRUMENT,
+    "hplc": hplc.INSTRUMENT,
 }
 """Kinds of instrument that a scenario may name in short; their order numbers them."""

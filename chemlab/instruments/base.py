@@ -13,7 +13,7 @@ from ..bench.base import Channel
 from ..chemistry import Chemistry, ChemistryTable
 from ..parts import Part
 
-__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes", "no_numbers"]
+__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes", "no_numbers", "shares_in_words"]
 
 
 class Reading(NamedTuple):
@@ -52,6 +52,13 @@ def in_numbers(values: FloatArray, channel: Channel, analytes: Sequence[str]) ->
     return f"{channel.size} values of {channel.unit}"
 
 
+def shares_in_words(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
+    """Mole fractions of analytes in words; the last one is named as the channel's meaning ends."""
+    rest = channel.meaning.rsplit(", ", 1)[-1].split(" (")[0]
+    parts = [f"{name} {value:.1%}" for name, value in zip([*analytes, rest], values, strict=True) if value >= 5e-4]
+    return ", ".join(parts) or "empty"
+
+
 @dataclass(frozen=True)
 class Instrument(Part):
     """A kind of instrument.
@@ -66,6 +73,9 @@ class Instrument(Part):
         numbers: what it needs to know of the materials by their names (``chemistry.layout.materials``), worked out
             once for a scenario: ``reading.numbers``.
         picture: how it is drawn: as a ``number``, a ``curve``, a ``column`` of grey values, or ``bars``.
+        rest: what the last of its ``bars`` is of; those before are of the analytes.
+        needs: what it reads of the chemistry besides the fields of :class:`~chemlab.chemistry.Chemistry`: only tiers
+            of physics that have these can have the instrument.
     """
 
     summary: str
@@ -75,3 +85,5 @@ class Instrument(Part):
     words: Callable[[FloatArray, Channel, Sequence[str]], str] = in_numbers
     picture: Literal["number", "curve", "column", "bars"] = "number"
     numbers: Callable[[ChemistryTable], FloatArray] = no_numbers
+    rest: str = "residue"
+    needs: tuple[str, ...] = ()

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import FloatArray, Handle, IntArray
+from ..arrays import Handle, IntArray
 from ..bench.base import Channel
 from ..chemistry import AMOUNTS, ROLE_ION, Chemistry
 from ..jit import inner, opened
 from ..physics.constants import TRACE_MOL
-from .base import Instrument, Reading
+from .base import Instrument, Reading, shares_in_words
 
 __all__ = ["INSTRUMENT"]
 
@@ -45,11 +45,6 @@ def _channel(name: str, analytes: Sequence[str]) -> Channel:
     return Channel(name, len(analytes) + 1, "mole fraction", 0.0, 1.0, meaning)
 
 
-def _words(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
-    parts = [f"{n} {value:.1%}" for n, value in zip([*analytes, "residue"], values, strict=True) if value >= 5e-4]
-    return ", ".join(parts) or "empty"
-
-
 INSTRUMENT = Instrument(
-    "mole fraction of every volatile material, and of the residue", _channel, _read, _analytes, _words, "bars"
+    "mole fraction of every volatile material, and of the residue", _channel, _read, _analytes, shares_in_words, "bars"
 )

@@ -41,9 +41,18 @@ class InstrumentRules(NamedTuple):
     """[I] fraction of the contents that one use takes"""
     noise: Annotated[FloatArray, Field("I")]
     """[I] standard deviation added to every value"""
+    gain: Annotated[FloatArray, Field("I")]
+    """[I] what every value is multiplied by, and ``bias`` what is added"""
+    bias: Annotated[FloatArray, Field("I")]
+    least: Annotated[FloatArray, Field("I")]
+    """[I] below which a value reads 0"""
     analytes: Annotated[IntArray, Field("A")]
     """[A] material indices, those of each instrument together"""
     first_analyte: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each instrument's begin"""
+    numbers: Annotated[FloatArray, Field("n")]
+    """[n] what each instrument has made of the chemistry, one after the other"""
+    first_number: Annotated[IntArray, Field("I+1")]
     """[I + 1] where each instrument's begin"""
     layers: Annotated[IntArray, Field("C+1")]
     """scratch, as ``shares`` and ``work``"""
@@ -54,7 +63,8 @@ class InstrumentRules(NamedTuple):
 @helper
 def _reading(i: int, row: FloatArray, stream: StreamArray, out: FloatArray, rules: InstrumentRules) -> Reading:
     analytes = rules.analytes[rules.first_analyte[i] : rules.first_analyte[i + 1]]
-    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, rules.price[:0], out)
+    numbers = rules.numbers[rules.first_number[i] : rules.first_number[i + 1]]
+    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, numbers, out)
 
 
 @kernel
@@ -69,7 +79,8 @@ def _take(
     chemistry: Handle,
 ) -> None:
     """Let instrument ``used[b]`` read the vessel of slot ``slots[b]`` into ``readings`` [N, S, R], for each b of
-    ``members`` [B]. What is not chemlab's has been read already; noise and sample are everybody's."""
+    ``members`` [B]. What is not chemlab's has been read already; calibration, noise, detection limit and sample are
+    everybody's."""
     rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
     vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for b in range(members.shape[0]):
@@ -78,8 +89,9 @@ def _take(
         out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
         _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
         for k in range(out.shape[0]):
-            value = out[k] + (rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0)
-            out[k] = min(max(value, 0.0), 1.0)
+            value = rules.gain[i] * out[k] + rules.bias[i]
+            value += rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0
+            out[k] = min(max(value, 0.0), 1.0) if value >= rules.least[i] else 0.0
         if rules.sample[i] > 0.0:
             remove_fraction(row, rules.sample[i], chem, arrays.waste[m])
 
@@ -111,6 +123,12 @@ class InstrumentTable:
                     f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
                 )
             kind = INSTRUMENTS.get(spec.kind) or self._own_kind(spec.kind, scenario, where)
+            missing = [field for field in kind.needs if not hasattr(known, field)]
+            if missing:
+                raise DataError(
+                    f"{where}.kind: {spec.kind!r} needs {missing[0]!r} of the materials, which physics = "
+                    f"{chemistry.tier!r} does not know; choose physics = 'real', or another instrument"
+                )
             with blamed(f"{where}: {spec.kind}"):
                 own = kind.analytes(known)
                 self.analytes.append(tuple(chemistry.layout.materials[i] for i in own))
@@ -136,8 +154,13 @@ class InstrumentTable:
                 price=np.array([spec.price for spec in specs], dtype=np.float64),
                 sample=np.array([spec.sample_fraction for spec in specs], dtype=np.float64),
                 noise=np.array([spec.noise for spec in specs], dtype=np.float64),
+                gain=np.array([spec.gain for spec in specs], dtype=np.float64),
+                bias=np.array([spec.bias for spec in specs], dtype=np.float64),
+                least=np.array([spec.detection_limit for spec in specs], dtype=np.float64),
                 analytes=np.concatenate([np.zeros(0, dtype=np.int64), *indices]),
                 first_analyte=np.cumsum([0, *(len(own) for own in indices)]),
+                numbers=np.concatenate([np.zeros(0), *(own.reshape(-1) for own in self._numbers)]),
+                first_number=np.cumsum([0, *(own.size for own in self._numbers)]),
                 layers=np.zeros(columns + 1, dtype=np.int64),
                 shares=np.zeros((columns, CAMERA_PIXELS)),
                 work=np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS))),

@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 
 from ..bench.base import Bench, Channel
-from ..scenario import Scenario
+from ..scenario import InstrumentSpec, Scenario
 from .core import Laboratories
 
 __all__ = [
@@ -197,10 +197,20 @@ def stock_table(spec: Scenario) -> FactTable:
     return _facts(("bottle", "mol", "price a mol"), rows, (1, 2))
 
 
+def _accuracy(spec: InstrumentSpec) -> str:
+    """Noise, and what else a reading has, where it has it."""
+    words = [f"{spec.noise:g}"]
+    if (spec.gain, spec.bias) != (1.0, 0.0):
+        words.append(f"{spec.gain:g} x {spec.bias:+g}")
+    if spec.detection_limit:
+        words.append(f"0 below {spec.detection_limit:g}")
+    return "; ".join(words)
+
+
 def instrument_table(labs: Laboratories) -> FactTable:
     """The instruments of the characterization bench."""
     rows = [
-        (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", f"{i.noise:g}")
+        (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", _accuracy(i))
         for (name, i), kind in zip(labs.scenario.instruments.items(), labs.instruments.kinds, strict=True)
     ]
     return _facts(("instrument", "reading", "price", "sample", "noise"), rows, (2, 3, 4))

@@ -18,10 +18,11 @@ import numpy.typing as npt
 from .canvas import Box, Canvas, Image, ImageDraw, TextBox, text_width
 from .scene import BenchPicture, ChannelPicture, LayerPicture, MaterialPicture, Scene, SlotPicture, VesselPicture
 
-__all__ = ["GlassBox", "Painting", "draw", "paint"]
+__all__ = ["GlassBox", "Painting", "draw", "draw_vessel", "paint"]
 
 _UNITS = (960.0, 540.0)
 _SMALLEST = (480, 270)
+_SMALLEST_VESSEL = 120
 
 PAGE, CARD, EDGE, TRACK = "#f4f6f8", "#ffffff", "#d5dbe1", "#e4e8ec"
 INK, SOFT, FAINT = "#1b2733", "#56636f", "#7a8793"
@@ -164,6 +165,39 @@ def paint(scene: Scene, width: int = 960, height: int = 540) -> Painting:
     for bench, rect in zip(scene.benches, plan.cards, strict=True):
         painter.bench(bench, rect)
     return Painting(canvas.image, canvas.texts, painter.glasses)
+
+
+def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArray[np.uint8]:
+    """A single vessel (of :func:`~chemlab.render.scene.vessel_scene`) with a legend of what is in it, as an array
+    [height, width, 3] of RGB values.
+
+    Args:
+        scene: what to draw.
+        width, height: pixels; at least 120 each.
+
+    Raises:
+        ImportError: Pillow is not installed.
+        ValueError: the picture would be too small to read.
+    """
+    if min(width, height) < _SMALLEST_VESSEL:
+        raise ValueError(f"width and height must be at least {_SMALLEST_VESSEL}, given {width} x {height}")
+    canvas = Canvas(Image.new("RGB", (width, height), CARD), 1.0)
+    vessel = scene.shelf[0].vessel
+    if vessel is None:
+        return np.array(canvas.image)
+    held = [material for material in scene.materials if material.name in dict(vessel.contents)]
+    rows = _legend_rows(held, width - 8.0, 1.0)
+    y = height - 15.0 * len(rows) - 4.0
+    _Painter(scene, canvas).vessel(vessel, "shelf", _Rect(4.0, 4.0, width - 4.0, y), False)
+    for row in rows:
+        x = 4.0
+        for material in row:
+            _chip(canvas, x, y + 1.5, material)
+            wide = min(_legend_width(material, 1.0), width - 8.0)
+            canvas.text(x + _TAG_WIDTH + 5.0, y + 11.0, material.name, 10.0, SOFT, room=wide - _TAG_WIDTH - 5.0)
+            x += wide
+        y += 15.0
+    return np.array(canvas.image)
 
 
 def _scale(width: int, height: int) -> float:

@@ -172,7 +172,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
                 agent = bench["agent"]
                 running[agent] = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
                 experiments.append(running[agent])
-    verified = verify_record(record, trust=trust)
+    verified, table = verify_record(record, trust=trust), labs.instruments
     return {
         "title": labs.scenario.title,
         "scenario": labs.scenario.name,
@@ -187,7 +187,11 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         "materials": _materials(labs, scene),
         "largest_capacity_l": scene["largest_capacity_l"],
         "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
-        "analytes": [*max(labs.instruments.analytes, key=len, default=()), "residue"],
+        "analytes": {
+            name: [*analytes, kind.rest]
+            for name, analytes, kind in zip(table.names, table.analytes, table.kinds, strict=True)
+            if kind.picture == "bars"
+        },
         "reagents": {
             agent: list(getattr(bench, "reagent_names", ()))
             for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)

@@ -46,6 +46,7 @@ __all__ = [
     "bench_scene",
     "laboratory_scene",
     "material_pictures",
+    "vessel_scene",
 ]
 
 MIXTURE_SLICES = 40
@@ -117,7 +118,7 @@ class ReadingPicture:
     values: tuple[float, ...]
     """in [0, 1], which stand for [low, high]"""
     labels: tuple[str, ...]
-    """what each value is about: the chromatograph's materials and ``residue``; empty for other instruments"""
+    """what each value is about: a chromatograph's materials and the rest; empty for other instruments"""
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,8 @@ class Scene:
     """A laboratory, or a single bench (``kind``), at one moment; see the module's documentation."""
 
     kind: str
-    """``laboratory`` or ``bench``; a bench has no shelf, orders, costs or manager"""
+    """``laboratory``, ``bench`` or ``vessel``; a bench has no shelf, orders, costs or manager, a single vessel no
+    bench either"""
     scenario: str
     title: str
     status: str
@@ -523,7 +525,7 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
                     low=channel.low,
                     high=channel.high,
                     values=tuple(state.reading[member, s, table.start[i] : table.start[i + 1]].tolist()),
-                    labels=(*table.analytes[i], "residue") if picture == "bars" else (),
+                    labels=(*table.analytes[i], table.kinds[i].rest) if picture == "bars" else (),
                 )
             )
     return SlotPicture(s, vessel, labs.bench_agents[holder] if holder >= 0 else None, origin, tuple(readings))
@@ -567,5 +569,40 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
         benches=(picture,),
         materials=material_pictures(scenario),
         largest_capacity_l=largest,
+        temperature_range_k=temperatures,
+    )
+
+
+def vessel_scene(scenario: Scenario, shelf: Shelf, member: int = 0, place: int = 0) -> Scene:
+    """The scene of a single vessel (of a :class:`chemlab.sandbox.Flask`); nothing in it changes.
+
+    Args:
+        scenario: whose materials there are.
+        shelf: where the vessel stands.
+        member, place: laboratory and position.
+    """
+    vessel = _Camera(scenario, shelf).take(member, place, "")
+    _, temperatures = _ranges(scenario, [], shelf, member)
+    return Scene(
+        kind="vessel",
+        scenario=scenario.name,
+        title=scenario.title,
+        status="running",
+        turn="",
+        manager_actions=0,
+        manager_action_limit=0,
+        ticks=0,
+        tick_limit=0,
+        orders=(),
+        result=0.0,
+        costs=(),
+        budget=0.0,
+        safety=(),
+        stock=(),
+        waste_l=_waste_l(shelf, member),
+        shelf=(SlotPicture(place, vessel, None, "", ()),),
+        benches=(),
+        materials=material_pictures(scenario),
+        largest_capacity_l=shelf.vessel(member, place).capacity_l,
         temperature_range_k=temperatures,
     )

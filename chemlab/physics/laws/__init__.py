@@ -21,7 +21,10 @@ from numba.extending import overload
 
 from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
 from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
-from ...jit import COMPILED, SETTINGS, address, calling
+from ...jit import COMPILED, SETTINGS
+
+if COMPILED:
+    from ...jit import address, calling
 
 __all__ = [
     "distant_law",

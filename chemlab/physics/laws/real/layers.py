@@ -11,6 +11,7 @@ from .heats import crystals
 
 __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
 
+
 @helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     """All of what is a solid, and the crystals of a fluid."""
@@ -20,7 +21,6 @@ def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     if chemistry.fusion[material] > 0.0 and row[AMOUNTS + material] > 0.0:
         return crystals(row, chem, chemistry.dissolved_at[material])
     return 0.0
-
 
 
 @helper

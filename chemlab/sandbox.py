@@ -1,0 +1,673 @@
+"""The laboratory's physics for a person with a notebook: a flask, what is in it, what one does with it.
+
+Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics`); there are no agents, no
+turns and no random numbers.
+
+>>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
+>>> receiver = ether.another(capacity_l=2.0)
+>>> heated = ether.heat(150e3, receiver)
+>>> round(ether.amounts["diethyl_ether"] + receiver.amounts["diethyl_ether"], 9)  # none is lost
+4.0
+"""
+
+from __future__ import annotations
+
+import base64
+import difflib
+import functools
+import html
+import io
+import math
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .arrays import FloatArray, Handle
+from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
+from .instruments.table import InstrumentTable
+from .materials import DataError, load_materials, shipped_materials
+from .physics import laws, transfer
+from .physics.constants import FIRST_PHASE, SOLIDS, TRACE_MOL
+from .physics.events import SPILL
+from .physics.layers import profile
+from .scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
+from .shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
+
+if TYPE_CHECKING:
+    from .render.scene import Scene
+
+__all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
+
+_PIXELS = 4000
+"""Heights at which a flask can be cut; a real separating funnel does not do better."""
+_PART_S = 6.0
+"""A reaction and the boiling that it leads to take turns of this many seconds, as on the reaction bench."""
+_MOST_PARTS = 10_000
+_RTOL, _ATOL = 1e-6, 1e-9
+_SHOWN_MOL = 1e-6
+_NEUTRAL = 1e-9
+
+
+class SpillWarning(UserWarning):
+    """Something ran over: it is in the flask's ``waste``."""
+
+
+class Heated(NamedTuple):
+    """What became of heat, J."""
+
+    taken_j: float
+    """went into the flask: less than was offered where it is as hot as the mantle, or nothing is in it"""
+    condensed_j: float
+    """of that, what the condenser took away again"""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What stands in a flask between two heights."""
+
+    name: str
+    """``solids``, ``aqueous``, ``organic``; in the tier ``paper`` the solvent's name"""
+    volume_l: float
+    """L, with what is dissolved in it"""
+    share: float
+    """of the volume of all layers"""
+    contents: Mapping[str, float]
+    """mol by material"""
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.volume_l:.3f} L: {_listed(self.contents)}"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What an instrument reads, without noise and sample."""
+
+    values: FloatArray
+    """[size] in ``unit``"""
+    unit: str
+    labels: tuple[str, ...]
+    """[size] what each value is of, for chromatographs; empty for other instruments"""
+    words: str
+    """the same in words"""
+
+    def __str__(self) -> str:
+        return self.words
+
+    def __float__(self) -> float:
+        """The only value.
+
+        Raises:
+            TypeError: there are several.
+        """
+        if len(self.values) != 1:
+            raise TypeError(f"there are {len(self.values)} values; take .values")
+        return float(self.values[0])
+
+
+class _Setting(NamedTuple):
+    """What flasks that exchange matter must have in common."""
+
+    physics: str
+    reactions: str
+    material_files: tuple[str, ...]
+    pair_files: tuple[str, ...]
+    room_k: float
+    room_kpa: float
+
+
+class _Known(NamedTuple):
+    """The chemistry of some materials, and of what their reactions make."""
+
+    scenario: Scenario
+    table: ChemistryTable
+
+
+def _listed(amounts: Mapping[str, float]) -> str:
+    return ", ".join(f"{mol:.4g} mol {name}" for name, mol in amounts.items()) or "nothing"
+
+
+@functools.lru_cache(maxsize=64)
+def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
+    """Of a laboratory with one vessel, in which ``names`` can be.
+
+    Raises:
+        DataError: something is missing that the tier needs of them.
+    """
+    listed = sorted(names) or ["water"]
+    values = {
+        "name": "flask",
+        "title": "A flask",
+        "summary": "",
+        "physics": setting.physics,
+        "reactions": setting.reactions,
+        "material_files": list(setting.material_files),
+        **({"pair_files": list(setting.pair_files)} if setting.pair_files else {}),
+        "goals": listed[:1],
+        "lab_goals": listed[:1],
+        "theoretical_maximum_mol": {listed[0]: 1.0},
+        "ambient_temperature_k": setting.room_k,
+        "ambient_pressure_kpa": setting.room_kpa,
+        "stock": dict.fromkeys(listed, 1.0),
+        "shelf": {"slots": 1, "vessel": [{"capacity_l": 1.0}]},
+        "benches": {"none": {"kind": "extraction", "step_limit": 1}},
+        "limits": {"manager_actions": 1, "ticks": 1},
+    }
+    try:
+        scenario = load_scenario(values)
+        scenario._origin = "flask"
+        return _Known(scenario, build_chemistry(scenario))
+    except DataError as error:
+        raise DataError(str(error).replace("(scenario given as a mapping)", "flask")) from error
+
+
+def _number(name: str, value: Any, low: float, high: float = math.inf) -> float:
+    """``value`` as a number within bounds.
+
+    Raises:
+        ValueError: it is none, or outside.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: must be a number, given {value!r}") from error
+    if not low <= number <= high or number == math.inf:
+        most = "" if high == math.inf else f" and at most {high:g}"
+        raise ValueError(f"{name}: must be a finite number of at least {low:g}{most}, given {value!r}")
+    return number
+
+
+class Flask:
+    """An open flask in a room.
+
+    A flask gets to know a material when it first meets it, by its contents, by :meth:`add` or from another flask; what
+    reactions can make of it comes with it. A new flask has settled, its layers at equilibrium. What comes in later
+    stirs it a little; :meth:`mix` shakes it, which brings the layers to equilibrium again. Crystals of molecules
+    dissolve and grow in time (:meth:`wait`), salts at once. All amounts are in mol, volumes in L, temperatures in K,
+    heats in J.
+
+    Args:
+        contents: mol by material.
+        physics: tier of physical laws: ``real`` or ``paper``.
+        capacity_l: L; what is more runs over.
+        temperature_k: of what is put together in it; the room's by default.
+        reactions: what can happen: a shipped family's name or the path of a reaction file. By default sodium salts
+            dissolve, and nothing else.
+        material_files: files with materials of your own.
+        pair_files: files with activity coefficients of your own pairs of liquids (``real``).
+        room_k, room_kpa: temperature and pressure around it.
+
+    Raises:
+        DataError: an unknown material, or one that the tier lacks data of.
+        ValueError: an amount or another number is out of bounds, the contents do not fit or are charged.
+    """
+
+    def __init__(
+        self,
+        contents: Mapping[str, float] | None = None,
+        *,
+        physics: str = "real",
+        capacity_l: float = 1.0,
+        temperature_k: float | None = None,
+        reactions: str = "sodium_salts",
+        material_files: Iterable[str] = (),
+        pair_files: Iterable[str] = (),
+        room_k: float = 298.15,
+        room_kpa: float = 101.325,
+    ) -> None:
+        setting = _Setting(physics, reactions, tuple(material_files), tuple(pair_files), room_k, room_kpa)
+        self._fill(setting, dict(contents or {}), capacity_l, temperature_k)
+
+    def _fill(
+        self, setting: _Setting, contents: dict[str, float], capacity_l: float, temperature_k: float | None
+    ) -> None:
+        self._setting = setting
+        capacity_l = _number("capacity_l", capacity_l, 1e-6, 100.0)
+        known = self._materials()
+        litres, charge, ions = 0.0, 0.0, 0.0
+        for name, mol in contents.items():
+            material = known[self._checked(name)]
+            contents[name] = _number(f"contents: {name}", mol, 0.0, 1e4)
+            litres += contents[name] * material.molar_mass_g_mol / material.density_kg_l / 1000.0
+            charge += contents[name] * material.charge
+            ions += contents[name] * abs(material.charge)
+        if litres > capacity_l:
+            raise ValueError(f"contents: {litres:.4g} L do not fit in capacity_l = {capacity_l:g}")
+        if abs(charge) > _NEUTRAL * ions:
+            raise ValueError(f"contents: have a charge of {charge:+.4g} mol; give the ions that balance it")
+        self._names = frozenset(contents)
+        self._known = _chemistry(setting, self._names)
+        self._shelf = Shelf(self._known.table, 1, 1)
+        self._events = np.zeros(len(SAFETY_EVENTS))
+        self._make_scratch()
+        self._shelf.fill(0, 0, capacity_l, contents)
+        if temperature_k is not None:
+            self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
+        self._row[CLOCK] = T_MIX  # shaken, so that everything is where it belongs; then left to settle
+        self._after()
+        self.settle()
+
+    # -- what is in it ------------------------------------------------------------------------------------------------
+
+    @property
+    def amounts(self) -> dict[str, float]:
+        """mol of each material that is in it, as {name: mol}; 0 for what it knows and does not hold."""
+        return self._vessel.amounts(-1.0)
+
+    @property
+    def temperature_k(self) -> float:
+        """K, of the contents."""
+        return self._vessel.temperature_k
+
+    @property
+    def pressure_kpa(self) -> float:
+        """kPa above the contents: the room's, since the flask is open."""
+        return float(self._known.table.world().ambient_pressure)
+
+    @property
+    def vapor_pressure_kpa(self) -> float:
+        """kPa of the liquids' vapour; what reaches :attr:`pressure_kpa` boils."""
+        return float(laws.vapor_pressure(self._row, self._chem))
+
+    @property
+    def capacity_l(self) -> float:
+        """L that it holds."""
+        return self._vessel.capacity_l
+
+    @property
+    def volume_l(self) -> float:
+        """L of everything in it but gases."""
+        return self._vessel.volume_l
+
+    @property
+    def mass_kg(self) -> float:
+        """kg of everything in it."""
+        return float(self._vessel.row[self._columns] @ self._known.table.world().molar_mass) / 1000.0
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """Solids, then liquids, from the bottom up, as they are once it has settled."""
+        layout, air = self._shelf.layout, self._known.table.world().air
+        layers, volumes = np.zeros(layout.fluid_columns + 1, dtype=np.int64), np.zeros(layout.fluid_columns)
+        count = laws.find_layers(self._row, self._chem, layers, volumes)
+        found = []
+        for code, litres in zip(layers[1 : 1 + count].tolist(), volumes.tolist(), strict=False):
+            if code == air or litres <= 0.0:
+                continue
+            rest, out = self._row.copy(), np.zeros_like(self._row)
+            laws.drain_layer(rest, out, code, 1.0, self._chem)
+            held = dict(zip(layout.materials, out[self._columns].tolist(), strict=True))
+            name = layout.materials[code] if code >= 0 else "solids"
+            if code <= FIRST_PHASE:
+                name = layout.solvents[FIRST_PHASE - code]
+            contents = {name: mol for name, mol in held.items() if mol > TRACE_MOL}
+            found.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
+        return tuple(found)
+
+    @property
+    def waste(self) -> dict[str, float]:
+        """mol of each material that it has lost: spilled, flown off, vented."""
+        lost = self._shelf.waste[0].tolist()
+        return {name: mol for name, mol in zip(self._shelf.layout.materials, lost, strict=True) if mol > 0.0}
+
+    @property
+    def events(self) -> dict[str, float]:
+        """What has gone wrong so far, by kind of safety event (:data:`chemlab.scenario.SAFETY_EVENTS`)."""
+        return {kind: float(x) for kind, x in zip(SAFETY_EVENTS, self._events, strict=True) if x > 0.0}
+
+    # -- what one does with it ----------------------------------------------------------------------------------------
+
+    def another(self, contents: Mapping[str, float] | None = None, capacity_l: float | None = None) -> Flask:
+        """A further flask in the same room, with the same physics and reactions; as large as this one by default."""
+        other = Flask.__new__(Flask)
+        other._fill(self._setting, dict(contents or {}), capacity_l or self.capacity_l, None)
+        return other
+
+    def copy(self) -> Flask:
+        """The same flask again, to try something out on."""
+        other = self.another()
+        other._learn(self._names)
+        other._row[:] = self._row
+        other._shelf.waste[:] = self._shelf.waste
+        other._events[:] = self._events
+        return other
+
+    def add(self, name: str, mol: float, temperature_k: float | None = None) -> None:
+        """Add ``mol`` of a pure material, as warm as the room or as ``temperature_k``; what does not fit spills.
+
+        Raises:
+            DataError: unknown material, or one that the tier lacks data of.
+            ValueError: an amount or a temperature out of bounds; an ion, of which there is none alone.
+        """
+        if self._materials()[self._checked(name)].charge:
+            raise ValueError(
+                f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
+            )
+        mol = _number(f"add: {name}", mol, 0.0, 1e4)
+        warm = self._setting.room_k if temperature_k is None else temperature_k
+        warm = _number("temperature_k", warm, 150.0, 900.0)
+        self._learn(self._names | {name})
+        material = self._shelf.layout.index(name)
+        transfer.add(self._row, material, mol, warm, self._chem, self._shelf.waste[0], self._events)
+        self._after()
+
+    def heat(
+        self,
+        joules: float,
+        receiver: Flask | None = None,
+        stages: int = 1,
+        reflux: float = 1.0,
+        hottest_k: float = 800.0,
+    ) -> Heated:
+        """Heat it; what boils is condensed to the room's temperature and runs into ``receiver``.
+
+        Args:
+            joules: J offered.
+            receiver: where the distillate goes; without one it is lost (:attr:`waste`).
+            stages: theoretical stages of a column between pot and condenser, of which the pot is one (``real``).
+            reflux: mol that the column's head returns for each that it lets pass.
+            hottest_k: K, of the mantle: no heat flows into what is hotter.
+
+        Returns:
+            What became of the heat, J.
+        """
+        joules = _number("joules", joules, 0.0)
+        stages = int(_number("stages", stages, 1, 16))
+        if stages > 1 and self._setting.physics == "paper":
+            raise ValueError(f"stages = {stages}: a column needs physics='real'")
+        limits = np.array([_number("hottest_k", hottest_k, 0.0), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)])
+        lost = self.another(capacity_l=100.0) if receiver is None else receiver
+        self._join(lost)
+        row, target = self._row, lost._row
+        taken, condensed = laws.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
+        if receiver is None:
+            self._shelf.waste[0] += target[self._columns]
+        else:
+            receiver._after()
+        self._after()
+        return Heated(float(taken), float(condensed))
+
+    def cool(self, joules: float, coolest_k: float = 273.15) -> float:
+        """Take up to ``joules`` from it, by a coolant of ``coolest_k``.
+
+        Returns:
+            J taken: less than was asked for once it is as cold as the coolant.
+        """
+        limits = np.array([0.0, _number("coolest_k", coolest_k, 0.0), 1.0, 0.0])
+        asked = -_number("joules", joules, 0.0)
+        taken, _ = laws.heat(self._row, self._row, asked, limits, self._chem, self._shelf.waste[0], self._events)
+        self._after()
+        return abs(float(taken))
+
+    def react(
+        self,
+        seconds: float,
+        temperature_k: float | None = None,
+        jacket_w_k: float | None = None,
+        condenser_w: float | None = None,
+    ) -> None:
+        """Stir it for a while and let it react.
+
+        Args:
+            seconds: how long; in the tier ``paper`` the unit is that of its rate constants.
+            temperature_k: of a thermostat that keeps the contents as warm, and closed; of the jacket with
+                ``jacket_w_k``. Without it no heat goes in or out.
+            jacket_w_k: W/K between contents and jacket (``real``).
+            condenser_w: W that a condenser above the open flask takes from what boils, which runs back; vapour beyond
+                that is lost and counts as an event. By default it takes all (``real``).
+
+        Raises:
+            ArithmeticError: the reactions are too stiff; nothing has changed.
+        """
+        seconds = _number("seconds", seconds, 0.0)
+        condenser = math.inf if condenser_w is None else _number("condenser_w", condenser_w, 0.0)
+        through = -1.0
+        if jacket_w_k is not None:
+            through = _number("jacket_w_k", jacket_w_k, 0.0)
+            if temperature_k is None:
+                raise ValueError("jacket_w_k: a jacket has a temperature; give temperature_k, too")
+        jacket = self.temperature_k if temperature_k is None else _number("temperature_k", temperature_k, 150.0, 900.0)
+        closed = temperature_k is not None and jacket_w_k is None
+        before, lost, counted = self._row.copy(), self._shelf.waste.copy(), self._events.copy()
+        if closed:
+            self._row[TEMPERATURE] = jacket
+        elif temperature_k is None:
+            through = 0.0
+        parts = 1 if closed else min(max(math.ceil(seconds / _PART_S), 1), _MOST_PARTS)
+        dt, row, chem, waste = seconds / parts, self._row, self._chem, self._shelf.waste[0]
+        for _ in range(parts):
+            if laws.react(row, chem, dt, jacket, through, _RTOL, _ATOL, self._work) < 0:
+                hottest = self.temperature_k
+                row[:], self._shelf.waste[:], self._events[:] = before, lost, counted
+                raise ArithmeticError(
+                    f"react: too stiff for {dt:g} s at {hottest:.1f} K, and nothing has happened; "
+                    "take a shorter time, a jacket, or smaller rate constants"
+                )
+            if not closed:
+                laws.reflux(row, condenser * dt, chem, waste, self._events)
+        self._after(clock=T_MIX - CLOCK_SETTLED)
+
+    def wait(self, seconds: float) -> None:
+        """Let it stand in the room: layers separate, heat goes to the room, crystals grow or dissolve, what reacts by
+        itself does so. In the tier ``paper`` only the layers separate."""
+        seconds = _number("seconds", seconds, 0.0)
+        tick = self._known.scenario.real.tick_s
+        ticks = seconds / tick
+        whole = min(max(math.ceil(ticks), 1), _MOST_PARTS)
+        waste = self._shelf.waste[0]
+        for _ in range(whole):
+            if laws.elapse(self._row, ticks / whole, self._chem, waste, self._events, self._work):
+                laws.partition(self._row, self._chem, self._work)
+        self._after(clock=CLOCK_SETTLED - T_MIX)
+
+    def settle(self) -> None:
+        """Let the layers separate; it takes no time."""
+        self._after(clock=CLOCK_SETTLED - T_MIX)
+
+    def mix(self) -> None:
+        """Shake it: the layers are at equilibrium with each other, and stirred."""
+        self._after(clock=T_MIX - CLOCK_SETTLED)
+
+    def drain(self, receiver: Flask, share: float) -> None:
+        """Let the lowest ``share`` (0 to 1) of the volume run into another flask, solids first.
+
+        Of a flask that has settled, ``flask.drain(other, flask.layers[0].share)`` takes the lowest layer.
+
+        Raises:
+            ValueError: the share is out of bounds, or the other flask has other physics.
+        """
+        share = _number("share", share, 0.0, 1.0)
+        self._join(receiver)
+        columns = self._shelf.layout.fluid_columns
+        layers, shares = np.zeros(columns + 1, dtype=np.int64), np.zeros((columns, _PIXELS))
+        work = np.zeros((columns + 9, max(columns + 1, _PIXELS)))
+        profile(self._row, self._chem, layers, shares, work)
+        self._drain(receiver, share * min(self.volume_l / self.capacity_l, 1.0) * _PIXELS, layers, shares)
+
+    def filter(self, receiver: Flask, wet: float = 0.0) -> None:
+        """Let the liquids run through a filter into another flask; solids and crystals stay.
+
+        Args:
+            receiver: where the liquids go.
+            wet: share (0 to 1) of the liquids that stays in the cake.
+        """
+        wet = _number("wet", wet, 0.0, 1.0)
+        self._join(receiver)
+        columns = self._shelf.layout.fluid_columns
+        layers, volumes = np.zeros(columns + 1, dtype=np.int64), np.zeros(columns)
+        laws.find_layers(self._row, self._chem, layers, volumes)
+        # As a profile of two pixels: what runs through is all of the lower one.
+        shares = np.array([[0.0, 1.0] if code == SOLIDS else [1.0 - wet, wet] for code in layers[1:]])
+        self._drain(receiver, 1.0, layers, shares)
+
+    def pour(self, other: Flask, share: float) -> None:
+        """Pour ``share`` (0 to 1) of everything in it into another flask; what does not fit there spills.
+
+        Raises:
+            ValueError: the share is out of bounds, or the other flask has other physics.
+        """
+        share = _number("share", share, 0.0, 1.0)
+        self._join(other)
+        transfer.pour(self._row, other._row, share, self._chem, other._shelf.waste[0], other._events)
+        self._after()
+        other._after()
+
+    def measure(self, kind: str) -> Measurement:
+        """Measure it with an instrument of a kind (:data:`chemlab.instruments.INSTRUMENTS`, or ``my_parts.py:NAME``).
+
+        Raises:
+            DataError: unknown kind, or one that the tier has no laws for.
+        """
+        instruments = {"reading": InstrumentSpec(kind=kind)}
+        table = InstrumentTable(self._known.scenario.model_copy(update={"instruments": instruments}), self._known.table)
+        channel, instrument = table.channels[0], table.kinds[0]
+        readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
+        # Which pixel shows which layer is all that is drawn by lot.
+        table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
+        return Measurement(
+            channel.low + readings[0, 0] * (channel.high - channel.low),
+            channel.unit,
+            (*table.analytes[0], instrument.rest) if instrument.picture == "bars" else (),
+            table.words(0, readings[0, 0]),
+        )
+
+    # -- how it looks -------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        lines = [
+            f"Flask: {self.volume_l:.3f} of {self.capacity_l:g} L at {self.temperature_k:.1f} K, "
+            f"vapour {self.vapor_pressure_kpa:.1f} of {self.pressure_kpa:.1f} kPa"
+        ]
+        for layer in reversed(self.layers):
+            shown = {name: mol for name, mol in layer.contents.items() if mol > _SHOWN_MOL}
+            lines.append(f"  {Layer(layer.name, layer.volume_l, layer.share, shown)}")
+        for what, found in (("lost", self.waste), ("events", self.events)):
+            if found:
+                lines.append(f"  {what}: " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        text = f"<pre>{html.escape(repr(self))}</pre>"
+        try:
+            picture = _png(self.picture(240, 240))
+        except ImportError:  # Pillow is an extra
+            return text
+        return f'<img alt="The flask" src="data:image/png;base64,{picture}">{text}'
+
+    def scene(self) -> Scene:
+        """What its picture shows, as plain data."""
+        from .render.scene import vessel_scene
+
+        return vessel_scene(self._known.scenario, self._shelf)
+
+    def picture(self, width: int = 240, height: int = 240) -> npt.NDArray[np.uint8]:
+        """[height, width, 3] its picture, RGB.
+
+        Raises:
+            ImportError: Pillow is not installed (``pip install 'chemlab-marl[render]'``).
+        """
+        from .render.draw import draw_vessel
+
+        return draw_vessel(self.scene(), width, height)
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+
+    @property
+    def _row(self) -> FloatArray:
+        row: FloatArray = self._shelf.rows[0]
+        return row
+
+    @property
+    def _vessel(self) -> Vessel:
+        return self._shelf.vessel(0, 0)
+
+    @property
+    def _chem(self) -> Handle:
+        return self._shelf.chem()
+
+    @property
+    def _columns(self) -> slice:
+        return slice(AMOUNTS, AMOUNTS + len(self._shelf.layout.materials))
+
+    def _materials(self) -> Mapping[str, Any]:
+        return _materials(self._setting.material_files)
+
+    def _checked(self, name: str) -> str:
+        """A material's name, of one that a flask can hold."""
+        known = self._materials()
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, 3, 0.5)
+            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(sorted(known))}"
+            raise DataError(f"unknown material {name!r}; {hint} Files of your own go into material_files")
+        if known[name].role == "gas":
+            raise DataError(f"{name!r} is a gas, which an open flask does not hold")
+        return name
+
+    def _make_scratch(self) -> None:
+        rows, columns = laws.work_size(self._known.table)
+        self._work = np.zeros((rows, columns))
+
+    def _learn(self, names: frozenset[str]) -> None:
+        """Give it a chemistry that has ``names``; what it holds stays."""
+        if names == self._names:
+            return
+        known = _chemistry(self._setting, names)
+        old, was = self._shelf, self._known.table.layout
+        new = Shelf(known.table, 1, 1)
+        new.rows[0, :AMOUNTS] = old.rows[0, :AMOUNTS]
+        if self._names:  # of none it knows water, but has none
+            same = [new.layout.materials.index(name) for name in was.materials]
+            new.amounts[0, 0, same], new.waste[0, same] = old.amounts[0, 0], old.waste[0]
+            fluids = [new.layout.dissolved.index(name) for name in was.dissolved]
+            solvents = [new.layout.solvents.index(name) for name in was.solvents]
+            new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
+        self._names, self._known, self._shelf = names, known, new
+        self._make_scratch()
+
+    def _join(self, other: Flask) -> None:
+        """Make sure that matter can pass to another flask."""
+        if other is self:
+            raise ValueError("receiver: is the flask itself; make another one: flask.another()")
+        if other._setting != self._setting:
+            pairs = zip(self._setting._asdict().items(), other._setting, strict=True)
+            key, mine, theirs = next((key, mine, theirs) for (key, mine), theirs in pairs if mine != theirs)
+            raise ValueError(
+                f"receiver: has {key} = {theirs!r}, and this flask {mine!r}; make the receiver by flask.another()"
+            )
+        names = self._names | other._names
+        self._learn(names)
+        other._learn(names)
+
+    def _drain(self, receiver: Flask, pixels: float, layers: npt.NDArray[np.int64], shares: FloatArray) -> None:
+        lost, events = receiver._shelf.waste[0], receiver._events
+        transfer.drain(self._row, receiver._row, float(pixels), shares, layers, self._chem, lost, events)
+        self._after()
+        receiver._after()
+
+    def _after(self, clock: float = 0.0) -> None:
+        """What follows from an operation: settling or mixing by ``clock``, phases, a word about what ran over."""
+        transfer.turn_clock(self._row, float(clock))
+        laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
+        laws.partition(self._row, self._chem, self._work)
+        spilled = float(self._events[SPILL])
+        if spilled > getattr(self, "_spilled", 0.0):
+            more = spilled - getattr(self, "_spilled", 0.0)
+            warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=3)
+            self._spilled = spilled
+
+
+@functools.lru_cache(maxsize=16)
+def _materials(files: tuple[str, ...]) -> dict[str, Any]:
+    return {**shipped_materials(), **load_materials(Path(file) for file in files)}
+
+
+def _png(picture: npt.NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(picture).save(data, "png")
+    return base64.b64encode(data.getvalue()).decode()

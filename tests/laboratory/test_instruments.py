@@ -1,0 +1,175 @@
+"""Readings against closed forms from the data files; calibration, detection limit and noise; what a tier refuses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import laboratory, manager, mapping
+
+from chemlab.instruments import INSTRUMENTS
+from chemlab.materials import DataError, shipped_materials
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.sandbox import Flask
+from chemlab.scenario import InstrumentSpec, dump_scenario, load_scenario
+
+MATERIALS = shipped_materials()
+TIERS = ("paper", "real")
+
+ACETIC = """
+name = "acetic"
+
+[[acid]]
+species = ["acetic_acid", "acetate"]
+pka = [4.756]
+source = "CRC Handbook"
+"""
+
+
+def grams(name: str, mol: float) -> float:
+    return mol * MATERIALS[name].molar_mass_g_mol
+
+
+@pytest.mark.parametrize("kind", INSTRUMENTS)
+@pytest.mark.parametrize("contents", [{}, {"water": 1.0}, {"diethyl_ether": 1.0, "NaCl": 0.1}, {"benzoic_acid": 1.0}])
+def test_every_reading_is_within_its_scale(kind: str, contents: dict[str, float]) -> None:
+    """Of the empty flask, too; and in words."""
+    flask = Flask(contents)
+    reading = flask.measure(kind)
+    assert np.isfinite(reading.values).all()
+    assert reading.words
+    assert len(reading.labels) in (0, len(reading.values))
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_thermometer(physics: str) -> None:
+    flask = Flask({"dodecane": 1.0}, physics=physics, temperature_k=333.0)
+    assert float(flask.measure("thermometer")) == pytest.approx(333.0)
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_density_of_a_mixture(physics: str) -> None:
+    """Mass over volume; in the paper's tier, where what is dissolved changes no density, of a solvent. Solids lie
+    below."""
+    contents = {"diethyl_ether": 2.0, "dodecane": 1.0} if physics == "real" else {"diethyl_ether": 2.0}
+    litres = sum(grams(name, mol) / 1000.0 / MATERIALS[name].density_kg_l for name, mol in contents.items())
+    kilograms = sum(grams(name, mol) for name, mol in contents.items()) / 1000.0
+    flask = Flask({**contents, "NaCl": 0.5} if physics == "real" else contents, physics=physics)
+    assert float(flask.measure("density_meter")) == pytest.approx(kilograms / litres, rel=1e-6)
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_water_by_karl_fischer(physics: str) -> None:
+    flask = Flask({"diethyl_ether": 4.0, "water": 0.1}, physics=physics)
+    water, ether = grams("water", 0.1), grams("diethyl_ether", 4.0)
+    assert float(flask.measure("karl_fischer")) == pytest.approx(water / (water + ether), rel=1e-9)
+    assert float(Flask({"hexane": 1.0}, physics=physics).measure("karl_fischer")) == 0.0
+
+
+def test_ph_of_a_buffer(tmp_path: Path) -> None:
+    """Henderson and Hasselbalch, with the activity of acetate by Davies at an ionic strength of 0.1 mol/kg."""
+    path = tmp_path / "acetic.toml"
+    path.write_text(ACETIC, encoding="utf-8")
+    water = 1000.0 / MATERIALS["water"].molar_mass_g_mol
+    buffer = {"water": water, "Na+": 0.1, "acetate": 0.1}
+    for acid in (0.1, 0.01):
+        flask = Flask({**buffer, "acetic_acid": acid}, capacity_l=2.0, reactions=str(path))
+        root = math.sqrt(0.1)
+        expected = 4.756 + math.log10(0.1 / acid) - 0.509 * (root / (1.0 + root) - 0.3 * 0.1)
+        assert float(flask.measure("ph_meter")) == pytest.approx(expected, abs=0.01)
+    assert float(Flask({"hexane": 1.0}).measure("ph_meter")) == pytest.approx(-2.0)
+
+
+def test_impurities_lower_the_melting_point() -> None:
+    """Schroeder and van Laar; for little of it van 't Hoff's R T^2 x / H."""
+    material = MATERIALS["benzoic_acid"]
+    assert material.real is not None
+    melting, fusion = material.melting_point_k, material.real.fusion_enthalpy_j_mol
+    assert melting is not None
+    assert fusion is not None
+    assert float(Flask({"benzoic_acid": 1.0}).measure("melting_point")) == pytest.approx(melting)
+    for impurity in (0.01, 0.1):
+        flask = Flask({"benzoic_acid": 1.0 - impurity, "naphthalene": impurity})
+        reading = float(flask.measure("melting_point"))
+        assert reading == pytest.approx(1.0 / (1.0 / melting - GAS_CONSTANT / fusion * math.log(1.0 - impurity)))
+        depression = GAS_CONSTANT * melting**2 * impurity / fusion
+        assert melting - reading == pytest.approx(depression, rel=2.0 * impurity)
+    salted = Flask({"benzoic_acid": 1.0, "NaCl": 0.5})
+    assert float(salted.measure("melting_point")) == pytest.approx(melting)
+    assert str(Flask({"hexane": 1.0}).measure("melting_point")) == "nothing that melts"
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_hplc_sees_what_dissolves(physics: str) -> None:
+    """Molecules one by one, whether they fly or not, and ions as half a salt each; no metal."""
+    contents = {"water": 10.0, "dodecane": 0.5, "NaOH": 0.25}
+    flask = Flask(contents, physics=physics)
+    reading, dissolved = flask.measure("hplc"), flask.amounts["OH-"]  # the rest is not seen
+    found = dict(zip(reading.labels, reading.values.tolist(), strict=True))
+    assert dissolved > 0.1
+    total = 10.0 + 0.5 + dissolved
+    assert found["dodecane"] == pytest.approx(0.5 / total, rel=1e-6)
+    assert found["ions"] == pytest.approx(dissolved / total, rel=1e-6)
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert f"ions {dissolved / total:.1%}" in str(reading)
+    dry = Flask({"hexane": 1.0, "Na": 1.0}, physics=physics).measure("hplc")
+    assert dict(zip(dry.labels, dry.values, strict=True))["hexane"] == 1.0
+
+
+# -- in a laboratory --------------------------------------------------------------------------------------------------
+
+
+def reading_of(instruments: dict[str, dict[str, Any]], name: str, seed: int = 0) -> float:
+    """The first value that an instrument of wurtz_dodecane's first vessel reads, from 0 to 1."""
+    values = {**mapping("wurtz_dodecane"), "name": "measured", "instruments": instruments}
+    env = laboratory(values, seed)
+    manager(env, "measure", 0, name)
+    labs = env.laboratories
+    return float(labs.state.reading[0, 0, labs.instruments.start[labs.instruments.names.index(name)]])
+
+
+def test_calibration_and_detection_limit() -> None:
+    true = reading_of({"right": {"kind": "balance"}}, "right")
+    assert 0.05 < true < 0.45
+    wrong = {"kind": "balance", "gain": 1.5, "bias": 0.05}
+    assert reading_of({"wrong": wrong}, "wrong") == pytest.approx(1.5 * true + 0.05, rel=1e-12)
+    blunt = {"kind": "balance", "detection_limit": true + 1e-6}
+    assert reading_of({"blunt": blunt}, "blunt") == 0.0
+    assert reading_of({"fine": {**blunt, "detection_limit": true - 1e-6}}, "fine") == true
+    high = {"kind": "balance", "bias": 0.9, "gain": 10.0}
+    assert reading_of({"high": high}, "high") == 1.0
+
+
+def test_noise_has_the_width_that_it_is_given() -> None:
+    true = reading_of({"right": {"kind": "balance"}}, "right")
+    noisy = {"noisy": {"kind": "balance", "noise": 0.01}}
+    values = {**mapping("wurtz_dodecane"), "name": "measured", "instruments": noisy}
+    values["limits"]["manager_actions"] = 1000
+    env = laboratory(values, 1)
+    labs = env.laboratories
+    errors = []
+    for _ in range(400):
+        manager(env, "measure", 0, "noisy")
+        errors.append(float(labs.state.reading[0, 0, 0]) - true)
+    assert np.std(errors) == pytest.approx(0.01, rel=0.15)  # four standard errors
+    assert abs(np.mean(errors)) < 4.0 * 0.01 / 20.0
+
+
+def test_a_tier_refuses_what_it_has_no_laws_for() -> None:
+    for kind in ("ph_meter", "melting_point"):
+        values = {**mapping("wurtz_dodecane"), "name": "measured", "instruments": {"one": {"kind": kind}}}
+        with pytest.raises(DataError, match=rf"instruments\.one\.kind: '{kind}' needs .* choose physics = 'real'"):
+            laboratory(values)
+
+
+def test_new_keys_are_not_in_old_dumps() -> None:
+    """A scenario that does not use them is written as ever."""
+    for spec in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]["instruments"].values():
+        assert set(spec) == {"kind", "price", "sample_fraction", "noise"}
+    assert InstrumentSpec(kind="balance", gain=2.0).model_dump()["gain"] == 2.0
+    for wrong in ({"gain": -1.0}, {"bias": 2.0}, {"detection_limit": -0.1}):
+        with pytest.raises(DataError, match=next(iter(wrong))):
+            load_scenario({**mapping("wurtz_dodecane"), "instruments": {"one": {"kind": "balance", **wrong}}})

@@ -1,0 +1,430 @@
+"""A flask by hand: the kernels' own numbers, balances, closed forms, and errors that change nothing."""
+
+from __future__ import annotations
+
+import doctest
+import math
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import Glassware
+
+import chemlab.sandbox
+from chemlab.materials import DataError, shipped_materials
+from chemlab.sandbox import Flask, SpillWarning
+
+ROOT = Path(__file__).parent.parent
+MATERIALS = shipped_materials()
+TIERS = ("paper", "real")
+MIXTURE = {"diethyl_ether": 2.0, "dodecane": 0.2, "water": 10.0, "NaCl": 0.5}
+
+FIRST_ORDER = """
+name = "first_order"
+
+[[reaction]]
+reactants = { "2-chlorohexane" = 1 }
+products = { "1-chlorohexane" = 1 }
+pre_exponential = 0.01
+activation_energy_j_mol = 0.0
+source = "made up for a test"
+"""
+
+
+@pytest.fixture
+def first_order(tmp_path: Path) -> str:
+    """A reaction file with one reaction, k = 0.01 / s."""
+    path = tmp_path / "first_order.toml"
+    path.write_text(FIRST_ORDER, encoding="utf-8")
+    return str(path)
+
+
+def heat_capacity(flask: Flask) -> float:
+    """J/K, from the data files."""
+    return sum(mol * MATERIALS[name].heat_capacity_j_mol_k for name, mol in flask.amounts.items())
+
+
+def atoms(flasks: Iterable[Flask]) -> dict[str, float]:
+    """Atoms by element, and charge, in flasks and in what they have lost."""
+    total: dict[str, float] = {"charge": 0.0}
+    for flask in flasks:
+        for found in (flask.amounts, flask.waste):
+            for name, mol in found.items():
+                total["charge"] += mol * MATERIALS[name].charge
+                for element, count in MATERIALS[name].composition.items():
+                    total[element] = total.get(element, 0.0) + count * mol
+    return total
+
+
+def seen(flask: Flask) -> tuple[object, ...]:
+    """Everything that an operation could change."""
+    return flask.amounts, flask.waste, flask.events, flask.temperature_k, flask.layers
+
+
+# -- the laboratory's kernels -----------------------------------------------------------------------------------------
+
+
+def test_numbers_are_the_laboratorys() -> None:
+    """The same operations by kernels, one by one, on a bench top: the same vessels."""
+    glass = Glassware("wurtz_dodecane", 2)
+    contents = {"diethyl_ether": 4.0, "dodecane": 0.45}
+    glass.mixed(0, contents, capacity_l=2.0)
+    glass.turn(0, 6.0)
+    flask = Flask(contents, physics="paper", capacity_l=2.0)
+    receiver = flask.another(capacity_l=1.2)
+    glass.heat(0, 1, 40e3, hottest_k=800.0)
+    flask.heat(40e3, receiver)
+    glass.pour(0, 1, 0.25)
+    flask.pour(receiver, 0.25)
+    for position, one in enumerate((flask, receiver)):
+        for name in contents:
+            assert one.amounts[name] == pytest.approx(glass.amount(position, name), rel=1e-12)
+        assert one.temperature_k == pytest.approx(glass.shelf.vessel(0, position).temperature_k, rel=1e-12)
+    assert receiver.amounts["diethyl_ether"] > 0.5
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_nothing_is_lost(physics: str) -> None:
+    """Atoms and charge through a long sequence of operations, spills and violent reactions included."""
+    rng = np.random.default_rng(4)
+    flask = Flask(MIXTURE, physics=physics, capacity_l=1.0, reactions="wurtz")
+    flasks = [flask, flask.another(capacity_l=0.2), flask.another(capacity_l=2.0)]
+    expected = atoms(flasks)
+    for number in range(60):
+        one, other = (flasks[i] for i in rng.permutation(3)[:2])
+        share = float(rng.random())
+        if number == 20:
+            flasks[2].add("Na", 0.1)
+            expected["Na"] += 0.1
+        steps: list[Callable[[], object]] = [
+            partial(one.pour, other, share),
+            partial(one.drain, other, share),
+            partial(one.filter, other, share),
+            partial(one.heat, 20e3, other),
+            partial(one.cool, 10e3),
+            one.mix,
+            partial(one.wait, 60.0),
+            partial(one.react, 0.01, 300.0),
+        ]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SpillWarning)
+            steps[rng.integers(len(steps))]()
+        for found in flasks:
+            assert math.isfinite(found.temperature_k)
+            assert min(found.amounts.values()) >= 0.0
+            assert found.volume_l <= found.capacity_l * (1.0 + 1e-6)
+    found_atoms = atoms(flasks)
+    for element, count in expected.items():
+        assert found_atoms[element] == pytest.approx(count, rel=1e-9, abs=1e-9), element
+    assert any(flask.events.get("spill_l") for flask in flasks)
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_heat_goes_somewhere(physics: str) -> None:
+    """Heat in = change of (heat capacity x temperature) of both flasks, measured from the room's, + the condenser's."""
+    flask = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, physics=physics, capacity_l=2.0)
+    receiver = flask.another()
+    room = flask.temperature_k
+    heated = flask.heat(100e3, receiver)
+    inside = sum(heat_capacity(one) * (one.temperature_k - room) for one in (flask, receiver))
+    assert receiver.volume_l > 0.1
+    # In the paper's tier the air above the contents is heated, too: up to 2 J/K.
+    assert heated.taken_j == pytest.approx(inside + heated.condensed_j, rel=1e-9 if physics == "real" else 1e-3)
+    warm = flask.temperature_k
+    taken = flask.cool(2000.0)
+    assert taken == pytest.approx(2000.0)
+    rel = 1e-9 if physics == "real" else 0.01
+    assert warm - flask.temperature_k == pytest.approx(2000.0 / heat_capacity(flask), rel=rel)
+    assert flask.cool(1e9, coolest_k=280.0) < 1e9
+    assert flask.temperature_k == pytest.approx(280.0)
+
+
+def test_a_column_keeps_more() -> None:
+    def left(stages: int) -> float:
+        pot = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
+        receiver = pot.another()
+        while pot.amounts["diethyl_ether"] > 0.01 * pot.amounts["dodecane"]:
+            pot.heat(500.0, receiver, stages=stages)
+        return pot.amounts["dodecane"] / 0.45
+
+    one, three = left(1), left(3)
+    assert one == pytest.approx(0.966, abs=0.02)  # UNIFAC, boiled down to 99 %
+    assert three > one + 0.01
+
+
+def test_without_a_receiver_what_boils_is_lost() -> None:
+    flask = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
+    kept = flask.copy()
+    receiver = kept.another(capacity_l=3.0)
+    assert flask.heat(80e3) == kept.heat(80e3, receiver)
+    assert flask.waste["diethyl_ether"] == pytest.approx(receiver.amounts["diethyl_ether"], rel=1e-12)
+    assert flask.amounts == kept.amounts
+
+
+# -- layers -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_layers_are_all_there_is(physics: str) -> None:
+    flask = Flask({**MIXTURE, "NaCl": 3.0}, physics=physics, capacity_l=2.0)
+    assert flask.layers[0].name == "solids"
+    assert len(flask.layers) == 3
+    assert sum(layer.volume_l for layer in flask.layers) == pytest.approx(flask.volume_l, rel=1e-9)
+    assert sum(layer.share for layer in flask.layers) == pytest.approx(1.0, rel=1e-9)
+    for name, mol in flask.amounts.items():
+        held = sum(layer.contents.get(name, 0.0) for layer in flask.layers)
+        assert held == pytest.approx(mol, abs=1e-9), name
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_the_lowest_layer_drains(physics: str) -> None:
+    """All of it but for what stands between two marks of the funnel."""
+    flask = Flask({"diethyl_ether": 2.0, "dodecane": 0.2, "water": 10.0}, physics=physics, capacity_l=2.0)
+    lowest, upper = flask.layers
+    below = flask.another()
+    flask.drain(below, lowest.share)
+    between = 0.25 * 2.0 / 4000 / lowest.volume_l
+    assert below.amounts["water"] == pytest.approx(lowest.contents["water"], rel=4 * between)
+    assert flask.amounts["diethyl_ether"] == pytest.approx(upper.contents["diethyl_ether"], rel=4 * between)
+    assert below.volume_l == pytest.approx(lowest.volume_l, rel=1e-6)
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_a_filter_keeps_solids(physics: str) -> None:
+    flask = Flask({"water": 10.0, "NaCl": 3.0}, physics=physics)
+    salt, brine = flask.layers
+    filtrate = flask.another()
+    flask.filter(filtrate, wet=0.1)
+    assert filtrate.amounts["water"] == pytest.approx(0.9 * brine.contents["water"], rel=1e-9)
+    if physics == "real":  # both stay saturated; the paper's solubility depends on how much liquid there is
+        assert flask.amounts["NaCl"] == pytest.approx(salt.contents["NaCl"], rel=1e-6)
+        assert filtrate.amounts["NaCl"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_salt_dissolves_as_it_is_known_to() -> None:
+    """6.1 mol/kg: CRC Handbook."""
+    flask = Flask({"water": 55.51, "NaCl": 8.0}, capacity_l=2.0)
+    flask.heat(20_000.0)  # what dissolving it has cooled it by
+    assert flask.amounts["Na+"] == pytest.approx(6.15, rel=0.02)
+    assert Flask({"diethyl_ether": 8.0, "NaCl": 1.0}, capacity_l=2.0).amounts["Na+"] < 1e-6
+
+
+def test_pouring_mixes_temperatures() -> None:
+    cold = Flask({"water": 10.0}, temperature_k=280.0)
+    warm = cold.another({"water": 10.0})
+    warm.heat(20_000.0)
+    expected = (10.0 * cold.temperature_k + 5.0 * warm.temperature_k) / 15.0
+    warm.pour(cold, 0.5)
+    assert cold.temperature_k == pytest.approx(expected, rel=1e-9)
+    assert cold.amounts["water"] == pytest.approx(15.0)
+
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_flask_cools_in_the_room() -> None:
+    """Newton: 0.5 W/K for each litre."""
+    flask = Flask({"dodecane": 2.0}, temperature_k=350.0)
+    rate = 0.5 * flask.volume_l / heat_capacity(flask)
+    flask.wait(3600.0)
+    assert flask.temperature_k == pytest.approx(298.15 + (350.0 - 298.15) * math.exp(-3600.0 * rate), rel=1e-6)
+
+
+def test_a_jacket_exchanges_heat() -> None:
+    flask = Flask({"dodecane": 2.0})
+    rate = 2.0 / heat_capacity(flask)
+    flask.react(600.0, 350.0, jacket_w_k=2.0)
+    assert flask.temperature_k == pytest.approx(350.0 - (350.0 - 298.15) * math.exp(-600.0 * rate), rel=1e-6)
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_a_reaction_of_first_order(physics: str, first_order: str) -> None:
+    flask = Flask({"2-chlorohexane": 1.0, "dodecane": 1.0}, physics=physics, reactions=first_order)
+    flask.react(100.0, 320.0)
+    assert flask.amounts["2-chlorohexane"] == pytest.approx(math.exp(-1.0), rel=1e-5)
+    assert flask.amounts["1-chlorohexane"] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-5)
+    assert flask.temperature_k == 320.0
+
+
+def test_its_heat_stays_in_an_insulated_flask(first_order: str) -> None:
+    """The rise is that of the formation enthalpies; both isomers have about the same heat capacity."""
+    flask = Flask({"2-chlorohexane": 1.0}, reactions=first_order)
+    before = {name: MATERIALS[name] for name in ("1-chlorohexane", "2-chlorohexane")}
+    formed = {name: material.real.formation_enthalpy_j_mol for name, material in before.items() if material.real}
+    flask.react(3000.0)
+    capacity = MATERIALS["1-chlorohexane"].heat_capacity_j_mol_k
+    expected = 298.15 + (formed["2-chlorohexane"] - formed["1-chlorohexane"]) / capacity
+    assert abs(expected - 298.15) > 1.0
+    assert flask.amounts["1-chlorohexane"] == pytest.approx(1.0, rel=1e-6)
+    assert flask.temperature_k == pytest.approx(expected, rel=1e-4)
+
+
+def test_without_a_condenser_it_boils_dry() -> None:
+    """A runaway: under a condenser that takes everything nothing is lost and it stays at its boiling point."""
+    flask = Flask({"diethyl_ether": 4.0, "1-chlorohexane": 1.0, "Na": 1.0}, capacity_l=2.0, reactions="wurtz_real")
+    open_, closed = flask.copy(), flask.copy()
+    open_.react(1800.0, condenser_w=0.0)
+    closed.react(1800.0)
+    assert open_.events["relief_valve_mol"] > 1.0
+    assert not closed.events
+    assert closed.amounts["diethyl_ether"] == pytest.approx(4.0, rel=1e-9)
+    assert 305.0 < closed.temperature_k < 330.0
+
+
+# -- what a flask knows -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_learning_changes_nothing(physics: str) -> None:
+    """A flask that gets to know a material holds what it held, layer by layer."""
+    flask = Flask(MIXTURE, physics=physics, capacity_l=2.0)
+    flask.add("hexane", 0.0)
+    again = Flask(MIXTURE, physics=physics, capacity_l=2.0)
+    assert "hexane" in flask.amounts
+    assert "hexane" not in again.amounts
+    for mine, theirs in zip(flask.layers, again.layers, strict=True):
+        assert mine.name == theirs.name
+        assert dict(mine.contents) == pytest.approx(dict(theirs.contents), rel=1e-12)
+    other = Flask({"ethyl_acetate": 1.0}, physics=physics)
+    other.pour(flask, 1.0)
+    assert flask.amounts["ethyl_acetate"] == 1.0
+    assert set(other.amounts) == set(flask.amounts)
+
+
+def test_a_copy_is_a_flask_of_its_own() -> None:
+    flask = Flask(MIXTURE, capacity_l=2.0)
+    before = seen(flask)
+    copy = flask.copy()
+    assert seen(copy) == before
+    copy.heat(200e3)
+    assert seen(flask) == before
+    assert copy.waste
+
+
+def test_what_does_not_fit_runs_over() -> None:
+    flask = Flask({"water": 5.0}, capacity_l=0.1)
+    with pytest.warns(SpillWarning, match=r"ran over the rim of 0\.1 L"):
+        flask.add("water", 2.0)
+    assert flask.volume_l == pytest.approx(0.1)
+    assert flask.amounts["water"] + flask.waste["water"] == pytest.approx(7.0)
+    molar = MATERIALS["water"].molar_mass_g_mol / 1000.0 / MATERIALS["water"].density_kg_l
+    assert flask.events["spill_l"] == pytest.approx(7.0 * molar - 0.1)
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: Flask({"diethylether": 1.0}), "did you mean 'diethyl_ether'"),
+        (lambda: Flask({"H2": 1.0}), "is a gas"),
+        (lambda: Flask({"water": -1.0}), "contents: water: must be a finite number of at least 0"),
+        (lambda: Flask({"water": math.nan}), "contents: water: must be a finite number"),
+        (lambda: Flask({"water": "much"}), "contents: water: must be a number"),  # type: ignore[dict-item]
+        (lambda: Flask({"water": 100.0}), "do not fit in capacity_l = 1"),
+        (lambda: Flask({"water": 1.0, "Na+": 1.0}), r"charge of \+1 mol"),
+        (lambda: Flask({"water": 1.0}, capacity_l=0.0), "capacity_l: must be"),
+        (lambda: Flask({"water": 1.0}, physics="magic"), "flask: physics: unknown tier"),
+        (lambda: Flask({"water": 1.0}, reactions="magic"), "flask: reactions: unknown family"),
+        (lambda: Flask({"water": 1.0}, temperature_k=math.inf), "temperature_k: must be"),
+    ],
+)
+def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made()
+
+
+@pytest.mark.parametrize(
+    ("work", "message"),
+    [
+        (lambda flask, other: flask.add("wather", 1.0), "did you mean 'water'"),
+        (lambda flask, other: flask.add("water", -1.0), "add: water: must be"),
+        (lambda flask, other: flask.add("Na+", 1.0), "is an ion"),
+        (lambda flask, other: flask.pour(flask, 0.5), "is the flask itself"),
+        (lambda flask, other: flask.pour(other, 1.5), "share: must be .* at most 1"),
+        (lambda flask, other: flask.drain(other, math.nan), "share: must be"),
+        (lambda flask, other: flask.filter(other, wet=2.0), "wet: must be"),
+        (lambda flask, other: flask.heat(-5.0), "joules: must be"),
+        (lambda flask, other: flask.heat(math.inf, other), "joules: must be a finite"),
+        (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),
+        (lambda flask, other: flask.cool(math.nan), "joules: must be"),
+        (lambda flask, other: flask.react(-1.0), "seconds: must be"),
+        (lambda flask, other: flask.react(1.0, jacket_w_k=1.0), "give temperature_k, too"),
+        (lambda flask, other: flask.wait(math.inf), "seconds: must be a finite"),
+        (lambda flask, other: flask.pour(Flask({"water": 1.0}, physics="paper"), 0.5), "has physics = 'paper'"),
+        (lambda flask, other: flask.measure("horoscope"), "unknown kind 'horoscope'"),
+    ],
+)
+def test_what_cannot_be_done_changes_nothing(work: Callable[[Flask, Flask], object], message: str) -> None:
+    flask = Flask(MIXTURE, capacity_l=2.0)
+    other = flask.another()
+    before = seen(flask), seen(other)
+    with pytest.raises(ValueError, match=message):
+        work(flask, other)
+    assert (seen(flask), seen(other)) == before
+
+
+def test_paper_has_no_columns_and_no_materials_without_polarity() -> None:
+    with pytest.raises(ValueError, match="a column needs physics='real'"):
+        Flask({"water": 1.0}, physics="paper").heat(1.0, stages=2)
+    unknown = next(name for name, material in MATERIALS.items() if material.polarity is None and material.role != "gas")
+    with pytest.raises(DataError, match=f"flask: materials: '{re.escape(unknown)}' has no polarity"):
+        Flask({unknown: 1.0 if not MATERIALS[unknown].charge else 0.0}, physics="paper")
+
+
+# -- how it looks -----------------------------------------------------------------------------------------------------
+
+
+def test_it_says_what_is_in_it() -> None:
+    flask = Flask(MIXTURE, capacity_l=2.0)
+    text = repr(flask)
+    assert f"{flask.volume_l:.3f} of 2 L at {flask.temperature_k:.1f} K" in text
+    assert "organic" in text.splitlines()[1]  # above the water
+    assert "aqueous" in text.splitlines()[2]
+    assert "nothing" not in text
+    assert repr(flask.another()).count("\n") == 0
+
+
+def test_it_has_a_picture() -> None:
+    pytest.importorskip("PIL")
+    flask = Flask(MIXTURE, capacity_l=0.5)
+    picture = flask.picture(240, 200)
+    assert picture.shape == (200, 240, 3)
+    assert picture.dtype == np.uint8
+    layers = flask.scene().shelf[0].vessel
+    assert layers is not None
+    column = [tuple(pixel) for pixel in picture[:, 105].tolist()]
+    where = []
+    for layer in layers.layers:
+        color = tuple(bytes.fromhex(layer.color[1:]))
+        assert color in column, layer
+        where.append(column.index(color))
+    assert where[0] > where[1]  # water below
+    assert "data:image/png;base64," in flask._repr_html_()
+    with pytest.raises(ValueError, match="at least 120"):
+        flask.picture(50, 50)
+
+
+# -- examples ---------------------------------------------------------------------------------------------------------
+
+
+def test_docstrings() -> None:
+    found = doctest.testmod(chemlab.sandbox)
+    assert found.attempted >= 4
+    assert found.failed == 0
+
+
+@pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="not a checkout")
+def test_the_page_says_what_its_code_prints(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of docs/printed.py, which writes it there."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    from printed import PAGES, printed
+
+    for name in PAGES:
+        text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+        assert text.count("```text\n") >= 5
+        assert printed(text) == text, f"run: python docs/printed.py {name}"
+    sys.modules.pop("printed")
