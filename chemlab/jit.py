@@ -314,7 +314,7 @@ else:
         found: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
         return found
 
-    @numba.extending.intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+    @numba.extending.intrinsic(prefer_literal=True)
     def scratch(context: Any, count: Any) -> Any:
         """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
         constant; what a helper has asked for is its kernel's."""

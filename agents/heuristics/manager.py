@@ -46,8 +46,8 @@ class _Line:
 
 
 class ManagerHeuristic:
-    """For each order: react; decant the leftover metal and throw it away; wash; distil; crystallize; analyse what comes out until
-    something is pure enough; submit the best.
+    """For each order: react; decant the leftover metal and throw it away; wash; distil; crystallize; analyse what comes
+    out until something is pure enough; submit the best.
 
     Uses only the benches the scenario has, one of each kind for every order, and works on as many orders at once as
     there are benches. It knows the recipe and the public scenario, and of the vessels what the manager observes: where

@@ -41,8 +41,8 @@ class CrystallizationBench(OperationBench):
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         if scenario.physics == "paper":
             raise DataError(
-                f"{scenario.origin}: benches.{key}.kind: 'crystallization' needs physics = 'real': nothing crystallizes "
-                f"in that of the scenario, {scenario.physics!r}"
+                f"{scenario.origin}: benches.{key}.kind: 'crystallization' needs physics = 'real': nothing "
+                f"crystallizes in that of the scenario, {scenario.physics!r}"
             )
         super().__init__(key, scenario, chemistry)
 

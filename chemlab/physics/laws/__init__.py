@@ -103,8 +103,9 @@ def law(stub: F, distant: bool = False) -> F:
         return getattr(_tier(dimensions), name)(*arguments)
 
     if distant and COMPILED:
-        results = {"float": numba.types.float64, "int": numba.types.int64, "bool": numba.types.boolean}
-        results |= {"None": numba.types.none, "tuple[float, float]": numba.types.UniTuple(numba.types.float64, 2)}
+        types: Any = numba.types
+        results = {"float": types.float64, "int": types.int64, "bool": types.boolean, "None": types.none}
+        results["tuple[float, float]"] = types.UniTuple(types.float64, 2)
         kinds = tuple(_numba_type(key, value.annotation) for key, value in signature.parameters.items())
         _KINDS[name] = kinds, results[str(signature.return_annotation)]
         _DISTANT.append(name)
@@ -167,9 +168,9 @@ def heat(
     Args:
         row, receiver: vessel rows.
         joules: heat offered, J.
-        limits: [4, or more] temperatures of the heating mantle and of the coolant, K, past which no heat flows; theoretical
-            stages between pot and condenser (1: the pot alone), and the mol that the column's head returns for each mol
-            that it lets pass.
+        limits: [4, or more] temperatures of the heating mantle and of the coolant, K, past which no heat flows;
+            theoretical stages between pot and condenser (1: the pot alone), and the mol that the column's head returns
+            for each mol that it lets pass.
         chem: the chemistry.
         waste: [M] mol, receives what overflows the receiver.
         events: safety events row.

@@ -95,13 +95,13 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
                 source[AMOUNTS + i] -= moved
                 target[AMOUNTS + i] += moved
                 arriving += moved * chemistry.heat_capacity[i]
-        return arriving
+        return float(arriving)
     moved = source[AMOUNTS + layer] * share
     source[AMOUNTS + layer] -= moved
     target[AMOUNTS + layer] += moved
     arriving += moved * chemistry.heat_capacity[layer]
     if not solvent_present:
-        return arriving
+        return float(arriving)
     for column in range(n_solvents):
         if chemistry.solvents[column] != layer:
             continue
@@ -114,4 +114,4 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
             source[AMOUNTS + i] -= moved
             target[AMOUNTS + i] += moved
             arriving += moved * chemistry.heat_capacity[i]
-    return arriving
+    return float(arriving)

@@ -17,7 +17,7 @@ def crystals(row: FloatArray, chem: Handle, k: int) -> float:
     """mol of fluid ``k`` (its place among the fluids) that is in no liquid."""
     chemistry = opened(RealChemistry, chem)
     at = AMOUNTS + chemistry.role.shape[0] + 2 * k
-    return max(row[AMOUNTS + chemistry.dissolved[k]] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0)
+    return float(max(row[AMOUNTS + chemistry.dissolved[k]] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0))
 
 
 @helper

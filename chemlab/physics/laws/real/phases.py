@@ -177,7 +177,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
         if gap > 0.0:
             high = here
         elif step == 0:
-            return total
+            return float(total)
         else:
             low = here
         # In a thin solution the activity goes with the amount; where it hardly changes, or turns, halves are safe.
