@@ -164,7 +164,7 @@ class BenchSpec(Grown):
     _later = ("observe", "reward")
 
     kind: str = Field(min_length=1, max_length=200)
-    """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or one of your own, ``my_bench.py:Class``."""
+    """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
     count: int = Field(default=1, ge=1, le=16)
     """How many of this kind, each with an agent of its own."""
     step_limit: int = Field(ge=1, le=10_000)
