@@ -202,7 +202,8 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     def rates(_: float, n: np.ndarray) -> np.ndarray:
         n = np.maximum(n, 1e-30)
         x = n / n.sum()
-        return np.asarray(-x * np.exp(log_activity_coefficients(x, tau, table.alpha)) * pressure / GAS_CONSTANT / kelvin)
+        gamma = np.exp(log_activity_coefficients(x, tau, table.alpha))
+        return np.asarray(-x * gamma * pressure / (GAS_CONSTANT * kelvin))
 
     expected = solve_ivp(rates, (0.0, air), start, rtol=1e-9, atol=1e-12).y[:, -1]
     glass = insulated(*names)
@@ -233,7 +234,8 @@ def test_what_does_not_fly_stays() -> None:
 def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
     scenario = load_scenario("wurtz_dodecane")
     shelf = Shelf(build_chemistry(scenario), 1, 1)
-    row, chem, names = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem(), shelf.layout.materials
+    row, chem = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem()
+    names = shelf.layout.materials
     waste, air = np.zeros(len(names)), 30.0
     row[TEMPERATURE] = 290.0
     pressure = float(laws.vapor_pressure(row, chem))
