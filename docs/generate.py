@@ -427,7 +427,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
     ),
     "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
     "Reaction bench": (reaction.ReactionOptions, reaction.Span),
-    "Extraction and distillation bench": (operations.OperationOptions, operations.Process),
+    "Extraction, distillation and crystallization bench": (operations.OperationOptions, operations.Process),
     "Material": (Material, AbsorptionPeak),
     "Reaction family": (ReactionFamily, Reaction, Salt, Violent),
 }

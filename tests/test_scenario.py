@@ -810,7 +810,7 @@ def test_bases_have_an_end(tmp_path: Path) -> None:
 # -- what a kind of bench has anyway -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["reaction", "extraction", "distillation"])
+@pytest.mark.parametrize("kind", ["reaction", "extraction", "distillation", "crystallization"])
 def test_what_a_bench_leaves_out_is_what_its_kind_has(kind: str, tmp_path: Path) -> None:
     data = read_toml(Path(chemlab.__file__).parent / "data" / "benches" / f"{kind}.toml")
     needed = {"reagents": {"Na": 1.0}, "tick": 0.01} if kind == "reaction" else {}
@@ -823,6 +823,7 @@ def test_what_a_bench_leaves_out_is_what_its_kind_has(kind: str, tmp_path: Path)
         "reaction": ("temperature_k", {"low": 280.0, "high": 290.0, "step": 1.0}),
         "extraction": ("process", [{"kind": "mix", "vessel": "EV", "magnitudes": [1]}]),
         "distillation": ("hottest_k", 650.0),
+        "crystallization": ("cake_liquid", 0.5),
     }[kind]
     other = load_scenario({**read_toml(tiny(tmp_path)), "benches": {"x": {"kind": kind, **needed, key: value}}})
     assert other.benches["x"].model_extra == {**(bench.model_extra or {}), key: value}

