@@ -46,7 +46,7 @@ __all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
 _PIXELS = 4000
 """Heights at which a flask can be cut; a real separating funnel does not do better."""
 _PART_S = 6.0
-"""A reaction and the boiling that it leads to take turns of this many seconds, as on the reaction bench."""
+"""A reaction and the boiling that it leads to take turns of this many seconds."""
 _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
