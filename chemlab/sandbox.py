@@ -32,7 +32,7 @@ from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemis
 from .instruments.table import InstrumentTable
 from .materials import DataError, load_materials, shipped_materials
 from .physics import laws, transfer
-from .physics.constants import FIRST_PHASE, SOLIDS, TRACE_MOL
+from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.layers import profile
 from .scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
@@ -46,7 +46,7 @@ __all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
 _PIXELS = 4000
 """Heights at which a flask can be cut; a real separating funnel does not do better."""
 _PART_S = 6.0
-"""A reaction and the boiling that it leads to take turns of this many seconds, as on the reaction bench."""
+"""A reaction and the boiling that it leads to take turns of this many seconds."""
 _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
@@ -486,23 +486,38 @@ class Flask:
         layers, shares = np.zeros(columns + 1, dtype=np.int64), np.zeros((columns, _PIXELS))
         work = np.zeros((columns + 9, max(columns + 1, _PIXELS)))
         profile(self._row, self._chem, layers, shares, work)
-        self._drain(receiver, share * min(self.volume_l / self.capacity_l, 1.0) * _PIXELS, layers, shares)
+        pixels = share * min(self.volume_l / self.capacity_l, 1.0) * _PIXELS
+        lost, events = receiver._shelf.waste[0], receiver._events
+        transfer.drain(self._row, receiver._row, pixels, shares, layers, self._chem, lost, events)
+        self._after()
+        receiver._after()
 
-    def filter(self, receiver: Flask, wet: float = 0.0) -> None:
+    def filter(self, receiver: Flask, cake_liquid: float = 0.0) -> None:
         """Let the liquids run through a filter into another flask; solids and crystals stay.
 
         Args:
             receiver: where the liquids go.
-            wet: share (0 to 1) of the liquids that stays in the cake.
+            cake_liquid: litres of liquid that a litre of solids keeps.
+
+        Raises:
+            ValueError: a number is out of bounds, or the other flask has other physics.
         """
-        wet = _number("wet", wet, 0.0, 1.0)
+        cake_liquid = _number("cake_liquid", cake_liquid, 0.0, 100.0)
         self._join(receiver)
+        litres = transfer.free_liquid(self._row, cake_liquid, self._chem)
         columns = self._shelf.layout.fluid_columns
         layers, volumes = np.zeros(columns + 1, dtype=np.int64), np.zeros(columns)
         laws.find_layers(self._row, self._chem, layers, volumes)
-        # As a profile of two pixels: what runs through is all of the lower one.
-        shares = np.array([[0.0, 1.0] if code == SOLIDS else [1.0 - wet, wet] for code in layers[1:]])
-        self._drain(receiver, 1.0, layers, shares)
+        lost, events = receiver._shelf.waste[0], receiver._events
+        transfer.strain(self._row, receiver._row, litres, layers, self._chem, lost, events)
+        self._after()
+        receiver._after()
+
+    def dry(self, litres: float) -> None:
+        """Draw ``litres`` of air over it, which leave saturated with the vapour of its liquids; that is lost. The
+        temperature stays, and so do solids."""
+        laws.dry(self._row, _number("litres", litres, 0.0, 1e6), self._chem, self._shelf.waste[0])
+        self._after()
 
     def pour(self, other: Flask, share: float) -> None:
         """Pour ``share`` (0 to 1) of everything in it into another flask; what does not fit there spills.
@@ -641,12 +656,6 @@ class Flask:
         names = self._names | other._names
         self._learn(names)
         other._learn(names)
-
-    def _drain(self, receiver: Flask, pixels: float, layers: npt.NDArray[np.int64], shares: FloatArray) -> None:
-        lost, events = receiver._shelf.waste[0], receiver._events
-        transfer.drain(self._row, receiver._row, float(pixels), shares, layers, self._chem, lost, events)
-        self._after()
-        receiver._after()
 
     def _after(self, clock: float = 0.0) -> None:
         """What follows from an operation: settling or mixing by ``clock``, phases, a word about what ran over."""

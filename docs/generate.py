@@ -604,13 +604,14 @@ def _interface() -> dict[str, str]:
             ]
         )
     packages = {
-        "Data": [m for m in modules if m.count(".") == 1 and m != "chemlab.laboratory"],
+        "Data": [m for m in modules if m.count(".") == 1 and m not in ("chemlab.laboratory", "chemlab.sandbox")],
         "Physics": [m for m in modules if m.startswith("chemlab.physics")],
         "Operations": [m for m in modules if m.startswith("chemlab.operations.")],
         "Benches": [m for m in modules if m.startswith("chemlab.bench")],
         "Instruments": [m for m in modules if m.startswith("chemlab.instruments.")],
         "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
         "Pictures": [m for m in modules if m.startswith("chemlab.render")],
+        "A flask alone": ["chemlab.sandbox"],
         "Agents": [m for m in modules if m.startswith("chemlab.agents.")],
     }
     lines = [

@@ -17,6 +17,7 @@ from helpers import Glassware
 
 import chemlab.sandbox
 from chemlab.materials import DataError, shipped_materials
+from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import Flask, SpillWarning
 
 ROOT = Path(__file__).parent.parent
@@ -105,6 +106,7 @@ def test_nothing_is_lost(physics: str) -> None:
             partial(one.pour, other, share),
             partial(one.drain, other, share),
             partial(one.filter, other, share),
+            partial(one.dry, 20.0 * share),
             partial(one.heat, 20e3, other),
             partial(one.cool, 10e3),
             one.mix,
@@ -199,11 +201,25 @@ def test_a_filter_keeps_solids(physics: str) -> None:
     flask = Flask({"water": 10.0, "NaCl": 3.0}, physics=physics)
     salt, brine = flask.layers
     filtrate = flask.another()
-    flask.filter(filtrate, wet=0.1)
-    assert filtrate.amounts["water"] == pytest.approx(0.9 * brine.contents["water"], rel=1e-9)
+    flask.filter(filtrate, cake_liquid=0.5)
+    wet = 0.5 * salt.volume_l / brine.volume_l
+    assert filtrate.amounts["water"] == pytest.approx((1.0 - wet) * brine.contents["water"], rel=1e-9)
     if physics == "real":  # both stay saturated; the paper's solubility depends on how much liquid there is
         assert flask.amounts["NaCl"] == pytest.approx(salt.contents["NaCl"], rel=1e-6)
         assert filtrate.amounts["NaCl"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_dry_crystals_are_left() -> None:
+    """Of each litre of air p / RT of water flies, until all of it has; and nothing else."""
+    flask = Flask({"water": 5.0, "benzoic_acid": 0.1})
+    held = flask.layers[0].contents["benzoic_acid"]
+    flask.dry(1.0)
+    expected = flask.vapor_pressure_kpa / (GAS_CONSTANT * flask.temperature_k)
+    assert flask.waste["water"] == pytest.approx(expected, rel=1e-3)
+    flask.dry(20_000.0)
+    assert flask.amounts["water"] == pytest.approx(0.0, abs=1e-9)
+    assert flask.waste["water"] == pytest.approx(5.0, rel=1e-9)
+    assert flask.amounts["benzoic_acid"] >= held > 0.09
 
 
 def test_salt_dissolves_as_it_is_known_to() -> None:
@@ -346,7 +362,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.pour(flask, 0.5), "is the flask itself"),
         (lambda flask, other: flask.pour(other, 1.5), "share: must be .* at most 1"),
         (lambda flask, other: flask.drain(other, math.nan), "share: must be"),
-        (lambda flask, other: flask.filter(other, wet=2.0), "wet: must be"),
+        (lambda flask, other: flask.filter(other, -1.0), "cake_liquid: must be"),
         (lambda flask, other: flask.heat(-5.0), "joules: must be"),
         (lambda flask, other: flask.heat(math.inf, other), "joules: must be a finite"),
         (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),

@@ -92,6 +92,17 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
         assert agent == "manager_0" or sum(scores) == pytest.approx(total, abs=1e-5)
 
 
+def test_bars_have_names(episode: Path) -> None:
+    labs = Laboratories("wurtz_dodecane", 1)
+    data = replay_data(read_record(episode))
+    for name, channel, kind in zip(
+        labs.instruments.names, labs.instruments.channels, labs.instruments.kinds, strict=True
+    ):
+        assert (name in data["analytes"]) == (kind.picture == "bars")
+        if kind.picture == "bars":
+            assert len(data["analytes"][name]) == channel.size
+
+
 def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
     data = replay_data(read_record(episode))
     decisions = [turn for turn in data["turns"] if turn["kind"]]

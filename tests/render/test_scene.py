@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from helpers import molar_volume
+from helpers import laboratory, manager, mapping, molar_volume
 from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
 
 from chemlab.agents.episodes import Turn, play_episode
@@ -15,6 +15,7 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.render.scene import MIXTURE_SLICES, VesselPicture, bench_scene, laboratory_scene, material_pictures
+from chemlab.sandbox import Flask
 from chemlab.scenario import load_scenario
 from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
@@ -146,6 +147,36 @@ def test_readings_are_what_was_measured() -> None:
     assert shares["diethyl_ether"] == pytest.approx(1.0, abs=1e-6)
     assert "residue" in shares
     assert not laboratory_scene(labs).shelf[1].readings
+
+
+def test_every_chromatograph_names_its_own_bars() -> None:
+    """Nothing of oil and salt in water flies but water: only HPLC tells the others apart."""
+    instruments = {name: {"kind": name} for name in ("hplc", "gas_chromatograph", "thermometer")}
+    env = laboratory({**mapping("salt_from_oil"), "name": "measured", "instruments": instruments})
+    for name in instruments:
+        manager(env, "measure", 0, name)
+    scene = laboratory_scene(env.laboratories)
+    readings = {reading.instrument: reading for reading in scene.shelf[0].readings}
+    for name, rest in (("hplc", "ions"), ("gas_chromatograph", "residue")):
+        assert readings[name].labels[-1] == rest
+        assert len(readings[name].labels) == len(readings[name].values)
+    thermometer = readings["thermometer"]
+    kelvin = thermometer.low + thermometer.values[0] * (thermometer.high - thermometer.low)
+    vessel = scene.shelf[0].vessel
+    assert vessel is not None
+    assert kelvin == pytest.approx(vessel.temperature_k)
+
+
+def test_a_single_vessel_has_a_scene() -> None:
+    flask = Flask({"water": 10.0, "hexane": 1.0, "NaCl": 0.1}, capacity_l=0.5)
+    scene = flask.scene()
+    assert scene.kind == "vessel"
+    assert scene.largest_capacity_l == 0.5
+    vessel = scene.shelf[0].vessel
+    assert vessel is not None
+    assert [layer.material for layer in vessel.layers] == ["aqueous", "organic"]
+    assert sum(layer.volume_l for layer in vessel.layers) == pytest.approx(flask.volume_l, rel=1e-6)
+    json.dumps(scene.as_dict())
 
 
 def test_costs_stock_and_waste_are_the_laboratorys() -> None:
