@@ -358,6 +358,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
         ambient_pressure=scenario.ambient_pressure_kpa,
     )
     layout = Layout(tuple(names), tuple(names[i] for i in solvents), tuple(names[i] for i in dissolved))
+    tier_dimensions(scenario.physics)  # or an error that says which tiers there are
     build = getattr(importlib.import_module(TIERS[scenario.physics]), "build", None)
     if build is not None:  # the tier knows more of its materials
         layout, values = build(scenario, layout, values)

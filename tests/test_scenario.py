@@ -472,20 +472,22 @@ def test_lint(name: str) -> None:
     assert scenario.title[0].isupper()
     assert scenario.summary.endswith(".")
     # Agents: the manager, then reaction, extraction and distillation benches, numbered from 0.
-    order = [key for key in ("rxn", "ext", "dit") if key in scenario.benches]
+    order = [key for key in ("rxn", "ext", "dit", "cry") if key in scenario.benches]
     assert list(scenario.benches) == order
     assert labs.agents == ["manager_0"] + [f"{key}_{i}" for key in order for i in range(scenario.benches[key].count)]
-    kinds = {"rxn": "reaction", "ext": "extraction", "dit": "distillation"}
+    kinds = {"rxn": "reaction", "ext": "extraction", "dit": "distillation", "cry": "crystallization"}
     assert all(bench.kind == kinds[key] for key, bench in scenario.benches.items())
     # Actions and step limits.
     goals, slots = len(scenario.goals), scenario.shelf.slots
     for bench in labs.benches:
         reacting = 20 if scenario.physics == "paper" else 60
-        assert bench.spec.step_limit == {"rxn": reacting, "ext": 50, "dit": 50}[bench.key]
+        limits = {"rxn": reacting, "ext": 50, "dit": 50, "cry": bench.spec.step_limit}
+        assert bench.spec.step_limit == limits[bench.key]
         if bench.key == "rxn":
             assert bench.action_space == gymnasium.spaces.Box(0.0, 1.0, (len(bench.options.reagents) + 2,), np.float32)
         else:
-            assert bench.action_space == gymnasium.spaces.Discrete({"ext": 41, "dit": 31}[bench.key])
+            actions = {"ext": 41, "dit": 31, "cry": bench.action_count}[bench.key]
+            assert bench.action_space == gymnasium.spaces.Discrete(actions)
     starts = len(labs.experiments) * slots * goals
     others = slots * len(scenario.instruments) + slots + slots * scenario.orders + len(labs.experiments) + 1
     assert labs.manager_action_space == gymnasium.spaces.Discrete(starts + others)
@@ -841,11 +843,13 @@ def tiny(folder: Path) -> Path:
 SHIPPED = {
     "campaign": "eded37283047a581",
     "fictitious": "e4e595031b3892f0",
+    "recrystallization": "cea8bddcbb6fadde",
     "salt_from_oil": "54ffe9afe9e10370",
     "unlabelled": "9b4b93351e0fa3b3",
     "wurtz_any": "fa70cae24b53b146",
     "wurtz_dodecane": "ecbc7ee1323dedc8",
     "wurtz_dodecane_direct": "3c1725681724c231",
+    "wurtz_real": "3c3055bd6c208b2e",
     "wurtz_safe": "01a6e508ef2b357f",
     "wurtz_scarce": "288e8e7240b8b0f8",
     "wurtz_two_lines": "9967ca0aca001d2a",

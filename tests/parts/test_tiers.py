@@ -63,7 +63,7 @@ def test_nobody_gets_another_tiers_laws_without_compiling_either() -> None:
 
 
 def test_a_law_can_be_called(brisk: Scenario) -> None:
-    tables = {tier: build_chemistry(brisk.model_copy(update={"physics": tier})) for tier in TIERS}
+    tables = {tier: build_chemistry(brisk.model_copy(update={"physics": tier})) for tier in ("paper", "brisk")}
     paper, other = tables["paper"].handles[0], tables["brisk"].handles[0]
     for r, step in enumerate(brisk.family.reaction):
         closed = step.pre_exponential * np.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * TEMPERATURE_K))
@@ -78,5 +78,5 @@ def test_the_scenario_says_which(brisk: Scenario) -> None:
     assert restored.physics == "brisk"
     # What was written down before there were tiers says nothing of them.
     assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
-    with pytest.raises(DataError, match="unknown tier 'slow'; known: paper, brisk"):
+    with pytest.raises(DataError, match="unknown tier 'slow'; known: paper, real, brisk"):
         build_chemistry(brisk.model_copy(update={"physics": "slow"}))
