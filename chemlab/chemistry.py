@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import Field, FloatArray, Handle, IntArray, addresses, declared
+from .arrays import Field, FloatArray, Handle, IntArray, addresses, declared, merged
 from .jit import COMPILED
 from .materials import DataError
 from .scenario import PHYSICS_TIERS as TIERS
@@ -230,9 +230,12 @@ class ChemistryTable:
         return made
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "handles"}
+        kept = {name: value for name, value in vars(self).items() if name not in ("handles", "_declaration")}
+        # A merged declaration is made anew from its parts.
+        return kept | {"_parts": getattr(self._declaration, "MERGED", (self._declaration,))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        self._declaration = merged(*state.pop("_parts"))
         vars(self).update(state)
         self.handles = self._make_handles()  # addresses are those of the copy
 

@@ -167,22 +167,24 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
         state.supply[m, i] -= mol
         shelf.stock[m, material] -= mol
         row[AMOUNTS + material] += mol
-    state.jacket[m] = min(max(temperature, rules.coldest), rules.hottest)
+    temperature = min(max(temperature, rules.coldest), rules.hottest)
     if jacketed:
+        state.jacket[m] = temperature
         after = heat_capacity(row, chem)
         if after > 0.0:
             ambient = opened(Chemistry, chem).ambient_temperature
             row[TEMPERATURE] = ambient + (row[TEMPERATURE] - ambient) * before / after
     spill(row, chem, shelf.waste[m], state.events[m])
     if not jacketed:
-        row[TEMPERATURE] = state.jacket[m]
+        row[TEMPERATURE] = temperature
 
 
 @inner
 def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> int:
     """The reactions of a tick; below 0 if they were too stiff. Under reflux, a little at a time: what boils meanwhile
     keeps its temperature."""
-    row, jacket = shelf.rows[state.places[m, 0]], state.jacket[m]
+    row = shelf.rows[state.places[m, 0]]
+    jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
     if rules.condenser < 0.0:
         return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
     # As a whole first: mostly nothing boils. If it does, once more from where it was.
@@ -297,7 +299,8 @@ def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, c
         chem = chemistry[arrays.variant[members[b]]]
         row = arrays.rows[state.places[members[b], 0]]
         row[CAPACITY] = max(rules.vessel_volume, volume(row, chem) / _FULLEST)
-        state.jacket[members[b]] = min(max(row[TEMPERATURE], rules.coldest), rules.hottest)
+        if rules.transfer >= 0.0:
+            state.jacket[members[b]] = min(max(row[TEMPERATURE], rules.coldest), rules.hottest)
         if rules.condenser < 0.0:
             seal(row, chem)
 

@@ -8,6 +8,9 @@
 | `chemlab/SaltFromOilExtraction-v0` | ext of `salt_from_oil` | Box(301) | Discrete(41) |
 | `chemlab/WurtzDistillation-v0` | dit of `wurtz_dodecane` | Box(310) | Discrete(31) |
 | `chemlab/BenzoicAcidCrystallization-v0` | cry of `recrystallization` | Box(305) | Discrete(35) |
+| `chemlab/RealWurtzReaction-v0` | rxn of `wurtz_real` | Box(208) | Box(5) |
+| `chemlab/RealWurtzExtraction-v0` | ext of `wurtz_real` | Box(301) | Discrete(41) |
+| `chemlab/RealWurtzDistillation-v0` | dit of `wurtz_real` | Box(304) | Discrete(31) |
 | `chemlab/Bench-v0` | `bench` of any `scenario` | follows the scenario | follows the scenario |
 
 ### Arguments

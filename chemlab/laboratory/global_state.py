@@ -144,6 +144,9 @@ class GlobalState:
             supply = np.zeros((len(members), 0))
             if bench.reagents:
                 supply = own.supply[members] / np.maximum(bench.rules.arrays.full, 1e-12) * busy[:, None]
+            jacket = np.zeros((len(members), 0))
+            if getattr(bench.options, "jacket_w_k", None) is not None:
+                jacket = own.jacket[members][:, None] * busy[:, None]
             goal = _hot(own.goal[members], goals) * busy[:, None]
             origin = _hot(labs.state.origin[members, b], rules.slots) * busy[:, None]
             parts += [
@@ -155,6 +158,7 @@ class GlobalState:
                     f"{name}_baseline", "mol", -most, most, "the score is the change from", own.baseline[members] * busy
                 ),
                 _Part(f"{name}_supply", "fraction", 0.0, 1.0, "left of the supply, by reagent", supply),
+                _Part(f"{name}_jacket", "K", 0.0, _HOTTEST_K, "temperature of the jacket, if it has one", jacket),
             ]
         return parts
 

@@ -279,6 +279,7 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
             "rxn": 200 + 3 + len(getattr(bench.options, "reagents", ())) + goals + (scenario.physics == "real"),
             "ext": 300 + goals,
             "dit": 300 + 3 + goals,
+            "cry": 300 + 4 + goals,
         }
         for i in range(spec.count):
             agent = f"{key}_{i}"
@@ -302,6 +303,8 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_observations_are_those_of_the_single_bench(name: str) -> None:
+    if load_scenario(name).world.draws:
+        pytest.skip("the two draw worlds of their own")
     """The same vessel and the same random stream give the same observations and masks, step by step."""
     env = raw_env(name)
     scenario, labs = env.scenario, env.laboratories
@@ -371,6 +374,8 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
     price = env.scenario.costs.illegal_action
     assert price > 0.0
     played: Counter[tuple[bool, bool]] = Counter()
+    # Some laboratories have no bench with actions that could be illegal.
+    masked = any(bench.action_count for bench in labs.benches)
     for seed in range(8):
         env.reset(seed=seed)
         while labs.state.status[0] == 0:
@@ -413,7 +418,8 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
                 # Accidents may have a price of their own.
                 accidents = env.scenario.safety.reward_price * env.infos[agent]["cost"]
                 assert env.rewards[agent] == pytest.approx(-accidents, rel=1e-12, abs=0.0)
-    assert all(played[role, illegal] > 20 for role in (True, False) for illegal in (True, False)), played
+    roles = (True, False) if masked else (True,)
+    assert all(played[role, illegal] > 20 for role in roles for illegal in (True, False)), played
 
 
 # -- actions outside their space ------------------------------------------------------------------------------------
@@ -783,6 +789,7 @@ def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
         "rewards",
         "reaction_model",
         "separation_model",
+        "split",
     ]
     assert all(argument.kind is argument.POSITIONAL_OR_KEYWORD for argument in arguments)
     shown = repr(make("fictitious", rewards="cooperative"))

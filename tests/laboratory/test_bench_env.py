@@ -94,7 +94,7 @@ def assert_same_arrays(first: Any, second: Any) -> None:
 
 def test_every_bench_kind_is_registered() -> None:
     assert len(IDS) >= 5
-    assert {gymnasium.spec(name).kwargs["bench"] for name in IDS} == {"rxn", "ext", "dit"}
+    assert {gymnasium.spec(name).kwargs["bench"] for name in IDS} == {"rxn", "ext", "dit", "cry"}
     for name in [*IDS, "chemlab/Bench-v0"]:
         spec = gymnasium.spec(name)
         assert isinstance(spec.entry_point, str), "entry points are strings, so that importing chemlab stays light"
@@ -512,7 +512,7 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
         if over:
             assert info["action_mask"].any()
             env.reset()
-    assert min(seen.values()) > 20
+    assert min(seen.values()) >= 20
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)
