@@ -270,7 +270,9 @@ def test_learning_curves(tmp_path: Path) -> None:
     for seed, slope in ((0, 1.0), (1, 3.0)):
         run = Run(tmp_path / "bench" / "ppo" / f"seed-{seed}")
         run.path.mkdir(parents=True)
-        config = RunConfig("ppo", {"seed": seed}, "wurtz_dodecane", "rxn", ["dodecane", "NaCl"], "0")
+        config = RunConfig(
+            "ppo", {"seed": seed, "env_id": "", "algo": "ppo"}, "wurtz_dodecane", "rxn", ["dodecane", "NaCl"], "0"
+        )
         run.config_file.write_text(to_text(config.as_dict()))
         for step in (0, 500, 1000, *((2000,) if seed else ())):
             run.append(CurvePoint(step, slope * step / 1000.0, 0.0, 5, 1.0))

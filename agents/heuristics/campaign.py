@@ -136,7 +136,7 @@ class CampaignManager:
             slots = [s for s in range(self._actions.slots) if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
             self._beliefs[member] = _Belief(self._prior(), slots=slots)
         belief = self._beliefs[member]
-        slot = belief.slots[min(belief.batch, len(belief.slots) - 1)]
+        slot = belief.slots[min(belief.batch, len(belief.slots) - 1)] if belief.slots else 0
         if belief.waiting:
             belief.waiting = False
             return self._actions.encode("wait")

@@ -136,7 +136,7 @@ class CrystallizationHeuristic:
         """How much solvent, and where to seed, for that much crude product."""
         scenario, name = self._bench.scenario, self._bench.goals.names[goal]
         material = scenario.materials[name]
-        mol = crude_l * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
+        mol = max(crude_l, 1e-6) * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
         solvent = _SPARE * mol / solubility(scenario, name, _SOLVENT, self._hot_k)
         low, high = self._cold_k, self._hot_k
         for _ in range(30):

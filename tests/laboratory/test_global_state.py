@@ -96,7 +96,7 @@ def test_it_is_true_by_name(name: str) -> None:
     np.testing.assert_allclose(found["charges"], labs.charges(labs.members)[0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_two_lines", "wurtz_real"])
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_two_lines"])
 def test_nothing_is_missing(name: str) -> None:
     """Whatever array of a running laboratory changes, the state changes with it."""
     env = played(name, 1, 3)
