@@ -231,6 +231,19 @@ def test_what_does_not_fly_stays() -> None:
     assert crystals(glass, 0, "benzoic_acid") == pytest.approx(glass.mol(0, "benzoic_acid"), rel=1e-6)
 
 
+def test_crystals_under_the_last_trace_of_a_liquid() -> None:
+    """What has dried to nothing begins to dissolve again in a trace of something else: no division by what is gone."""
+    for left in (0.0, 5e-324):
+        glass = insulated(*CRUDE)
+        glass.fill(0, {"benzoic_acid": 1e-4, "salicylic_acid": 4e-11, "silica": 0.2})
+        fluids = glass.shelf.layout.dissolved
+        glass.shelf.dissolved[0, 0, fluids.index("salicylic_acid")] = 0.0, 4e-11
+        glass.shelf.dissolved[0, 0, fluids.index("benzoic_acid")] = 0.0, left
+        laws.elapse(glass.rows[0], 1.0, glass.chem, glass.waste, glass.events, glass.work)
+        assert np.isfinite(glass.rows).all()
+        assert 0.0 < glass.shelf.dissolved[0, 0, fluids.index("benzoic_acid")].sum() < 1e-9
+
+
 def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
     scenario = load_scenario("wurtz_dodecane")
     shelf = Shelf(build_chemistry(scenario), 1, 1)

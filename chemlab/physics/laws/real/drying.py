@@ -50,5 +50,9 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
             waste[int(liquids.who[a])] += before[a] - liquids.mol[a]
             gone += before[a] - liquids.mol[a]
         left -= gone / rate
+    for a in range(n):
+        if liquids.mol[a] <= TRACE_MOL:  # the last of it
+            waste[int(liquids.who[a])] += liquids.mol[a]
+            liquids.mol[a] = 0.0
     if n > 0:
         write_back(row, n, chem, liquids)

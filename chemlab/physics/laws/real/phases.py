@@ -225,13 +225,13 @@ def _crystallize(row: FloatArray, seconds: float, chem: Handle) -> bool:
             continue
         moved = (saturated - dissolved) * -math.expm1(-chemistry.crystal_rate * seconds)
         before = enthalpy(row, chem)
-        if dissolved > 0.0:
+        if dissolved > TRACE_MOL:
             scale = (dissolved + moved) / dissolved
             row[place + AQUEOUS] *= scale
             row[place + ORGANIC] *= scale
         elif moved > 0.0:
-            row[place + ORGANIC] = moved * liquids.share[at]
-            row[place + AQUEOUS] = moved - row[place + ORGANIC]
+            row[place + ORGANIC] = (dissolved + moved) * liquids.share[at]
+            row[place + AQUEOUS] = dissolved + moved - row[place + ORGANIC]
         set_enthalpy(row, before, chem)
         changed = changed or abs(moved) > TRACE_MOL
     return changed
