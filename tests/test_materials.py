@@ -191,7 +191,7 @@ def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
 def test_a_material_defined_twice_in_one_file(tmp_path: Path) -> None:
     file = tmp_path / "goo.toml"
     file.write_text(GOO + GOO)
-    with pytest.raises(DataError, match="not UTF-8") as caught:
+    with pytest.raises(DataError, match="not valid TOML") as caught:
         load_materials([file])
     assert str(file) in str(caught.value)
     assert "goo" in str(caught.value)
@@ -209,7 +209,7 @@ def test_malformed_toml_names_the_file_and_the_line(tmp_path: Path, text: str) -
 def test_a_file_that_is_not_text(tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(b"\xff\xfe\x00 not UTF-8")
-    with pytest.raises(DataError, match="not valid TOML") as caught:
+    with pytest.raises(DataError, match="not UTF-8") as caught:
         load_materials([file])
     assert str(file) in str(caught.value)
 
