@@ -78,6 +78,13 @@ class Declared:
     """Whether kernels see it as a number and not as an array."""
 
 
+def _scalar(array: Any) -> Any:
+    """The type of the numbers in an array, by its annotation."""
+    # Of NumPy's alias for arrays that is an argument of its own from Python 3.12 on, before that one of the dtype's.
+    last = typing.get_args(array)[-1]
+    return (typing.get_args(last) or (last,))[0]
+
+
 @functools.cache
 def declared(declaration: Any) -> tuple[Declared, ...]:
     """The fields of a declaration, in order.
@@ -92,7 +99,7 @@ def declared(declaration: Any) -> tuple[Declared, ...]:
             raise TypeError(f"{declaration.__name__}.{name}: must be Annotated[type, Field(...)], given {hint}")
         bare = hint.__origin__
         number = bare in (float, int)
-        dtype = np.dtype(bare) if number else np.dtype(typing.get_args(typing.get_args(bare)[1])[0])
+        dtype = np.dtype(bare if number else _scalar(bare))
         found.append(Declared(name, dtype, tuple(fields[0].dims.split()), fields[0], number))
     return tuple(found)
 
