@@ -230,7 +230,7 @@ def _chemistry(spec: Scenario) -> str:
             f"{m.molar_mass_g_mol:.2f}",
             f"{m.density_kg_l:.3g}",
             f"{m.boiling_point_k:.1f}",
-            f"{m.polarity:g}",
+            "" if m.polarity is None else f"{m.polarity:g}",
         )
         for name, m in spec.materials.items()
     ]

@@ -44,7 +44,7 @@ def place_new(row: FloatArray, chem: Handle) -> float:
         elif placed < total and not crystallizes(row, chem, i):
             if placed > _LEAST_SHARE * total:
                 row[at + AQUEOUS] *= total / placed
-                row[at + ORGANIC] = total - row[at + AQUEOUS]
+                row[at + ORGANIC] = max(total - row[at + AQUEOUS], 0.0)
             else:
                 home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
                 row[at + home] = total
@@ -82,7 +82,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         at = AMOUNTS + m + 2 * chemistry.dissolved_at[int(liquids.who[a])]
         mol = row[at + AQUEOUS] + row[at + ORGANIC]
         row[at + ORGANIC] += way * (mol * liquids.share[a] - row[at + ORGANIC])
-        row[at + AQUEOUS] = mol - row[at + ORGANIC]
+        row[at + AQUEOUS] = max(mol - row[at + ORGANIC], 0.0)
     for k in range(chemistry.dissolved.shape[0]):  # ions follow the water
         if chemistry.liquid[chemistry.dissolved[k]] == 2:
             at = AMOUNTS + m + 2 * k

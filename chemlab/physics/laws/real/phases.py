@@ -231,7 +231,7 @@ def _crystallize(row: FloatArray, seconds: float, chem: Handle) -> bool:
             row[place + ORGANIC] *= scale
         elif moved > 0.0:
             row[place + ORGANIC] = (dissolved + moved) * liquids.share[at]
-            row[place + AQUEOUS] = dissolved + moved - row[place + ORGANIC]
+            row[place + AQUEOUS] = max(dissolved + moved - row[place + ORGANIC], 0.0)
         set_enthalpy(row, before, chem)
         changed = changed or abs(moved) > TRACE_MOL
     return changed

@@ -89,7 +89,7 @@ def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
         at = AMOUNTS + m + 2 * chemistry.dissolved_at[i]
         row[AMOUNTS + i] = max(row[AMOUNTS + i] + liquids.mol[a] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0)
         row[at + ORGANIC] = liquids.mol[a] * liquids.share[a]
-        row[at + AQUEOUS] = liquids.mol[a] - row[at + ORGANIC]
+        row[at + AQUEOUS] = max(liquids.mol[a] - row[at + ORGANIC], 0.0)
 
 
 @kernel
