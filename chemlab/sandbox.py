@@ -1,6 +1,6 @@
 """The laboratory's physics for a person with a notebook: a flask, what is in it, what one does with it.
 
-Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics`); there are no agents, no
+Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.laws`); there are no agents, no
 turns and no random numbers.
 
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)

@@ -35,8 +35,8 @@ from chemlab.cli.laboratory import RESULT_COLUMNS
 from chemlab.laboratory import describe as facts
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.materials import AbsorptionPeak, Material
-from chemlab.reactions import Reaction, ReactionFamily, Salt, Violent, equation
+from chemlab.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
+from chemlab.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
 from chemlab.scenario import (
     PHYSICS_TIERS,
     BenchSpec,
@@ -45,6 +45,8 @@ from chemlab.scenario import (
     InstrumentSpec,
     LimitSpec,
     ManagerSpec,
+    OrderSpec,
+    RealSpec,
     RewardSpec,
     SafetySpec,
     Scenario,
@@ -424,12 +426,14 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
         CostSpec,
         SafetySpec,
         RewardSpec,
+        RealSpec,
+        OrderSpec,
     ),
     "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
     "Reaction bench": (reaction.ReactionOptions, reaction.Span),
     "Extraction, distillation and crystallization bench": (operations.OperationOptions, operations.Process),
-    "Material": (Material, AbsorptionPeak),
-    "Reaction family": (ReactionFamily, Reaction, Salt, Violent),
+    "Material": (Material, AbsorptionPeak, RealProperties, VaporPressure),
+    "Reaction family": (ReactionFamily, Reaction, Salt, Solubility, Acid, Violent),
 }
 
 

@@ -160,7 +160,7 @@ def _add_species(row: FloatArray, chem: Handle, j: int, change: float) -> None:
     row[first] = after
     for layer in range(1, layers):
         row[first + layer] = 0.0 if alone else after * row[first + layer] / (litres + water)
-        row[first] -= row[first + layer]
+        row[first] = max(row[first] - row[first + layer], 0.0)
 
 
 # -- rates and their derivatives -------------------------------------------------------------------------------------

@@ -81,7 +81,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     for a in range(n):
         at = AMOUNTS + m + 2 * chemistry.dissolved_at[int(liquids.who[a])]
         mol = row[at + AQUEOUS] + row[at + ORGANIC]
-        row[at + ORGANIC] += way * (mol * liquids.share[a] - row[at + ORGANIC])
+        row[at + ORGANIC] = max(row[at + ORGANIC] + way * (mol * liquids.share[a] - row[at + ORGANIC]), 0.0)
         row[at + AQUEOUS] = max(mol - row[at + ORGANIC], 0.0)
     for k in range(chemistry.dissolved.shape[0]):  # ions follow the water
         if chemistry.liquid[chemistry.dissolved[k]] == 2:
