@@ -61,7 +61,10 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!chemlab\.).*"),
     # Not public: they have no page.
-    (r"py:(class|obj)", r"chemlab\..*\.(_\w+|A|F|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)"),
+    (
+        r"py:(class|obj)",
+        r"chemlab\..*\.(_\w+|A|F|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)",
+    ),
 ]
 suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
 

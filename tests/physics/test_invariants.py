@@ -46,8 +46,10 @@ def check_shelf(shelf: Shelf) -> None:
     rows = shelf.vessels[standing]
     assert rows[:, AIR].min() >= 0.0
     assert rows[:, CAPACITY].min() > 0.0
-    assert rows[:, TEMPERATURE].min() > 200.0
-    assert rows[:, TEMPERATURE].max() < 1000.0
+    # With real physics what boils off cools what it leaves, and what runs away heats it.
+    real = shelf.chemistry.tier == "real"
+    assert rows[:, TEMPERATURE].min() > (150.0 if real else 200.0)
+    assert rows[:, TEMPERATURE].max() < (3000.0 if real else 1000.0)
     assert rows[:, CLOCK].min() >= T_MIX
     assert rows[:, CLOCK].max() <= CLOCK_SETTLED
     filled = shelf.amounts[standing] @ shelf.known().molar_volume
