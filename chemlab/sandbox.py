@@ -1,7 +1,7 @@
 """The laboratory's physics for a person with a notebook: a flask, what is in it, what one does with it.
 
-Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.laws`); there are no agents, no
-turns and no random numbers.
+Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.laws`); there are no agents,
+no turns and no random numbers.
 
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
 >>> receiver = ether.another(capacity_l=2.0)
