@@ -32,6 +32,7 @@ from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemis
 from .instruments.table import InstrumentTable
 from .materials import DataError, load_materials, shipped_materials
 from .physics import laws, transfer
+from .physics.boiling import Surroundings, react_open
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.layers import profile
@@ -45,8 +46,6 @@ __all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
 
 _PIXELS = 4000
 """Heights at which a flask can be cut; a real separating funnel does not do better."""
-_PART_S = 6.0
-"""A reaction and the boiling that it leads to take turns of this many seconds."""
 _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
@@ -437,18 +436,15 @@ class Flask:
             self._row[TEMPERATURE] = jacket
         elif temperature_k is None:
             through = 0.0
-        parts = 1 if closed else min(max(math.ceil(seconds / _PART_S), 1), _MOST_PARTS)
-        dt, row, chem, waste = seconds / parts, self._row, self._chem, self._shelf.waste[0]
-        for _ in range(parts):
-            if laws.react(row, chem, dt, jacket, through, _RTOL, _ATOL, self._work) < 0:
-                hottest = self.temperature_k
-                row[:], self._shelf.waste[:], self._events[:] = before, lost, counted
-                raise ArithmeticError(
-                    f"react: too stiff for {dt:g} s at {hottest:.1f} K, and nothing has happened; "
-                    "take a shorter time, a jacket, or smaller rate constants"
-                )
-            if not closed:
-                laws.reflux(row, condenser * dt, chem, waste, self._events)
+        around = Surroundings(jacket, through, -1.0 if closed else condenser, _RTOL, _ATOL)
+        waste = self._shelf.waste[0]
+        if react_open(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
+            hottest = self.temperature_k
+            self._row[:], self._shelf.waste[:], self._events[:] = before, lost, counted
+            raise ArithmeticError(
+                f"react: too stiff for {seconds:g} s at {hottest:.1f} K, and nothing has happened; "
+                "take a shorter time, a jacket, or smaller rate constants"
+            )
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
     def wait(self, seconds: float) -> None:

@@ -444,3 +444,15 @@ def test_the_page_says_what_its_code_prints(monkeypatch: pytest.MonkeyPatch) -> 
         assert text.count("```text\n") >= 5
         assert printed(text) == text, f"run: python docs/printed.py {name}"
     sys.modules.pop("printed")
+
+
+def test_what_a_runaway_boils_off_does_not_depend_on_how_long_one_looks_away() -> None:
+    """Ten minutes at once lose as much ether as six thousand tenths of a second."""
+    lost = []
+    for calls in (1, 6000):
+        flask = Flask({"diethyl_ether": 4.0, "1-chlorohexane": 0.5, "Na": 0.5}, capacity_l=2.0, reactions="wurtz_real")
+        for _ in range(calls):
+            flask.react(600.0 / calls, 283.15, jacket_w_k=6.0, condenser_w=80.0)
+        lost.append(4.0 - flask.amounts["diethyl_ether"])
+    assert lost[1] > 0.5
+    assert lost[0] == pytest.approx(lost[1], rel=0.05)

@@ -28,7 +28,8 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
-from ..physics.laws import partition, react, reflux, settle_phases, vapor_pressure, vent
+from ..physics.boiling import Surroundings, react_open
+from ..physics.laws import partition, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.thermal import pressure, seal
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
@@ -49,7 +50,6 @@ from .models import ReactionModel, checked_reaction
 __all__ = ["ReactionBench", "ReactionOptions", "Span"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-_REFLUX_PARTS = 8
 _FULLEST = 0.98
 """The piston stops where the contents would fill this share of the vessel."""
 
@@ -103,8 +103,6 @@ class SupplyState(NamedTuple):
     """[N, Q] mol each reagent the experiment may still take"""
     jacket: Annotated[FloatArray, Array("N")]
     """[N] K, temperature of what the vessel stands in"""
-    kept_row: Annotated[FloatArray, Array("N W", first=None, kept=False)]
-    """[N, W] scratch: the vessel as the tick began"""
 
 
 class ReactorRules(NamedTuple):
@@ -181,27 +179,11 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
 
 @inner
 def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> int:
-    """The reactions of a tick; below 0 if they were too stiff. Under reflux, a little at a time: what boils meanwhile
-    keeps its temperature."""
+    """The reactions of a tick; below 0 if they were too stiff."""
     row = shelf.rows[state.places[m, 0]]
     jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
-    if rules.condenser < 0.0:
-        return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
-    # As a whole first: mostly nothing boils. If it does, once more from where it was.
-    kept = state.kept_row[m]
-    for x in range(row.shape[0]):
-        kept[x] = row[x]
-    ambient = opened(Chemistry, chem).ambient_pressure
-    steps = react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
-    if vapor_pressure(row, chem) <= ambient:
-        return steps
-    for x in range(row.shape[0]):
-        row[x] = kept[x]
-    dt, worst = rules.tick / _REFLUX_PARTS, 0
-    for _part in range(_REFLUX_PARTS):
-        worst = min(worst, react(row, chem, dt, jacket, rules.transfer, rules.rtol, rules.atol, rules.work))
-        reflux(row, rules.condenser * dt, chem, shelf.waste[m], state.events[m])
-    return worst
+    around = Surroundings(jacket, rules.transfer, rules.condenser, rules.rtol, rules.atol)
+    return react_open(row, rules.tick, around, chem, shelf.waste[m], state.events[m], rules.work)
 
 
 @inner

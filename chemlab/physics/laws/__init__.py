@@ -64,9 +64,9 @@ def _tier(dimensions: int) -> Any:
 
 
 def work_size(chemistry: ChemistryTable) -> tuple[int, int]:
-    """Shape of the scratch array, ``work``, that a tier's laws need at least."""
-    size: tuple[int, int] = _tier(tier_dimensions(chemistry.tier)).work_size(chemistry.world())
-    return size
+    """Shape of the scratch array, ``work``, that a tier's laws need at least; and a last row that holds a vessel's."""
+    rows, columns = _tier(tier_dimensions(chemistry.tier)).work_size(chemistry.world())
+    return rows + 1, max(columns, chemistry.layout.width)
 
 
 def _kinds(name: str, dimensions: int) -> tuple[tuple[Any, ...], Any]:
@@ -281,7 +281,7 @@ def react(
         jacket: K, temperature of what the vessel stands in.
         transfer: W/K, how well heat passes to it; below 0: at once, so that the contents keep its temperature.
         rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
-        work: scratch of shape :func:`work_size`.
+        work: scratch of shape :func:`work_size`; its first number is the highest temperature on the way then, K.
 
     Returns:
         Number of steps taken, rejected ones included; -1 where that would have been too many (nothing has changed

@@ -23,7 +23,9 @@ def react(
     work: FloatArray,
 ) -> int:
     """Mass action at the temperature of the contents: reactions have no heat, so that of the jacket is theirs."""
-    return integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, rtol, atol, work)
+    steps = integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, rtol, atol, work)
+    work[0, 0] = row[TEMPERATURE]
+    return steps
 
 
 @helper

@@ -7,6 +7,7 @@ A column has constant molar flows, holds nothing up and a total condenser.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import TEMPERATURE
@@ -16,8 +17,10 @@ from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity
 from .chemistry import MOST_FLUIDS, RealChemistry
 from .column import LADDER, MOST_STAGES, overhead
+from .heats import enthalpy, set_enthalpy
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .partition import crystallizes
+from .salts import settle_salts
 from .vapor import bubble_point, write_back
 
 __all__ = ["evaporate", "heat"]
@@ -55,6 +58,80 @@ def _latent(n: int, temperature: float, partial: FloatArray, chem: Handle, liqui
     return latent / total
 
 
+class _Still(NamedTuple):
+    """A column's numbers, and scratch of the integration."""
+
+    trays: int
+    returned: float
+    """mol that run back for each that leaves"""
+    hottest: float
+    ladder: FloatArray
+    partial: FloatArray
+    before: FloatArray
+    halfway: FloatArray
+
+
+@inner
+def _boil(
+    row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
+) -> tuple[float, float]:
+    """A step of the integration, by the midpoint, of at most ``left`` joules: leaves the pot's amounts in ``liquids``,
+    those that it had in ``still.before``. Returns the joules that went into vapour and into the pot's warmth."""
+    chemistry = opened(RealChemistry, chem)
+    ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
+    mol, spent, warming = 0.0, 0.0, 0.0
+    for a in range(n):
+        before[a] = liquids.mol[a]
+        mol += _STEP * liquids.mol[a]
+    for attempt in range(_MOST_ATTEMPTS):
+        price = (1.0 + still.returned) * _latent(n, boiling, partial, chem, liquids)
+        mol = min(mol, left / price)
+        if still.trays > 0:
+            overhead(n, still.trays, still.returned, begun or attempt > 0, chem, liquids, still.ladder, partial)
+        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+        for a in range(n):
+            halfway[a] = liquids.mol[a]
+        warmer = bubble_point(n, ambient, boiling, chem, liquids, partial)
+        if still.trays > 0:
+            overhead(n, still.trays, still.returned, True, chem, liquids, still.ladder, partial)
+        evaporate(n, mol, partial, before, halfway, liquids)
+        spent, after = 0.0, heat_capacity(row, chem)
+        for a in range(n):
+            i = int(liquids.who[a])
+            gone = before[a] - liquids.mol[a]
+            spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
+            after -= gone * chemistry.heat_capacity[i]
+        spent *= 1.0 + still.returned
+        # The pot goes along with its boiling point.
+        warming = 2.0 * max(min(warmer, still.hottest) - boiling, 0.0) * max(after, 0.0)
+        if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
+            break
+        mol *= _SHORT * left / (spent + warming)
+        for a in range(n):
+            liquids.mol[a] = before[a]
+        bubble_point(n, ambient, boiling, chem, liquids, partial)
+    return spent, warming
+
+
+@inner
+def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: float, chem: Handle) -> float:
+    """Warm (> 0) or cool (< 0) the contents, not beyond the limits; returns the joules that went in."""
+    capacity = heat_capacity(row, chem)
+    if capacity <= 0.0:
+        return 0.0
+    was = row[TEMPERATURE]
+    row[TEMPERATURE] = max(min(was + joules / capacity, max(hottest, was)), min(coolest, was))
+    return float(capacity * (row[TEMPERATURE] - was))
+
+
+@inner
+def _let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
+    """What the solvent that has gone no longer holds, with its heat."""
+    before = enthalpy(row, chem)
+    if settle_salts(row, chem):
+        set_enthalpy(row, before, chem)
+
+
 @kernel
 def heat(
     row: FloatArray,
@@ -68,31 +145,21 @@ def heat(
     """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature."""
     chemistry = opened(RealChemistry, chem)
     hottest, coolest = limits[0], limits[1]
-    capacity = heat_capacity(row, chem)
-    if joules == 0.0 or capacity <= 0.0:
+    if joules == 0.0 or heat_capacity(row, chem) <= 0.0:
         if joules > 0.0:
             events[DRY_HEATING] += 1.0
         return 0.0, 0.0
     if joules < 0.0:
-        target = max(row[TEMPERATURE] + joules / capacity, min(coolest, row[TEMPERATURE]))
-        taken = capacity * (target - row[TEMPERATURE])
-        row[TEMPERATURE] = target
-        return taken, 0.0
+        return _change_warmth(row, joules, coolest, math.inf, chem), 0.0
     trays = int(min(max(limits[2] - 1.0, 0.0), MOST_STAGES))
+    partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
+    distilled, liquids = scratch(MOST_FLUIDS), clear_liquids()
     returned = limits[3] if trays > 0 else 0.0
-    liquids = clear_liquids()
-    partial, before, halfway, distilled = (
-        scratch(MOST_FLUIDS),
-        scratch(MOST_FLUIDS),
-        scratch(MOST_FLUIDS),
-        scratch(MOST_FLUIDS),
-    )
-    ladder = scratch(LADDER)
+    still = _Still(trays, returned, hottest, scratch(LADDER), partial, before, halfway)
     n = gather(row, chem, liquids)
     for a in range(n):
         distilled[a] = 0.0
     left, condenser, boiled, dry = joules, 0.0, False, n == 0
-    warm = False
     for _step in range(_MOST_STEPS):
         everything = 0.0
         for a in range(n):
@@ -112,37 +179,7 @@ def heat(
         if left <= 0.0:
             left = 0.0
             break
-        mol = _STEP * everything
-        for a in range(n):
-            before[a] = liquids.mol[a]
-        for attempt in range(_MOST_ATTEMPTS):
-            price = (1.0 + returned) * _latent(n, boiling, partial, chem, liquids)
-            mol = min(mol, left / price)
-            if trays > 0:
-                overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
-                warm = True
-            evaporate(n, 0.5 * mol, partial, before, before, liquids)
-            for a in range(n):
-                halfway[a] = liquids.mol[a]
-            warmer = bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
-            if trays > 0:
-                overhead(n, trays, returned, warm, chem, liquids, ladder, partial)
-            evaporate(n, mol, partial, before, halfway, liquids)
-            spent, after = 0.0, heat_capacity(row, chem)
-            for a in range(n):
-                i = int(liquids.who[a])
-                gone = before[a] - liquids.mol[a]
-                spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
-                after -= gone * chemistry.heat_capacity[i]
-            spent *= 1.0 + returned
-            # The pot goes along with its boiling point.
-            warming = 2.0 * max(min(warmer, hottest) - boiling, 0.0) * max(after, 0.0)
-            if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
-                break
-            mol *= _SHORT * left / (spent + warming)
-            for a in range(n):
-                liquids.mol[a] = before[a]
-            bubble_point(n, chemistry.ambient_pressure, boiling, chem, liquids, partial)
+        spent, warming = _boil(row, n, boiling, left, boiled, still, chem, liquids)
         for a in range(n):
             gone = before[a] - liquids.mol[a]
             distilled[a] += gone
@@ -155,6 +192,7 @@ def heat(
         warming = min(warming, left)  # below 0 if the vapour took more than there was: from the pot's own heat
         left -= warming
         row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
+        _let_salts_fall_out(row, chem)
         if left <= _TRIFLE * joules:
             break
     if boiled:
@@ -165,11 +203,8 @@ def heat(
                 condenser += distilled[a] * chemistry.fusion[i]  # it freezes there
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
-    capacity = heat_capacity(row, chem)
-    if capacity > 0.0 and left > 0.0:
-        target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
-        left -= capacity * (target - row[TEMPERATURE])
-        row[TEMPERATURE] = target
+    if left > 0.0:
+        left -= _change_warmth(row, left, 0.0, hottest, chem)
     # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
     refused = min(max(left, 0.0), joules)
     return joules - refused, condenser + max(left - refused, 0.0)

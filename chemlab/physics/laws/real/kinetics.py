@@ -529,15 +529,16 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
 
 
 @inner
-def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: float, atol: float) -> int:
-    """Bring the extents from 0 to ``dt``; returns the number of steps, -1 where there would be too many."""
+def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: float, atol: float) -> tuple[int, float]:
+    """Bring the extents from 0 to ``dt``; returns the number of steps, -1 where there would be too many, and the
+    highest temperature on the way, K."""
     chemistry = opened(RealChemistry, chem)
     n, work = chemistry.independent.shape[0] + (1 if vessel.transfer > 0.0 else 0), vessel.work
-    h, done, steps, fresh = first, 0.0, 0, True
+    h, done, steps, fresh, hottest = first, 0.0, 0, True, 0.0
     while done < dt:
         steps += 1
         if steps > _MOST_STEPS:
-            return -1
+            return -1, hottest
         last = h >= dt - done
         h = min(h, dt - done)
         if fresh:
@@ -563,9 +564,10 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: flo
         for j in range(chemistry.species.shape[0]):
             work[_NOW, j] = max(work[_CONC, j], 0.0)
         _rates(chem, vessel, work[_EXTENT], work[_RATES])
+        hottest = max(hottest, _temperature(chem, vessel, work[_EXTENT])[0])
         fresh = True
         h *= 8.0 if error < 1e-3 else min(8.0, 0.9 * error ** (-1.0 / 3.0))
-    return steps
+    return steps, hottest
 
 
 @kernel
@@ -589,7 +591,7 @@ def react(
         transfer: W/K through the vessel's wall: 0 is a perfect insulator, infinity (or a negative number) keeps the
             contents as warm as the jacket.
         rtol, atol: error tolerances on concentrations (relative; mol/L), and on temperature (``rtol`` times 10 K).
-        work: scratch of shape :func:`react_work_size`.
+        work: scratch of shape :func:`react_work_size`; its first number is the highest temperature on the way then, K.
 
     Returns:
         Number of steps taken, rejected ones included; -1 where that would have been more than 100,000 (nothing has
@@ -601,6 +603,7 @@ def react(
         litres = liquid_volume(row, chem)
     if litres <= 0.0:
         _exchange_heat(row, chem, dt, jacket, transfer)
+        work[0, 0] = row[TEMPERATURE]
         return 0
     capacity = heat_capacity(row, chem) / litres
     through = transfer / litres if transfer < math.inf else -1.0
@@ -608,8 +611,9 @@ def react(
     first = _begin(row, chem, vessel, litres, dt)
     if first <= 0.0:
         _exchange_heat(row, chem, dt, jacket, transfer)
+        work[0, 0] = row[TEMPERATURE]
         return 0
-    steps = _integrate(chem, vessel, first, dt, rtol, atol)
+    steps, hottest = _integrate(chem, vessel, first, dt, rtol, atol)
     if steps < 0:
         return -1
     temperature = _temperature(chem, vessel, work[_EXTENT])[0]
@@ -618,4 +622,5 @@ def react(
         if change != 0.0:
             _add_species(row, chem, j, litres * change)
     row[TEMPERATURE] = temperature
+    work[0, 0] = hottest
     return steps

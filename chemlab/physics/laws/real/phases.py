@@ -8,22 +8,23 @@ from typing import Any
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
 from ....jit import inner, kernel, opened
+from ...boiling import Surroundings, react_open
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
-from ...transfer import heat_capacity, volume
+from ...transfer import heat_capacity, spill, volume
 from .acids import acid_work_size, settle_acids
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .heats import crystals, enthalpy, set_enthalpy
-from .kinetics import react, react_work_size
-from .liquids import Liquids, clear_liquids, gather, on_curve, split
+from .kinetics import react_work_size
+from .liquids import Liquids, clear_liquids, gather, split
 from .partition import crystallizes, place_new
+from .salts import change_amount, settle_salts
 from .vapor import flash_off
 
 __all__ = ["elapse", "settle_phases", "work_size"]
 
 _MOST_ROUNDS = 60
 _RTOL, _ATOL = 1e-3, 1e-9
-_CLOSE = 1e-12
 _SATURATED = 1e-9
 """Of the logarithm of what is dissolved, where saturation counts as found."""
 _FLAT = 0.1
@@ -34,31 +35,6 @@ def work_size(chemistry: Any) -> tuple[int, int]:
     """Of the scratch of reactions and of acids."""
     sizes = react_work_size(chemistry), acid_work_size(chemistry)
     return max(rows for rows, _ in sizes), max(columns for _, columns in sizes)
-
-
-@inner
-def _change(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
-    """Add (or take away) a material; a fluid's phases follow, with what is new in water where there is any."""
-    chemistry = opened(RealChemistry, chem)
-    before = row[AMOUNTS + material]
-    after = max(before + mol, 0.0)
-    row[AMOUNTS + material] = after
-    k = chemistry.dissolved_at[material]
-    if k < 0:
-        return
-    at = AMOUNTS + chemistry.role.shape[0] + 2 * k
-    placed = row[at + AQUEOUS] + row[at + ORGANIC]
-    if mol < 0.0 and placed > 0.0:
-        scale = max(placed + mol, 0.0) / placed
-        row[at + AQUEOUS] *= scale
-        row[at + ORGANIC] *= scale
-    elif mol > 0.0:
-        home = AQUEOUS if chemistry.liquid[material] == 2 or material == chemistry.water or placed <= 0.0 else ORGANIC
-        if placed > 0.0 and home == ORGANIC:
-            row[at + AQUEOUS] += mol * row[at + AQUEOUS] / placed
-            row[at + ORGANIC] += mol * row[at + ORGANIC] / placed
-        else:
-            row[at + home] += mol
 
 
 @inner
@@ -81,58 +57,18 @@ def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
                 events[chemistry.violent_event[v]] -= change
                 first = False
             if change != 0.0:
-                _change(row, chem, i, change)
+                change_amount(row, chem, i, change)
     return ran
 
 
 @inner
-def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
-    """Solubility product of a salt in the aqueous phase, mol^2: (solubility x its kilograms of molecules)^2. In a
-    mixture the logarithms of the solubilities add up by mass (Yalkowsky's log-linear rule)."""
+def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
+    """Gas leaves an open vessel."""
     chemistry = opened(RealChemistry, chem)
-    m = chemistry.role.shape[0]
-    curves = chemistry.solubility[salt]
-    mass, weighted = 0.0, 0.0
-    for k in range(chemistry.dissolved.shape[0]):
-        i = chemistry.dissolved[k]
-        if chemistry.liquid[i] != 1:
-            continue
-        grams = row[AMOUNTS + m + 2 * k + AQUEOUS] * chemistry.molar_mass[i]
-        mass += grams
-        weighted += grams * on_curve(curves, i, row[TEMPERATURE], chem)
-    if mass <= 1e-9:
-        return 0.0
-    return (1e-3 * mass * math.exp(max(weighted / mass, -300.0))) ** 2
-
-
-@inner
-def _settle_salts(row: FloatArray, chem: Handle) -> bool:
-    """Take every salt to [cation][anion] = its solubility product, or until all of it is dissolved; says whether any
-    moved. Salts with an ion in common are gone over until none moves any more."""
-    chemistry = opened(RealChemistry, chem)
-    moved = False
-    for _round in range(_MOST_ROUNDS):
-        worst = 0.0
-        for s in range(chemistry.salts.shape[0]):
-            solid, cation, anion = chemistry.salts[s, 0], chemistry.salts[s, 1], chemistry.salts[s, 2]
-            undissolved, c, a = row[AMOUNTS + solid], row[AMOUNTS + cation], row[AMOUNTS + anion]
-            if undissolved <= 0.0 and (c <= 0.0 or a <= 0.0):
-                continue
-            product = _water_phase(row, chem, s)
-            # (c + x)(a + x) = product, of the two roots the one that leaves both ions.
-            gap = 0.5 * (c - a)
-            dissolving = math.sqrt(gap * gap + product) - 0.5 * (c + a)
-            dissolving = min(max(dissolving, -min(c, a)), undissolved)
-            if abs(dissolving) <= _CLOSE * (undissolved + c + a):
-                continue
-            _change(row, chem, solid, -dissolving)
-            _change(row, chem, cation, dissolving)
-            _change(row, chem, anion, dissolving)
-            worst = max(worst, abs(dissolving))
-            moved = True
-        if worst <= _CLOSE:
-            break
-    return moved
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_GAS and row[AMOUNTS + i] > 0.0:
+            waste[i] += row[AMOUNTS + i]
+            row[AMOUNTS + i] = 0.0
 
 
 @kernel
@@ -145,18 +81,16 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     changed = _react_violently(row, chem, events)
     if chemistry.ionization[0] >= 0:
         settle_acids(row, chem, work)
-    if chemistry.salts.shape[0] > 0 and _settle_salts(row, chem):
+    if settle_salts(row, chem):
         changed = True
     if changed:
         set_enthalpy(row, before, chem)
     if row[AIR] > 0.0:
         return  # sealed
-    for i in range(chemistry.role.shape[0]):
-        if chemistry.role[i] == ROLE_GAS and row[AMOUNTS + i] > 0.0:
-            waste[i] += row[AMOUNTS + i]
-            row[AMOUNTS + i] = 0.0
+    _let_out(row, chem, waste)
     if changed:
         events[RELIEF] += flash_off(row, chemistry.ambient_pressure, chem, waste)
+        spill(row, chem, waste, events)
 
 
 @inner
@@ -248,11 +182,12 @@ def elapse(
     if heat_capacity(row, chem) <= 0.0:
         return False
     place_new(row, chem)
-    was = row[TEMPERATURE]
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
-    changed = react(row, chem, seconds, chemistry.ambient_temperature, transfer, _RTOL, _ATOL, work) > 0
+    around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
+    changed = react_open(row, seconds, around, chem, waste, events, work) != 0
     if _crystallize(row, seconds, chem):
         changed = True
-    if changed and row[TEMPERATURE] > was:
-        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, chem, waste)
+    if changed:
+        _let_out(row, chem, waste)
+        spill(row, chem, waste, events)
     return changed
