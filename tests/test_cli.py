@@ -333,7 +333,7 @@ def test_descriptions_are_for_people(name: str) -> None:
         joined = " ".join(done.stdout.split())
         for action, meaning in enumerate(labs.role(number).action_meanings):
             assert f" {action} {meaning}" in joined
-        assert all(channel.name.replace("slot_0", "slot_s") in joined for channel in labs.role(number).channels[:6])
+        assert all(channel.name.replace("slot_0", "slot_s") in joined for channel in labs.role(number).channels[:9])
 
 
 def test_describing_nobody() -> None:

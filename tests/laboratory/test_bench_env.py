@@ -493,7 +493,7 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
     price = env.batch.scenario.costs.illegal_action
     assert price > 0.0
     seen = {True: 0, False: 0}
-    for _ in range(200):
+    for _ in range(400):
         mask = env.action_masks()
         assert mask[-1], "ending is always legal"
         assert mask.sum() >= 2
@@ -512,7 +512,7 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
         if over:
             assert info["action_mask"].any()
             env.reset()
-    assert min(seen.values()) >= 20
+    assert min(seen.values()) > 20
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)

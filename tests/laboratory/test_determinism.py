@@ -171,7 +171,7 @@ def test_a_restored_laboratory_goes_on_as_it_did(name: str) -> None:
     assert labs.state.status[0] == 0
     middle = labs.snapshot()
     played = play(labs, rng, 200)
-    assert len(played) > 3
+    assert len(played) > (3 if name == "recrystallization" else 40)  # there, random managers soon submit
     end = labs.snapshot()
     labs.restore(middle)
     once = replay(labs, played)

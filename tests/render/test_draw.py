@@ -77,7 +77,9 @@ def check_proportions(scene: Scene, width: int = 960, height: int = 540) -> int:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_layers_are_as_high_as_their_volumes(name: str) -> None:
-    assert sum(check_proportions(scene) for scene in episode(name)[::2]) >= 3
+    # A short episode with few pictures.
+    least = 3 if name == "recrystallization" else 5
+    assert sum(check_proportions(scene) for scene in episode(name)[::2]) >= least
 
 
 @pytest.mark.parametrize("size", [(480, 270), (1280, 720), (1600, 600)])
