@@ -31,6 +31,7 @@ __all__ = [
     "drain_layer",
     "dry",
     "elapse",
+    "enthalpy",
     "find_layers",
     "headspace_gas",
     "heat",
@@ -258,6 +259,12 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
 @law
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Rate constant of a reaction at ``temperature`` (K), in its own unit."""
+    raise NotImplementedError
+
+
+@law
+def enthalpy(row: FloatArray, chem: Handle) -> float:
+    """Enthalpy of the contents of a vessel without air, J; only differences mean something."""
     raise NotImplementedError
 
 

@@ -6,9 +6,9 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import TEMPERATURE, Chemistry
 from ....jit import helper
 from ...kinetics import integrate, react_work_size
-from ...transfer import liquid_volume
+from ...transfer import heat_capacity, liquid_volume
 
-__all__ = ["elapse", "react", "reflux", "work_size"]
+__all__ = ["elapse", "enthalpy", "react", "reflux", "work_size"]
 
 
 @helper
@@ -26,6 +26,12 @@ def react(
     steps = integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, rtol, atol, work)
     work[0, 0] = row[TEMPERATURE]
     return steps
+
+
+@helper
+def enthalpy(row: FloatArray, chem: Handle) -> float:
+    """Warmth alone: reactions have no heat."""
+    return float(heat_capacity(row, chem) * row[TEMPERATURE])
 
 
 @helper

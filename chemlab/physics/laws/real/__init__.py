@@ -8,6 +8,7 @@ from .boiling import heat
 from .chemistry import RealChemistry as DECLARATION
 from .chemistry import build
 from .drying import dry
+from .heats import enthalpy
 from .kinetics import react
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
@@ -20,6 +21,7 @@ __all__ = [
     "drain_layer",
     "dry",
     "elapse",
+    "enthalpy",
     "find_layers",
     "headspace_gas",
     "heat",

@@ -21,6 +21,8 @@ _CLOSE_K = 1e-4
 _SAME_K = 0.1
 """Change of temperature that leaves activities as they are."""
 _MOST_ROUNDS = 40
+_FLASHED_K = 0.01
+"""Above the boiling point, where flashing is over."""
 _LONGEST_K = 30.0
 _HOTTEST_K = 890.0
 
@@ -106,7 +108,7 @@ def flash_off(row: FloatArray, pressure: float, chem: Handle, waste: FloatArray)
             break
         boiling = bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, partial)
         excess = (row[TEMPERATURE] - boiling) * heat_capacity(row, chem)
-        if row[TEMPERATURE] - boiling <= 1e-3:
+        if row[TEMPERATURE] - boiling <= _FLASHED_K:
             break
         latent, total, everything = 0.0, 0.0, 0.0
         for a in range(n):
