@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba.core import caching, cgutils, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.extending import _Intrinsic
 from numba.np import arrayobj
 
@@ -25,6 +27,7 @@ from .arrays import SLOT, FloatArray, Handle, declared
 
 __all__ = [
     "COMPILED",
+    "INLINED",
     "SETTINGS",
     "address",
     "announce_compiling",
@@ -43,6 +46,8 @@ _TYPES: Any = types
 _BUILD: Any = cgutils
 _ARRAYS: Any = arrayobj
 _CACHE_FILE: Any = caching.IndexDataCacheFile
+_LIBRARY: Any = JITCodeLibrary
+_COMPILER: Any = Compiler
 """numba's insides, which have no types."""
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,7 +58,56 @@ COMPILED: bool = not getattr(numba, "config").DISABLE_JIT  # noqa: B009 - numba 
 """Whether kernels are compiled; with ``NUMBA_DISABLE_JIT=1`` they are plain Python."""
 # _nrt=False: kernels allocate nothing, so numba need not count references to the arrays handed to them; that
 # counting (atomic, twice an array, at every inner call) took ten times as long as the physics.
-SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+# forceinline=False: a kernel would have it of an inlined function that is the first to call it, and then stand there as
+# often as it is called.
+SETTINGS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+    "forceinline": False,
+}
+
+
+class _NoEnvironment:
+    """What a function needs to call Python is nowhere for one that has no code of its own."""
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Nothing."""
+
+
+class _InlinedLibrary(_LIBRARY):  # type: ignore[misc]  # numba has no types
+    """What is only ever made part of kernels, which are optimized as a whole. numba makes machine code of every
+    function, with all that is inlined in it, however deep it is nested: that took half of the time to compile."""
+
+    codegen = _NoEnvironment()
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+
+class _InlinedCompiler(_COMPILER):  # type: ignore[misc]  # numba has no types
+    """numba's compiler, for functions that only kernels call."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typing, target, library or _InlinedLibrary(target.codegen(), "inlined"), *rest)
+
+
+INLINED: dict[str, Any] = {
+    **SETTINGS,
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "pipeline_class": _InlinedCompiler,
+}
+"""numba's settings for a function that is made part of the kernels that call it."""
 
 
 @functools.cache
@@ -160,15 +214,37 @@ def _other_tiers(modules: tuple[str, ...]) -> str:
     return digest.hexdigest() if others else ""
 
 
-def helper(function: F) -> F:
-    """A kernel that is always inlined: for what is called many times a step."""
-    return kernel(function, forceinline=True)
-
-
 def inner(function: F) -> F:
-    """A helper that takes opened tables, and that only kernels call: what Python would hand over to it takes longer to
-    compile than most of them."""
-    return kernel(function, forceinline=True, no_cpython_wrapper=True)
+    """A function that only kernels call, and that is always inlined: for what is called many times a step, and what
+    takes opened tables."""
+    return cast(F, numba.njit(**INLINED)(function))
+
+
+def helper(function: F) -> F:
+    """A function that is always inlined in kernels, and that Python may call, too."""
+    return cast(F, _Helper(function)) if COMPILED else function
+
+
+class _Helper:
+    """Two things by one name: what kernels inline, and a kernel for Python that is compiled if Python calls it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._inlined = inner(function)
+        self._kernel = kernel(function)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return _TYPES.Dispatcher(self._inlined)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._kernel(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "_kernel":
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self._kernel, name)
 
 
 def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -> Callable[[int, Any, Handle], Any]:
@@ -182,10 +258,7 @@ def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -
     scope: dict[str, Any] = {f"function_{i}": function for i, function in enumerate(functions)}
     scope["otherwise"] = otherwise
     exec(f"def call(number, work, chem):\n{''.join(calls)}    return otherwise\n", scope)
-    # Always inlined in a kernel that has its own place in the cache.
-    return kernel(
-        cast(Callable[[int, Any, Handle], Any], scope["call"]), forceinline=True, cache=False, no_cpython_wrapper=True
-    )
+    return inner(cast(Callable[[int, Any, Handle], Any], scope["call"]))
 
 
 if not COMPILED:

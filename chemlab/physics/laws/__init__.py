@@ -21,7 +21,7 @@ from numba.extending import overload
 
 from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
 from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
-from ...jit import COMPILED, SETTINGS
+from ...jit import COMPILED, INLINED
 
 if COMPILED:
     from ...jit import address, calling
@@ -126,7 +126,7 @@ def law(stub: F, distant: bool = False) -> F:
             exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
             return cast(Callable[..., Any], scope[name])
 
-        overload(call, jit_options=cast(Any, {**SETTINGS, "forceinline": True}), strict=False)(choose)
+        overload(call, jit_options=cast(Any, INLINED), strict=False)(choose)
     return cast(F, call)
 
 
