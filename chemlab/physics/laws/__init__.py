@@ -21,6 +21,7 @@ from numba.extending import overload
 
 from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
 from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
+from ...compiling import compile_first
 from ...jit import COMPILED, INLINED
 
 if COMPILED:
@@ -80,7 +81,17 @@ def law_addresses(dimensions: int) -> list[int]:
     """Where the code of a tier's distant laws is: what its handles end in. Compiles what is not compiled yet."""
     if not COMPILED or dimensions == 1:
         return []
-    return [address(getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT]
+    laws = _compilations(dimensions)
+    kernels = [getattr(_tier(dimensions), name) for name in _DISTANT]
+    compile_first(kernels, dimensions, functools.partial(_compilations, dimensions), laws)
+    return [law() for law in laws]
+
+
+def _compilations(dimensions: int) -> list[Callable[[], int]]:
+    """What compiles each of a tier's distant laws, and returns its address."""
+    return [
+        functools.partial(address, getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT
+    ]
 
 
 def _numba_type(name: str, annotation: str) -> Any:
