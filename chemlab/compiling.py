@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from .jit import COMPILED, is_compiled, only_one
+from . import jit
 
 __all__ = ["Rehearsal", "compile_backwards", "compile_first"]
 
@@ -54,22 +54,20 @@ def compile_first(
         again: makes the same calls in another process; a function that can be pickled.
         rehearsal: the calls.
     """
-    if not COMPILED or _IN_CHILD in os.environ or all(is_compiled(one, dimensions) for one in kernels):
+    if not jit.COMPILED or _IN_CHILD in os.environ or all(jit.is_compiled(one, dimensions) for one in kernels):
         return
     done = [0, 0]
     """calls that this process and its child have ended"""
     # Of eight processes that begin at once one has a child: they wait for each other's kernels anyway.
-    with only_one(kernels[0]) as first, _child(again if first else None) as child, _told(done, len(rehearsal)):
-        if child is not None:
-            threading.Thread(target=_count, args=(child.stdout, done), daemon=True).start()
+    with jit.only_one(kernels[0]) as first, _child(again if first else None, done), _told(done, len(rehearsal)):
         for call in rehearsal:
             call()
             done[0] += 1
 
 
 @contextlib.contextmanager
-def _child(again: Callable[[], Rehearsal] | None) -> Iterator[subprocess.Popen[bytes] | None]:
-    """A process that goes through the rehearsal from its end, as long as the block runs; None where there is none."""
+def _child(again: Callable[[], Rehearsal] | None, done: list[int]) -> Iterator[None]:
+    """A process that goes through the rehearsal from its end, as long as the block runs, if there can be one."""
     child = None
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, pickle.PicklingError):
         if again is not None and _cores() > 1 and sys.executable:
@@ -83,11 +81,10 @@ def _child(again: Callable[[], Rehearsal] | None) -> Iterator[subprocess.Popen[b
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, _IN_CHILD: "1"},
             )
-            assert child.stdin is not None
-            child.stdin.write(work)
-            child.stdin.close()
+            # Writing takes as long as the child needs to begin to read.
+            threading.Thread(target=_talk, args=(child.stdin, child.stdout, work, done), daemon=True).start()
     try:
-        yield child
+        yield
     finally:
         if child is not None:
             child.kill()
@@ -101,9 +98,12 @@ def compile_backwards() -> None:
         print(flush=True)
 
 
-def _count(lines: IO[bytes] | None, done: list[int]) -> None:
-    for _line in lines or ():
-        done[1] += 1
+def _talk(to_child: IO[bytes], from_child: IO[bytes], work: bytes, done: list[int]) -> None:
+    with contextlib.suppress(OSError, ValueError):  # it may be gone
+        to_child.write(work)
+        to_child.close()
+        for _line in from_child:
+            done[1] += 1
 
 
 @functools.cache
