@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
 import importlib.util
 import math
+import os
 import pickle
 import sys
-from collections.abc import Callable, Sequence
+import time
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -18,32 +22,50 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba.core import caching, cgutils, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.datamodel import models
 from numba.core.extending import _Intrinsic
+from numba.core.typing import templates
 from numba.np import arrayobj
 
-from .arrays import SLOT, FloatArray, Handle, declared
+from .arrays import SLOT, Declared, FloatArray, Handle, declared
 
 __all__ = [
     "COMPILED",
+    "INLINED",
     "SETTINGS",
     "address",
-    "announce_compiling",
     "calling",
     "chained",
     "helper",
     "inner",
+    "is_compiled",
     "kernel",
+    "only_one",
     "opened",
     "scratch",
 ]
-
-_announced = False
 
 _TYPES: Any = types
 _BUILD: Any = cgutils
 _ARRAYS: Any = arrayobj
 _CACHE_FILE: Any = caching.IndexDataCacheFile
+_EXTENDING: Any = numba.extending
+_MODELS: Any = models
+_TEMPLATES: Any = templates
+_LIBRARY: Any = JITCodeLibrary
+_COMPILER: Any = Compiler
 """numba's insides, which have no types."""
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None
+
+_LONGEST_TURN = 120.0
+"""Seconds that a process waits for another's kernel before it compiles its own."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -53,7 +75,56 @@ COMPILED: bool = not getattr(numba, "config").DISABLE_JIT  # noqa: B009 - numba 
 """Whether kernels are compiled; with ``NUMBA_DISABLE_JIT=1`` they are plain Python."""
 # _nrt=False: kernels allocate nothing, so numba need not count references to the arrays handed to them; that
 # counting (atomic, twice an array, at every inner call) took ten times as long as the physics.
-SETTINGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+# forceinline=False: a kernel would have it of an inlined function that is the first to call it, and then stand there as
+# often as it is called.
+SETTINGS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+    "forceinline": False,
+}
+
+
+class _NoEnvironment:
+    """What a function needs to call Python is nowhere for one that has no code of its own."""
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Nothing."""
+
+
+class _InlinedLibrary(_LIBRARY):  # type: ignore[misc]  # numba has no types
+    """What is only ever made part of kernels, which are optimized as a whole. numba makes machine code of every
+    function, with all that is inlined in it, however deep it is nested: that took half of the time to compile."""
+
+    codegen = _NoEnvironment()
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+
+class _InlinedCompiler(_COMPILER):  # type: ignore[misc]  # numba has no types
+    """numba's compiler, for functions that only kernels call."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typing, target, library or _InlinedLibrary(target.codegen(), "inlined"), *rest)
+
+
+INLINED: dict[str, Any] = {
+    **SETTINGS,
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "pipeline_class": _InlinedCompiler,
+}
+"""numba's settings for a function that is made part of the kernels that call it."""
 
 
 @functools.cache
@@ -128,13 +199,76 @@ class _CheckedCacheFile(_CACHE_FILE):  # type: ignore[misc]  # numba has no type
         return self._read(self._data_path(name))
 
     def load(self, key: Any) -> Any:
-        return super().load(_keyed(key))
+        found = super().load(_keyed(key))
+        if found is None and self._take_turn():
+            found = super().load(_keyed(key))
+            if found is not None:
+                self._end_turn()
+        return found
 
     def save(self, key: Any, data: Any) -> None:
         try:
             super().save(_keyed(key), data)
         except OSError as error:
             _say_once(f"compiled kernels cannot be kept in {self._cache_path} ({error.strerror})")
+        self._end_turn()
+
+    def _take_turn(self) -> bool:
+        """Wait as long as another process compiles this kernel; it has left it in the cache then. False where there is
+        no telling. Kernels wait for those that they call, and never the other way round."""
+        end = time.monotonic() + _LONGEST_TURN
+        while not (taken := _take(self._cache_path, self._index_name)) and time.monotonic() < end:
+            time.sleep(0.05)
+        return bool(taken)
+
+    def _end_turn(self) -> None:
+        _give(self._cache_path, self._index_name)
+
+
+def _byte(name: str) -> int:
+    return zlib.crc32(name.encode())
+
+
+def _take(folder: str, name: str) -> bool:
+    """Take something in a folder of the cache, which one process at a time may have; True where there is no telling. A
+    process that ends lets go of what it has."""
+    turns = _turns(folder)
+    try:
+        if turns is not None:
+            fcntl.lockf(turns, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte(name))
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def _give(folder: str, name: str) -> None:
+    turns = _turns(folder)
+    if turns is not None:
+        with contextlib.suppress(OSError):
+            fcntl.lockf(turns, fcntl.LOCK_UN, 1, _byte(name))
+
+
+@contextlib.contextmanager
+def only_one(function: Callable[..., Any]) -> Iterator[bool]:
+    """Whether this process is the only one in such a block, of those that have a kernel's cache in common."""
+    folder = getattr(getattr(function, "_cache", None), "_cache_path", None)
+    taken = folder is None or _take(folder, "")
+    try:
+        yield taken
+    finally:
+        if taken and folder is not None:
+            _give(folder, "")
+
+
+@functools.cache
+def _turns(folder: str) -> int | None:
+    """A file in a folder of the cache, of which one process at a time may lock a byte; None without such locks."""
+    with contextlib.suppress(OSError):
+        if fcntl is not None:
+            return os.open(os.path.join(folder, "turns.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    return None
 
 
 def _checksum(data: bytes) -> bytes:
@@ -145,6 +279,12 @@ def _keyed(key: Any) -> Any:
     """The key of a kernel's cache; with tiers of laws that are not chemlab's, theirs besides."""
     tiers = _other_tiers(tuple(getattr(sys.modules.get("chemlab.chemistry"), "TIERS", {}).values()))
     return (key, tiers) if tiers else key
+
+
+def _signature(key: Any) -> tuple[Any, ...]:
+    """Types of a kernel's parameters, by its key in the cache."""
+    signature: tuple[Any, ...] = (key[0] if isinstance(key[1], str) else key)[0]
+    return signature
 
 
 @functools.cache
@@ -160,15 +300,37 @@ def _other_tiers(modules: tuple[str, ...]) -> str:
     return digest.hexdigest() if others else ""
 
 
-def helper(function: F) -> F:
-    """A kernel that is always inlined: for what is called many times a step."""
-    return kernel(function, forceinline=True)
-
-
 def inner(function: F) -> F:
-    """A helper that takes opened tables, and that only kernels call: what Python would hand over to it takes longer to
-    compile than most of them."""
-    return kernel(function, forceinline=True, no_cpython_wrapper=True)
+    """A function that only kernels call, and that is always inlined: for what is called many times a step, and what
+    takes opened tables."""
+    return cast(F, numba.njit(**INLINED)(function))
+
+
+def helper(function: F) -> F:
+    """A function that is always inlined in kernels, and that Python may call, too."""
+    return cast(F, _Helper(function)) if COMPILED else function
+
+
+class _Helper:
+    """Two things by one name: what kernels inline, and a kernel for Python that is compiled if Python calls it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._inlined = inner(function)
+        self._kernel = kernel(function)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return _TYPES.Dispatcher(self._inlined)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._kernel(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "_kernel":
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self._kernel, name)
 
 
 def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -> Callable[[int, Any, Handle], Any]:
@@ -182,10 +344,7 @@ def chained(functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any) -
     scope: dict[str, Any] = {f"function_{i}": function for i, function in enumerate(functions)}
     scope["otherwise"] = otherwise
     exec(f"def call(number, work, chem):\n{''.join(calls)}    return otherwise\n", scope)
-    # Always inlined in a kernel that has its own place in the cache.
-    return kernel(
-        cast(Callable[[int, Any, Handle], Any], scope["call"]), forceinline=True, cache=False, no_cpython_wrapper=True
-    )
+    return inner(cast(Callable[[int, Any, Handle], Any], scope["call"]))
 
 
 if not COMPILED:
@@ -227,53 +386,82 @@ else:
                 values.append(array[0].item() if field.number else array)
             return declaration(*values)
 
+    class _Table(_TYPES.Type):  # type: ignore[misc]  # numba has no types
+        """A table as kernels see it: where its handle is. Handing over the arrays instead, some two hundred numbers to
+        each inlined function, took longer to compile than what the functions do."""
+
+        def __init__(self, declaration: Any) -> None:
+            self.declaration = declaration
+            super().__init__(f"table of {declaration.__qualname__}")
+
+        @property
+        def key(self) -> Any:
+            return self.declaration
+
+        def kind(self, field: Declared) -> Any:
+            """numba type of a field."""
+            number = numba.from_dtype(field.dtype)
+            return number if field.number else _TYPES.Array(number, len(field.axes), "C")
+
+        def find(self, name: str) -> tuple[int, Declared]:
+            """A field and where it stands."""
+            return next((i, field) for i, field in enumerate(declared(self.declaration)) if field.name == name)
+
+    @_EXTENDING.register_model(_Table)
+    class _TableModel(_MODELS.PrimitiveModel):  # type: ignore[misc]
+        def __init__(self, manager: Any, kind: Any) -> None:
+            super().__init__(manager, kind, ir.IntType(64).as_pointer())
+
+    @_EXTENDING.infer_getattr
+    class _Fields(_TEMPLATES.AttributeTemplate):  # type: ignore[misc]
+        key = _Table
+
+        def generic_resolve(self, table: Any, name: str) -> Any:
+            return table.kind(table.find(name)[1]) if name in table.declaration._fields else None
+
+    @_EXTENDING.lower_getattr_generic(_Table)  # type: ignore[untyped-decorator]
+    def _field(context: Any, builder: Any, table: Any, base: Any, name: str) -> Any:
+        word, (at, field) = ir.IntType(64), table.find(name)
+        kind = table.kind(field)
+
+        def load(pointer: Any) -> Any:
+            loaded = builder.load(pointer)
+            # Where arrays are does not change while kernels run, whatever these write: it is looked up but once.
+            loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+            return loaded
+
+        def number(position: int) -> Any:
+            return load(builder.gep(base, [ir.Constant(word, SLOT * at + position)]))
+
+        if field.number:
+            return load(builder.inttoptr(number(0), context.get_value_type(kind).as_pointer()))
+        size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
+        lengths = [number(1 + axis) for axis in range(kind.ndim)]
+        strides: list[Any] = []
+        step = ir.Constant(word, size)
+        for length in reversed(lengths):
+            strides.insert(0, step)
+            step = builder.mul(step, length)
+        array = _ARRAYS.make_array(kind)(context, builder)
+        _ARRAYS.populate_array(
+            array,
+            data=builder.inttoptr(number(0), array.data.type),
+            shape=_BUILD.pack_array(builder, lengths, ty=word),
+            strides=_BUILD.pack_array(builder, strides, ty=word),
+            itemsize=ir.Constant(word, size),
+            meminfo=None,
+        )
+        return array._getvalue()
+
     def _open(context: Any, declaration: Any, handle: Any) -> Any:
-        """The arrays of a table by its handle: an instance of the table's ``declaration``, or of one whose fields the
-        table's begin with. In a kernel nothing is loaded but what is used; plain functions may call it, too."""
-        cls = declaration.instance_class
-        fields = declared(cls)
-        kinds = [
-            numba.from_dtype(field.dtype)
-            if field.number
-            else _TYPES.Array(numba.from_dtype(field.dtype), len(field.axes), "C")
-            for field in fields
-        ]
-        result = _TYPES.NamedTuple(kinds, cls)
+        """The arrays of a table by its handle: what has the fields of the table's ``declaration``, or of one whose
+        fields the table's begin with. In a kernel nothing is loaded but what is used; plain functions may call it,
+        too."""
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            word = ir.IntType(64)
-            base = _ARRAYS.make_array(handle)(target, builder, arguments[1]).data
+            return _ARRAYS.make_array(handle)(target, builder, arguments[1]).data
 
-            def load(position: int) -> Any:
-                return builder.load(builder.gep(base, [ir.Constant(word, position)]))
-
-            values = []
-            for i, kind in enumerate(kinds):
-                address = load(SLOT * i)
-                if fields[i].number:
-                    pointer = builder.inttoptr(address, target.get_value_type(kind).as_pointer())
-                    values.append(builder.load(pointer))
-                    continue
-                size = target.get_abi_sizeof(target.get_data_type(kind.dtype))
-                lengths = [load(SLOT * i + 1 + axis) for axis in range(kind.ndim)]
-                strides: list[Any] = []
-                step = ir.Constant(word, size)
-                for length in reversed(lengths):
-                    strides.insert(0, step)
-                    step = builder.mul(step, length)
-                array = _ARRAYS.make_array(kind)(target, builder)
-                _ARRAYS.populate_array(
-                    array,
-                    data=builder.inttoptr(address, array.data.type),
-                    shape=_BUILD.pack_array(builder, lengths, ty=word),
-                    strides=_BUILD.pack_array(builder, strides, ty=word),
-                    itemsize=ir.Constant(word, size),
-                    meminfo=None,
-                )
-                values.append(array._getvalue())
-            return target.make_tuple(builder, result, values)
-
-        return result(declaration, handle), generate
+        return _Table(declaration.instance_class)(declaration, handle), generate
 
     opened = _Opened("opened", _open)
     opened._register()
@@ -340,23 +528,12 @@ else:
         return kind(count), generate
 
 
-def announce_compiling(*kernels: Callable[..., Any]) -> None:
-    """Tell the user, once a process and on standard error, when kernels have to be compiled before the first steps."""
-    global _announced
-    if not _announced and not _is_compiled(*kernels):
-        _announced = True
-        print(
-            "chemlab: compiling kernels for this machine (half a minute); later starts load them from the cache",
-            file=sys.stderr,
-            flush=True,
-        )
-
-
-def _is_compiled(*kernels: Callable[..., Any]) -> bool:
-    """Whether each kernel can be loaded from the disk cache (or needs no compiling), so that nobody has to wait for
-    it."""
-    for function in kernels:
-        cache_file = getattr(getattr(function, "_cache", None), "_cache_file", None)
-        if cache_file is not None and not cache_file._load_index():
-            return False
-    return True
+def is_compiled(function: Callable[..., Any], dimensions: int) -> bool:
+    """Whether a kernel that takes handles of chemistries [W, ..., numbers] with so many dimensions can be loaded from
+    the disk cache (or would not be kept there), so that nobody has to wait for it."""
+    cache_file = getattr(getattr(function, "_cache", None), "_cache_file", None)
+    if cache_file is None:
+        return True
+    known = [*getattr(function, "overloads", ()), *(_signature(key) for key in cache_file._load_index())]
+    handles = _TYPES.Array(_TYPES.int64, dimensions, "C")
+    return any(handles in signature for signature in known)

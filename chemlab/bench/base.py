@@ -25,6 +25,7 @@ from ..arrays import (
     merged,
 )
 from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
+from ..compiling import Rehearsal
 from ..jit import helper, kernel, opened
 from ..materials import DataError, validated
 from ..parts import Part, PartError, blamed, checked, load_part
@@ -519,6 +520,23 @@ class Bench(ABC):
                 with blamed(name):
                     earned = term(self, shelf, experiments, members)
                 reward[members] += checked(earned, members.shape, name)
+
+    def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
+        """What happens in an experiment, of no laboratory: see :mod:`chemlab.compiling`. Nothing, if the bench is not
+        one of chemlab's: it may not expect that."""
+        if not type(self).__module__.startswith(f"{__package__}."):
+            return []
+        none: IntArray = np.zeros(0, dtype=np.int64)
+        seen = np.empty((0, *(self.observation_space.shape)), dtype=np.float32)
+        legal = np.empty((0, self.action_count), dtype=np.int8)
+        actions = none if self.action_count else np.empty((0, *(self.action_space.shape or ())))
+        return [
+            lambda: self.act(shelf, experiments, none, actions),
+            lambda: self.begin(shelf, experiments, none),
+            lambda: self.see(shelf, experiments, none, seen),
+            lambda: self.mask(shelf, experiments, none, legal),
+            lambda: self.finish(shelf, experiments, none),
+        ]
 
     def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:
         """What most of a bench's kernels take."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,12 @@ from ..bench.base import (
     load_terms,
 )
 from ..bench.models import ReactionModel, SeparationModel
+from ..chemistry import tier_dimensions
+from ..compiling import Rehearsal, compile_first
 from ..instruments.table import InstrumentTable
-from ..jit import announce_compiling, kernel, opened
+from ..jit import kernel, opened
 from ..materials import DataError
-from ..parts import blamed, checked
+from ..parts import blamed, checked, strangers_code
 from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
 from ..scenario import OrderSpec, Scenario, load_scenario
@@ -106,6 +109,11 @@ def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: Flo
         state.last_position[n, 0] = pool.last_position[t]
 
 
+def _rehearsal_of(scenario: Scenario) -> Rehearsal:
+    with strangers_code(False):  # may not do in a child what it may here
+        return Laboratories(scenario).rehearsal()
+
+
 class Laboratories:
     """N independent laboratories of one scenario.
 
@@ -129,7 +137,6 @@ class Laboratories:
         n, slots = laboratories, spec.shelf.slots
         chemistry = world_chemistry(spec, n)
         kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
-        announce_compiling(manager_act, manager_observe, *(k for bench in kinds.values() for k in bench.kernels))
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
         positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
@@ -172,7 +179,7 @@ class Laboratories:
         self.action_counts = [self._count_actions(agent) for agent in numbers]
         """Number of each agent's discrete actions; 0 where they are continuous."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
-        self._start = self._starting_shelf()
+        self._rehearsed = False
         self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
         self.members: IntArray = np.arange(n)
 
@@ -251,7 +258,8 @@ class Laboratories:
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
 
-    def _starting_shelf(self) -> FloatArray:
+    @functools.cached_property
+    def _start(self) -> FloatArray:
         """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
         shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
         for s, vessel in enumerate(self.scenario.shelf.vessel):
@@ -264,6 +272,37 @@ class Laboratories:
         """Let a vessel that is not in a laboratory yet come to rest."""
         waste, events = np.zeros(len(self.shelf.layout.materials)), np.zeros(len(self.scenario.safety_events))
         rest_on_shelf(row, self.shelf.chem(), waste, events, self.rules.arrays.work)
+
+    # -- compiling --------------------------------------------------------------------------------------------
+
+    def _compile(self) -> None:
+        """Have what is not compiled yet compiled before the first episode, and not piece by piece in the midst of
+        it."""
+        self._rehearsed = True
+        kernels = [manager_act, manager_observe, *(kernel for bench in self.benches for kernel in bench.kernels)]
+        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
+        compile_first(kernels, dimensions, functools.partial(_rehearsal_of, self.scenario), self.rehearsal())
+
+    def rehearsal(self) -> Rehearsal:
+        """What happens in an episode, of no laboratory: see :mod:`chemlab.compiling`."""
+        none, handles = self.members[:0], self._handles()
+        calls: list[Callable[[], object]] = [lambda: self.reset(none)]
+        kinds = {bench.key: b for b, bench in enumerate(self.benches)}
+        for b in kinds.values():
+            calls += self.benches[b].rehearsal(self.shelf, self.experiments[b])
+        state, rules, *rest = handles
+        return [
+            *calls,
+            lambda: manager_act(none, none, *handles),
+            lambda: self._measure(none, none),
+            lambda: manager_observe(none, *handles, np.empty((0, self.observation_sizes[0]), dtype=np.float32)),
+            lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
+            lambda: self.mask(0, none),
+            lambda: self._charge(0, none, begun=True),
+            lambda: advance(none, *handles),
+            lambda: self.charges(none),
+            lambda: self.turns(none),
+        ]
 
     # -- episodes ---------------------------------------------------------------------------------------------
 
@@ -286,6 +325,8 @@ class Laboratories:
             ValueError: unknown goal, or a world that there is not; nothing has changed.
         """
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
+        if not self._rehearsed:
+            self._compile()
         self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start
         self.shelf.stock[members] = self._first_stock

@@ -5,6 +5,7 @@ This is what the single-bench environments are views of.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ import numpy.typing as npt
 from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..bench.base import Bench, Experiments, ExperimentState, build_bench
 from ..bench.models import ReactionModel, SeparationModel
-from ..jit import announce_compiling, kernel, opened
+from ..chemistry import tier_dimensions
+from ..compiling import Rehearsal, compile_first
+from ..jit import kernel, opened
 from ..materials import DataError
+from ..parts import strangers_code
 from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf, ShelfArrays
@@ -49,6 +53,11 @@ def _draw_starts(
         for i in range(arrays.stock.shape[1]):
             arrays.stock[m, i] = first_stock[i]
             arrays.waste[m, i] = 0.0
+
+
+def _rehearsal_of(scenario: Scenario, bench: str) -> Rehearsal:
+    with strangers_code(False):  # may not do in a child what it may here
+        return ExperimentBatch(scenario, bench).rehearsal()
 
 
 class ExperimentBatch:
@@ -85,7 +94,6 @@ class ExperimentBatch:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
         chemistry = world_chemistry(self.scenario, members)
         self.bench: Bench = build_bench(bench, self.scenario, chemistry, reaction_model, separation_model)
-        announce_compiling(*self.bench.kernels)
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
         if unknown or not chosen:
@@ -98,12 +106,24 @@ class ExperimentBatch:
         self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
+        self._rehearsed = False
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
         missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.arrays.first)[g] == 0]
         if missing:
             raise DataError(f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}")
+
+    def _compile(self) -> None:
+        """Have what is not compiled yet compiled before the first experiment."""
+        self._rehearsed = True
+        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
+        again = functools.partial(_rehearsal_of, self.scenario, self.bench.key)
+        compile_first(self.bench.kernels, dimensions, again, self.rehearsal())
+
+    def rehearsal(self) -> Rehearsal:
+        """What happens in an experiment, of no laboratory: see :mod:`chemlab.compiling`."""
+        return [lambda: self.reset(self.members[:0]), *self.bench.rehearsal(self.shelf, self.experiments)]
 
     def _starts(self, kind: str) -> list[Start]:
         """The starting states of a kind; with ``both``, either kind is drawn as often."""
@@ -153,6 +173,8 @@ class ExperimentBatch:
         Raises:
             ValueError: a world that there is not; nothing has changed.
         """
+        if not self._rehearsed:
+            self._compile()
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments

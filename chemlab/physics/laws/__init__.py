@@ -21,7 +21,8 @@ from numba.extending import overload
 
 from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
 from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
-from ...jit import COMPILED, SETTINGS
+from ...compiling import compile_first
+from ...jit import COMPILED, INLINED
 
 if COMPILED:
     from ...jit import address, calling
@@ -81,7 +82,17 @@ def law_addresses(dimensions: int) -> list[int]:
     """Where the code of a tier's distant laws is: what its handles end in. Compiles what is not compiled yet."""
     if not COMPILED or dimensions == 1:
         return []
-    return [address(getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT]
+    laws = _compilations(dimensions)
+    kernels = [getattr(_tier(dimensions), name) for name in _DISTANT]
+    compile_first(kernels, dimensions, functools.partial(_compilations, dimensions), laws)
+    return [law() for law in laws]
+
+
+def _compilations(dimensions: int) -> list[Callable[[], int]]:
+    """What compiles each of a tier's distant laws, and returns its address."""
+    return [
+        functools.partial(address, getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT
+    ]
 
 
 def _numba_type(name: str, annotation: str) -> Any:
@@ -127,7 +138,7 @@ def law(stub: F, distant: bool = False) -> F:
             exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
             return cast(Callable[..., Any], scope[name])
 
-        overload(call, jit_options=cast(Any, {**SETTINGS, "forceinline": True}), strict=False)(choose)
+        overload(call, jit_options=cast(Any, INLINED), strict=False)(choose)
     return cast(F, call)
 
 
