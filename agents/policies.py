@@ -21,6 +21,7 @@ from .heuristics.campaign import CampaignManager, has_unknown_rate
 from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
+from .heuristics.foresee import ForeseeingManager, foresees
 from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
@@ -337,6 +338,8 @@ def manager_heuristic(
     given = labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(*given, remember=remember)
+    if foresees(labs.scenario) and (remember or labs.scenario.orders > 1):
+        return ForeseeingManager(*given, remember=remember)
     if not remember:
         raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} carries nothing from batch to batch")
     return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)

@@ -286,15 +286,19 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
-class OrderSpec(BaseModel):
+class OrderSpec(Grown):
     """What a submission has to be: one that falls short of it is worth nothing."""
 
     model_config = _FROZEN
+    _later = ("purity_among",)
 
     purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
     """Share of the goal in the vessel."""
     amount_at_least_mol: Mol = 0.0
     """Moles of the goal."""
+    purity_among: tuple[Key, ...] = Field(default=(), max_length=64)
+    """Materials that purity is the goal's share of, as in a chromatogram of products, which sees neither solvent nor
+    salt; the score counts that purity, too. Empty: everything in the vessel."""
 
 
 class ManagerSpec(BaseModel):
@@ -411,6 +415,9 @@ class Scenario(Grown):
             for goal in named:
                 if goal not in self.goals:
                     raise ValueError(f"{name}: {goal!r} is not one of goals ({', '.join(self.goals)})")
+        for goal, wanted in self.specifications.items():
+            if wanted.purity_among and goal not in wanted.purity_among:
+                raise ValueError(f"specifications.{goal}.purity_among: {goal!r} itself must be one of them")
         for goal in self.lab_goals:
             if goal not in self.theoretical_maximum_mol:
                 raise ValueError(f"theoretical_maximum_mol.{goal}: must be given and above 0")
@@ -676,6 +683,12 @@ def _equipped(
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
     if "air" not in known:
         raise DataError(f"{where}: material 'air' is missing; every vessel has some")
+    for goal, wanted in spec.specifications.items():
+        never = [name for name in wanted.purity_among if name not in order]
+        if never:
+            raise DataError(
+                f"{where}: specifications.{goal}.purity_among: {never[0]!r} cannot occur here; can: {', '.join(order)}"
+            )
     present = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     if spec.physics == "paper":
         check_without_real(kept, where)

@@ -159,8 +159,9 @@ def goal_words(spec: Scenario) -> list[str]:
         f"Experiments may be run for {_codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
         *(
-            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least, "
-            "or is worth nothing."
+            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least"
+            + (f" among {_codes(wanted.purity_among)}" if wanted.purity_among else "")
+            + ", or is worth nothing."
             for goal, wanted in spec.specifications.items()
         ),
     ]

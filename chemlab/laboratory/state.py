@@ -115,7 +115,7 @@ class Rules(NamedTuple):
     parts: Annotated[IntArray, Field("G 3")]
     """[G, 3] see Goals.parts"""
     counts: Annotated[FloatArray, Field("G M")]
-    """[G, M] see Goals.absolute_counts"""
+    """[G, M] see Goals.absolute_counts; 0 of what a specification's purity leaves out"""
     maximum: Annotated[FloatArray, Field("G")]
     """[G] mol, theoretical maximum of each goal"""
     share: Annotated[float, Field("")]
