@@ -23,6 +23,7 @@ pytest.importorskip("stable_baselines3")
 
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
+from chemlab.agents.evaluation.play import BenchTarget
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
@@ -59,8 +60,8 @@ RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 
 def small(algo: str, **more: Any) -> TrainArguments:
     """Arguments of a run of a second."""
-    values = {"env_id": DIT if algo in ("dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
-    if algo in ("dqn", "sac", "td3"):
+    values = {"env_id": DIT if algo in ("dqn", "qr-dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
+    if algo in ("dqn", "qr-dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
     return TrainArguments.of(values)
@@ -327,7 +328,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     config = run.config()
     assert config is not None
     # The split goes without saying, as it did before there were others.
-    assert {f.name for f in fields(TrainArguments)} - {"split"} <= set(config)
+    assert {f.name for f in fields(TrainArguments)} - {"split", "actions"} <= set(config)
     assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
     assert config["gamma"] == 0.99
     assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])
@@ -424,7 +425,7 @@ def test_flags_say_the_same_as_arguments() -> None:
         ({"steps": True}, "needs int, given True"),
         ({"steps": 0}, "at least 1, given 0"),
         ({"goals": [1]}, "list of str"),
-        ({"buffer_size": 10}, "is for dqn, sac, td3, not for ppo"),
+        ({"buffer_size": 10}, "is for dqn, qr-dqn, sac, td3, not for ppo"),
         ({"learning_rate": -1.0}, "above 0"),
     ],
 )
@@ -561,6 +562,29 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
 )
 def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
+        train(TrainArguments.of(values), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
+    """What DQN has learned of the discretised bench comes to the same where it plays the continuous one."""
+    result = train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run")
+    assert Run(tmp_path / "run").config()["actions"] == "discrete"
+    scenario = load_scenario("fictitious")
+    ours, theirs = (
+        BenchTarget(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
+        for kind in ("native", "discrete")
+    )
+    np.testing.assert_array_equal(ours, theirs)
+    assert set(result.by_goal) == set(scenario.goals)
+    assert train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run") == result
+    with pytest.raises(ValueError, match="or with --actions discrete dqn or qr-dqn or maskable-ppo"):
+        train(small("dqn", env_id=RXN), tmp_path / "other")
+
+
+def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tmp_path: Path) -> None:
+    values = {"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0", "algo": "recurrent-ppo"}
+    with pytest.raises(ValueError, match="begins anew with each experiment"):
         train(TrainArguments.of(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
