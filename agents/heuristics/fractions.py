@@ -17,7 +17,8 @@ __all__ = ["FractionHeuristic"]
 
 _HEAVIER_K = 5.0
 """What boils that much above the goal is to stay behind."""
-_HEEL_L = 0.02
+_HEEL_L = 0.01
+"""Less is not heated any more."""
 _SMALL_KJ = 10.0
 
 STRIP, SWAP, COLLECT = range(3)
@@ -62,6 +63,10 @@ class FractionHeuristic(RealDistillationHeuristic):
             if step[i] == 0:
                 self._phase[member] = STRIP
             until = self._until_k[goal]
+            litres = v.low + float(seen[self._slices["volume"]][0]) * (v.high - v.low)
+            if litres < _HEEL_L:
+                out.append(self._end)
+                continue
             if until is None or self._swap is None or (self._phase[member] == STRIP and action != self._end):
                 out.append(action)
                 continue
@@ -71,9 +76,8 @@ class FractionHeuristic(RealDistillationHeuristic):
                     out.append(self._swap)
                     continue
             kelvin = t.low + float(seen[self._slices["temperature"]][0]) * (t.high - t.low)
-            litres = v.low + float(seen[self._slices["volume"]][0]) * (v.high - v.low)
             heat = next((a for q, a in reversed(self._heats) if q <= _SMALL_KJ), self._heats[0][1])
-            over = kelvin > until or litres < _HEEL_L or not legal[heat]
+            over = kelvin > until or not legal[heat]
             out.append(self._end if over else heat)
         return np.array(out, dtype=np.int64)
 

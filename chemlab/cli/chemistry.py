@@ -277,7 +277,7 @@ def new(
     pairs: Annotated[list[Path] | None, typer.Option(help="Pair file of your own; repeat the option for more.")] = None,
     goal: Annotated[str, typer.Option(help="What is to be made; default: the first product.")] = "",
     solvent: Annotated[str, typer.Option(help="What it is made in; default: one that boils far from the goal.")] = "",
-    mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Most of the goal that there can be.")] = 0.4,
+    mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Most of the goal that there can be.")] = 0.25,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Default: NAME.toml here.")] = None,
     force: ForceOption = False,
 ) -> None:

@@ -25,17 +25,18 @@ ROOM_K = 298.15
 WATER = "water"
 _SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
 """Shipped ones that a reaction may be run in and that water is washed out of, the lightest first."""
-_RECRYSTALLIZE = ("water", "ethanol")
 _APART_K = 35.0
 """Boiling points of goal and solvent are that far from each other."""
 _MOL_PER_L = 0.8
 """Of the goal, if all goes well."""
-_CAPACITY_L = 1.5
+_CAPACITY_L, _CRYSTALS_L = 1.5, 2.0
+"""Of vessels, and of those in which something is to crystallize: that takes more solvent."""
 _BELOW_BOILING_K = 8.0
 _LIFETIMES = (8.0, 40.0)
 """Times 1/k of the slowest step on the way to the goal, at full concentration, that an experiment lasts: of first
 order, and of higher orders, which slow down as they go."""
 _STEPS = 60
+_CLOCK_S = 60.0
 _PARTED = 30.0
 """Ratio of two materials above and below a cut that a column is to reach."""
 _MOST_STAGES = 15
@@ -230,7 +231,7 @@ def design(
     stock = {**fed, solvent: _round(2.0 * in_solvent), **{k: v for k, v in others.items() if k not in fed}}
     prices = {key: 5e-5 if key == WATER else 1e-3 if key not in fed else 5e-3 for key in stock}
     safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
-    vessel = {"capacity_l": _CAPACITY_L, "contents": {solvent: in_solvent}}
+    vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
     tables = {
         "name": name,
         "title": f"{materials[goal].name.capitalize()} from {' and '.join(materials[key].name for key in fed)}",
@@ -240,7 +241,8 @@ def design(
         "goals": [goal],
         "lab_goals": [goal],
         "theoretical_maximum_mol": {goal: _round(mol + (others.get(goal, 0.0) if crystallizing else 0.0))},
-        "real": {"tick_s": tick},
+        # On other benches: what is distilled cools down in between, crystals want time.
+        "real": {"tick_s": 2.0 * _CLOCK_S if crystallizing else _CLOCK_S},
         "stock": stock,
         "shelf": {"slots": 8, "vessel": [vessel]},
         "benches": benches,
@@ -332,8 +334,8 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
         "start": crude,
     }
     if charge.crystallizing:
-        raw = {"capacity_l": 2.0, "contents": {goal: crude["contents"][goal]}}
-        benches["cry"] = {"kind": "crystallization", "start": raw}
+        raw = {"capacity_l": _CRYSTALS_L, "contents": {goal: crude["contents"][goal]}}
+        benches["cry"] = {"kind": "crystallization", "step_limit": 120, "start": raw}
     return benches
 
 
