@@ -17,12 +17,14 @@ from chemlab.cli import app
 from chemlab.datafile import DataError, read_toml
 from chemlab.materials import Material, load_materials, shipped_materials
 from chemlab.pairs import load_pairs, shipped_pairs
-from chemlab.reactions import load_reactions
+from chemlab.reactions import ReactionFamily, load_reactions
+from chemlab.scenario import load_scenario
 
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[chem]"')
 
 from chemlab.openchem.compounds import compounds, material_tables, material_text  # noqa: E402
+from chemlab.openchem.designs import feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of, molar_mass  # noqa: E402
 from chemlab.openchem.properties import Properties, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, family_text, heat_of_reaction  # noqa: E402
@@ -302,3 +304,79 @@ def test_tables_are_read_as_they_were_written() -> None:
         import tomli as tomllib
     values = {"a": 1.5, "b": 'x "y" \\ z', "t": {"1,2-x": {"k": [1, 2]}, "r": True}, "l": [{"m": {"n": 1}}, {"m": {}}]}
     assert tomllib.loads("\n".join(toml_tables(values))) == values
+
+
+# A laboratory -------------------------------------------------------------------------------------------------------
+
+ACYLATION = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C:7].[OH:3][C:4]=[O:5]"
+
+
+@pytest.fixture
+def acetate(tmp_path: Path) -> Path:
+    """Ethyl acetate of acetic anhydride: everything is shipped, pairs too."""
+    path = tmp_path / "acetate.toml"
+    run("reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path)
+    return path
+
+
+def test_three_commands_make_a_laboratory_that_scripted_agents_play(acetate: Path) -> None:
+    lab = acetate.with_name("lab.toml")
+    run("new", "acetate_lab", "--reactions", acetate, "-o", lab)
+    spec = load_scenario(lab)
+    assert (spec.name, spec.lab_goals, spec.physics) == ("acetate_lab", ("ethyl_acetate",), "real")
+    assert not spec.pair_files
+    assert spec.stock["acetic_anhydride"] == spec.stock["ethanol"] == 0.25
+    played = json.loads(run("run", lab, "--json").stdout)
+    # The ester boils between the ether and what was not used up or left: it has to be taken over.
+    assert played["submitted_mol"] > 0.1
+    assert played["purity"] > 0.9
+    assert played["score"] > 0.3
+    random = json.loads(run("run", lab, "--policy", "random", "--json").stdout)
+    assert played["score"] > random["score"] + 0.2
+
+
+def test_what_is_fed_follows_from_the_reactions_backwards() -> None:
+    steps = [
+        ({"a": 2, "b": 1}, {"m": 1}),
+        ({"m": 1, "c": 1}, {"goal": 2, "waste": 1}),
+        ({"goal": 1, "c": 1}, {"over": 1}),
+    ]
+    tables = [
+        {"reactants": r, "products": p, "pre_exponential": 1.0, "activation_energy_j_mol": 0.0, "source": "made up"}
+        for r, p in steps
+    ]
+    family = ReactionFamily.model_validate({"name": "steps", "reaction": tables})
+    assert feeds("goal", family, 1.0) == {"a": 1.0, "b": 0.5, "c": 0.5}
+    with pytest.raises(DataError, match=r"no reaction of 'steps' makes it; made here: goal, m, over, waste"):
+        feeds("a", family, 1.0)
+
+
+def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
+    materials = shipped_materials()
+    family = load_reactions("wurtz_real", materials)
+    # Ether is a catalyst there, and so is taken.
+    assert solvent_for("dodecane", family, materials) == "toluene"
+    free = ReactionFamily(name="none")
+    chosen = {goal: solvent_for(goal, free, materials) for goal in ("ethyl_acetate", "toluene", "diethyl_ether")}
+    for goal, solvent in chosen.items():
+        apart = materials[solvent].boiling_point_k - materials[goal].boiling_point_k
+        assert abs(apart) > 35.0
+    assert materials[chosen["toluene"]].boiling_point_k < materials["toluene"].boiling_point_k
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--goal", "toluene"], ["no reaction of 'acetate' makes it"]),
+        (["--goal", "unobtainium"], ["unknown material", "acetic_acid"]),
+        (["--solvent", "unobtainium"], ["--solvent", "unknown material"]),
+        (["--solvent", "NaCl"], ["is no liquid"]),
+        (["--mol", "5"], ["too much for a vessel"]),
+    ],
+)
+def test_a_laboratory_that_cannot_be_is_refused(acetate: Path, words: list[str], parts: list[str]) -> None:
+    lab = acetate.with_name("lab.toml")
+    shown = run("new", "acetate_lab", "--reactions", acetate, "-o", lab, *words, fails=True).output
+    for part in parts:
+        assert part in " ".join(shown.split())
+    assert not lab.exists()
