@@ -300,7 +300,8 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
     goal, solvent = charge.goal, charge.solvent
     watts = charge.heat_j / (0.5 * _STEPS * charge.tick)
     start = {"capacity_l": _CAPACITY_L, "contents": {solvent: charge.solvent_mol}}
-    crude = {**start, "contents": {solvent: charge.solvent_mol, goal: _round(0.8 * min(charge.fed.values()))}}
+    made = _round(0.8 * min(charge.fed.values()))
+    crude = {**start, "contents": {solvent: charge.solvent_mol, goal: made}}
     low, high = min(ROOM_K - 30.0, charge.warm_k - 60.0), charge.warm_k + 2.0 * _BELOW_BOILING_K
     benches: dict[str, Any] = {
         "rxn": {
@@ -334,7 +335,7 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
         "start": crude,
     }
     if charge.crystallizing:
-        raw = {"capacity_l": _CRYSTALS_L, "contents": {goal: crude["contents"][goal]}}
+        raw = {"capacity_l": _CRYSTALS_L, "contents": {goal: made}}
         benches["cry"] = {"kind": "crystallization", "step_limit": 120, "start": raw}
     return benches
 
