@@ -24,10 +24,11 @@ from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
 from .heuristics.extraction import ExtractionHeuristic
 from .heuristics.foresee import ForeseeingManager, foresees
+from .heuristics.fractions import FractionHeuristic
 from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
-from .heuristics.real import RealDistillationHeuristic, RealExtractionHeuristic, RealReactionHeuristic
+from .heuristics.real import RealExtractionHeuristic, RealReactionHeuristic
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
@@ -56,7 +57,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "real": {
         "reaction": RealReactionHeuristic,
         "extraction": RealExtractionHeuristic,
-        "distillation": RealDistillationHeuristic,
+        "distillation": FractionHeuristic,
         "crystallization": CrystallizationHeuristic,
     },
 }

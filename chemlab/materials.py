@@ -43,6 +43,8 @@ _CITED = (
     "vaporization_enthalpy_j_mol",
 )
 _FILES = 100
+LOCK = "lock"
+"""The table of a data file that says by what it was made: a command, and versions."""
 _ATMOSPHERE_KPA = 101.325
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
@@ -228,7 +230,8 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
     """Read material files into ``{id: Material}``.
 
     Args:
-        paths: TOML files, one table a material; a folder stands for the ``*.toml`` files in it.
+        paths: TOML files, one table a material; a folder stands for the ``*.toml`` files in it. A table ``lock`` says
+            what made the file, and is no material.
 
     Raises:
         DataError: a file is missing or malformed, a key is unknown, a value is out of bounds, or two
@@ -242,6 +245,9 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
             raise DataError(f"{given}: has {len(files)} .toml files; at most {_FILES}")
         for path in files:
             for key, values in read_toml(path).items():
+                if key == LOCK:
+                    validated(dict[str, str], values, f"{path}: {LOCK}")
+                    continue
                 if not isinstance(values, dict):
                     raise DataError(f"{path}: {key}: a material is a table [{key}], given {values!r:.100}")
                 if key in materials:

@@ -143,8 +143,8 @@ def pair_table(names: Sequence[str], pairs: Mapping[frozenset[str], Pair]) -> Pa
         more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
         concerned = " ".join(repr(name) for name in names if any(name in two for two in missing))
         raise DataError(
-            f"pairs: no activity coefficients of {shown}{more}; make them in a checkout of the repository with "
-            f"pip install -e '.[validate]' and python tools/pairs.py {concerned} --output my_pairs.toml "
+            f"pairs: no activity coefficients of {shown}{more}; make them with "
+            f"pip install 'chemlab-marl[chem]' and chemlab pairs {concerned} -o my_pairs.toml "
             "(--materials FILE for materials of your own), and name that file in pair_files"
         )
     size = len(names)

@@ -226,7 +226,7 @@ class ReactionFamily(Grown):
     """A named set of reactions, salts, violent reactions and acids."""
 
     model_config = _FROZEN
-    _later: ClassVar[tuple[str, ...]] = ("acid",)
+    _later: ClassVar[tuple[str, ...]] = ("acid", "lock")
 
     name: Text
     summary: str = ""
@@ -234,6 +234,8 @@ class ReactionFamily(Grown):
     salt: tuple[Salt, ...] = Field(default=(), max_length=50)
     violent: tuple[Violent, ...] = Field(default=(), max_length=50)
     acid: tuple[Acid, ...] = Field(default=(), max_length=50)
+    lock: dict[Text, str] = Field(default={}, max_length=50)
+    """What made the file, if it was made: a command, and versions."""
 
     def materials(self) -> set[str]:
         """Every material this family names."""

@@ -1,394 +1,25 @@
-"""Fits binary NRTL parameters to UNIFAC and to measured solubilities, for ``chemlab/data/pairs``.
+"""Makes the pairs that are shipped, ``chemlab/data/pairs``, from UNIFAC and ``tools/solubilities.toml``.
 
     python tools/pairs.py                                             # the shipped file, of all shipped molecules
     python tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
 
-Needs the extra ``validate`` (thermo, chemicals). Of UNIFAC the Dortmund form where it has all groups and interactions
-(but for water with hydrocarbons and their chlorides), else the original, else the Dortmund form with interactions
-completed by machine learning. Parameters are fitted to ln gamma from 270 to 480 K at all compositions that do not split
-into two liquids, infinite dilution included; pairs of ``tools/solubilities.toml`` to what was measured instead.
+Needs the extra ``chem``. How: :mod:`chemlab.openchem.activity`; ``chemlab pairs`` makes those of your own materials.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import itertools
-import re
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import chemicals
-import numpy as np
-import numpy.typing as npt
-import thermo.unifac
-from scipy.optimize import least_squares
-
-from chemlab.datafile import DataError, read_toml
-from chemlab.materials import Material, load_materials, shipped_materials
-from chemlab.pairs import REFERENCE_K, log_activity_coefficients
-
-Array = npt.NDArray[np.float64]
+from chemlab.datafile import DataError
+from chemlab.materials import load_materials, shipped_materials
+from chemlab.openchem.activity import is_molecule, make_pairs, measured_pairs, pair_text
 
 HERE = Path(__file__).resolve().parent
 SHIPPED = HERE.parent / "chemlab" / "data" / "pairs" / "unifac.toml"
 SOLUBILITIES = HERE / "solubilities.toml"
-GAS_CONSTANT = 8.314462618
-
-TEMPERATURES_K: Array = np.array([270.0, 285.0, 300.0, 320.0, 340.0, 365.0, 390.0, 420.0, 450.0, 480.0])
-_HALF = [1e-10, 1e-4, 0.002, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]
-FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])
-"""Of the first of two; 1e-10 stands for infinite dilution."""
-ALPHAS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.47, 0.55, 0.65)
-"""Renon and Prausnitz propose 0.2 to 0.47; mixtures of alcohols often want more, those that hardly mix less."""
-_DILUTE = 0.03
-_LIGHT = 0.1
-_MEASURED_ALPHAS = (0.2, 0.3, 0.4, 0.47)
-_SHAPE = 0.02
-"""Weight of UNIFAC's ln gamma of the solvent beside a measured solubility."""
-_SMALL = 0.01
-"""Weight of the parameters there."""
-_ENDS = 3.0
-"""Weight of infinite dilution against one mixture."""
-_PASSES = 6
-"""Fits, each with more weight on what the last one met worst."""
-_RIDGE = 1e-3
-_TRIES = ((1.0, 20.0), (_LIGHT, 20.0), (1.0, 0.0))
-"""Weight of high dilution, and of an activity that falls with its mole fraction where there is one liquid, which makes
-up a second one. What follows the first is for mixtures whose dilute ends NRTL cannot meet without that."""
-_MADE_UP = 0.1
-"""What a temperature with a second liquid counts, as an error of ln gamma."""
-
-GROUPS: dict[str, dict[str, int]] = {
-    # Groups of an isomer, for molecules that neither form of UNIFAC can build.
-    "acetanilide": {"ACH": 5, "AC": 1, "CONHCH3": 1},  # N-methylbenzamide
-    "acetic_anhydride": {"CH3CO": 1, "CH3COO": 1},  # the halves as a ketone and an ester
-}
-
-APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "AC", "ACCH3", "ACCH2", "ACCH"} | {
-    "CH2CL",
-    "CHCL",
-    "CCL",
-}
-"""Groups of what hardly mixes with water. There the original UNIFAC is right within 0.5 for the water that they take up
-(hexane: x = 7e-4, measured 5e-4), and the Dortmund form ten times too high."""
-
-Groups = dict[int, int]
-
-
-@dataclass(frozen=True)
-class Model:
-    """A form of UNIFAC: thermo's version number, groups and interactions."""
-
-    name: str
-    version: int
-    subgroups: Mapping[int, Any]
-    interactions: Mapping[int, Mapping[int, Any]]
-    assignments: Mapping[str, Groups]
-
-    def groups(self, key: str, material: Material) -> Groups | None:
-        """Groups of a material, or none where they are not known."""
-        if key in GROUPS:
-            numbers = {group.group: number for number, group in self.subgroups.items()}
-            if not numbers.keys() >= GROUPS[key].keys():
-                return None
-            return {numbers[name]: n for name, n in GROUPS[key].items()}
-        if material.cas is None:
-            return None
-        return self.assignments.get(chemicals.search_chemical(material.cas).InChI_key)
-
-    def lacks(self, groups: Iterable[Groups]) -> bool:
-        """Whether an interaction between some of the groups is missing."""
-        mains = {self.subgroups[number].main_group_id for found in groups for number in found}
-        return any(j not in self.interactions.get(i, {}) for i, j in itertools.permutations(mains, 2))
-
-    def log_gamma(self, groups: list[Groups]) -> Array:
-        """[T, X, 2] ln of the activity coefficients of two, at TEMPERATURES_K and FRACTIONS."""
-        made = thermo.unifac.UNIFAC.from_subgroups(
-            T=300.0,
-            xs=[0.5, 0.5],
-            chemgroups=groups,
-            version=self.version,
-            interaction_data=self.interactions,
-            subgroups=self.subgroups,
-        )
-        rows = [[made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in FRACTIONS.tolist()] for t in TEMPERATURES_K.tolist()]
-        return np.log(np.array(rows))
-
-
-def models() -> list[Model]:
-    """The forms of UNIFAC, the better one first."""
-    u = thermo.unifac
-    u.load_unifac_ip()
-    u.load_group_assignments_DDBST()
-    return [
-        Model("UNIFAC (Dortmund)", 1, u.DOUFSG, u.DOUFIP2016, u.DDBST_MODIFIED_UNIFAC_assignments),
-        Model("UNIFAC", 0, u.UFSG, u.UFIP, u.DDBST_UNIFAC_assignments),
-        # Hayer, Hasse, Jirasek, Modified UNIFAC 2.0: a group-contribution method completed with machine learning.
-        Model("modified UNIFAC 2.0", 1, u.DOUFSG, u.DOUF2IP, u.DDBST_MODIFIED_UNIFAC_assignments),
-    ]
-
-
-def stable(log_gamma: Array) -> npt.NDArray[np.bool_]:
-    """[T, X] whether a mixture stays one liquid: it lies on the lower hull of the Gibbs energy of mixing."""
-    x = FRACTIONS
-    ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
-    energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
-    out = np.zeros(energy.shape, dtype=np.bool_)
-    for row, g in zip(out, energy, strict=True):
-        hull: list[int] = []
-        for k in range(len(x)):
-            while len(hull) > 1:
-                i, j = hull[-2], hull[-1]
-                if (g[j] - g[i]) * (x[k] - x[i]) < (g[k] - g[i]) * (x[j] - x[i]):
-                    break
-                hull.pop()
-            hull.append(k)
-        row[hull] = True
-    return out
-
-
-def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array) -> Array:
-    """[T, X, 2] ln gamma by NRTL with ``parameters`` a12, a21, b12, b21, c12, c21."""
-    tau = np.zeros((len(temperatures), 1, 2, 2))
-    rest = np.log(temperatures / REFERENCE_K)
-    tau[:, 0, 0, 1] = parameters[0] + parameters[2] / temperatures + parameters[4] * rest
-    tau[:, 0, 1, 0] = parameters[1] + parameters[3] / temperatures + parameters[5] * rest
-    mixtures = np.broadcast_to(np.stack([fractions, 1.0 - fractions], axis=-1), (len(temperatures), len(fractions), 2))
-    return log_activity_coefficients(mixtures, np.broadcast_to(tau, (*mixtures.shape, 2)), np.array(alpha))
-
-
-@dataclass(frozen=True)
-class Fit:
-    """NRTL parameters and how well they fit."""
-
-    parameters: Array
-    alpha: float
-    error: float
-
-
-def _candidates(log_gamma: Array, alpha: float, tails: float, splits: float) -> list[tuple[int, Fit]]:
-    """Fits with one alpha, each with the number of temperatures at which it makes up a second liquid."""
-    one_liquid = stable(log_gamma)
-    whole: npt.NDArray[np.bool_] = one_liquid[:, 1:] & one_liquid[:, :-1]
-    rises = np.diff(np.log(FRACTIONS))
-    kept = np.repeat(one_liquid[..., None], 2, axis=-1)
-    weight = kept.astype(np.float64)
-    weight[:, np.minimum(FRACTIONS, 1.0 - FRACTIONS) < _DILUTE] *= tails
-    if not kept.all():
-        weight[:, 0, 0] = weight[:, -1, 1] = _ENDS
-    scale = np.array([1.0, 1.0, 300.0, 300.0, 1.0, 1.0])
-    start, out = np.array([1.0, 1.0, 100.0, 100.0, 0.0, 0.0]), []
-    for _ in range(_PASSES):
-
-        def residuals(p: Array, weight: Array = weight) -> Array:
-            made = nrtl(p, alpha, TEMPERATURES_K, FRACTIONS)
-            off = np.where(kept, (made - log_gamma) * weight, 0.0)
-            falls = np.where(whole, np.minimum(np.diff(made[..., 0], axis=1) + 0.95 * rises, 0.0), 0.0)
-            return np.concatenate([off.ravel(), splits * falls.ravel(), _RIDGE * p / scale])
-
-        found = least_squares(residuals, start, x_scale=scale, max_nfev=100)
-        made = nrtl(found.x, alpha, TEMPERATURES_K, FRACTIONS)
-        off = np.where(kept, np.abs(made - log_gamma), 0.0)
-        if np.isfinite(made).all():
-            second = np.any(one_liquid & ~stable(made), axis=1) & np.all(one_liquid, axis=1)
-            made_up = int(np.sum(second))
-            out.append((made_up, Fit(found.x, alpha, float(off.max()))))
-        start, weight = found.x, weight * np.sqrt(0.1 + off * weight / max(float((off * weight).max()), 1e-12))
-    return out
-
-
-def fit(log_gamma: Array) -> Fit:
-    """NRTL parameters whose largest error of ln gamma [T, X, 2] is small wherever the mixture is one liquid.
-
-    Where NRTL makes up a second liquid or misses high dilution by much, both are weighed against each other.
-    """
-    scored: list[tuple[float, Fit]] = []
-    for tails, splits in _TRIES:
-        for alpha in ALPHAS:
-            found = _candidates(log_gamma, alpha, tails, splits)
-            scored += [(made.error + _MADE_UP * made_up, made) for made_up, made in found]
-        if min(score for score, _ in scored) < _MADE_UP:
-            break
-    return min(scored, key=lambda pair: pair[0])[1]
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Solubilities of one material in another: mole fractions by temperature."""
-
-    solute: str
-    solvent: str
-    temperature_k: Array
-    mole_fraction: Array
-    source: str
-
-
-@dataclass(frozen=True)
-class Mutual:
-    """What two liquids take up of each other: mole fractions by temperature."""
-
-    first: str
-    second: str
-    temperature_k: Array
-    first_in_second: Array
-    second_in_first: Array
-    source: str
-
-
-def measured_pairs(path: Path = SOLUBILITIES) -> dict[frozenset[str], Measured | Mutual]:
-    """What was measured, by pair."""
-    out: dict[frozenset[str], Measured | Mutual] = {}
-    tables = read_toml(path)
-    for row in [*tables["solubility"], *tables["mutual"]]:
-        arrays: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in row.items()}
-        made = Measured(**arrays) if "solute" in row else Mutual(**arrays)
-        out[frozenset((made.solute, made.solvent) if isinstance(made, Measured) else (made.first, made.second))] = made
-    return out
-
-
-def ideal_solubility(material: Material, temperature_k: Array) -> Array:
-    """ln of the mole fraction that melting alone allows: -dHfus / R (1 / T - 1 / Tm)."""
-    assert material.real is not None
-    assert material.real.fusion_enthalpy_j_mol is not None
-    assert material.melting_point_k is not None
-    heat = material.real.fusion_enthalpy_j_mol / GAS_CONSTANT
-    return np.asarray(-heat * (1.0 / temperature_k - 1.0 / material.melting_point_k))
-
-
-def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
-    """NRTL parameters that give the measured solubilities, and are otherwise small, with little of them independent of
-    temperature; where the two do not mix, the solvent has the ``log_gamma`` (of solute and solvent) of UNIFAC as far as
-    that allows. The error is that of the measured ln gamma."""
-    temperature, x = measured.temperature_k, measured.mole_fraction
-    wanted = ideal_solubility(solute, temperature) - np.log(x)
-    near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
-    one_liquid = stable(log_gamma)
-    kept = one_liquid[near]
-    apart = 0.0 if one_liquid.all() else _SHAPE
-    scale = np.array([0.3, 0.3, 300.0, 300.0])
-
-    def off(p: Array, alpha: float) -> Array:
-        return np.array([nrtl(p, alpha, temperature[i : i + 1], x[i : i + 1])[0, 0, 0] for i in range(len(x))]) - wanted
-
-    scored: list[tuple[float, Fit]] = []
-    for alpha in _MEASURED_ALPHAS:
-
-        def residuals(p: Array, alpha: float = alpha) -> Array:
-            full = np.array([*p, 0.0, 0.0])
-            shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
-            return np.concatenate([off(full, alpha), apart * np.where(kept, shape, 0.0).ravel(), _SMALL * p / scale])
-
-        found = least_squares(residuals, np.array([0.1, 0.1, 100.0, 100.0]), x_scale=scale, max_nfev=500)
-        parameters = np.array([*found.x, 0.0, 0.0])
-        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, TEMPERATURES_K, FRACTIONS)), axis=1)
-        made = Fit(parameters, alpha, float(np.abs(off(parameters, alpha)).max()))
-        scored.append((float(found.cost) + _MADE_UP * int(np.sum(made_up & np.all(one_liquid, axis=1))), made))
-    return min(scored, key=lambda pair: pair[0])[1]
-
-
-def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
-    """NRTL parameters by which both liquids have equal activities in the two layers; Renon and Prausnitz propose this
-    alpha for what does not mix. The error is that of ln of the activities."""
-    temperature = mutual.temperature_k
-    poor, rich = mutual.first_in_second, 1.0 - mutual.second_in_first
-    ideal = np.log(np.stack([poor / rich, (1.0 - poor) / (1.0 - rich)], axis=-1))
-
-    def off(p: Array) -> Array:
-        full, out = np.array([*p, 0.0, 0.0]), np.array(ideal)
-        for i in range(len(poor)):
-            layers = nrtl(full, alpha, temperature[i : i + 1], np.array([poor[i], rich[i]]))[0]
-            out[i] += layers[0] - layers[1]
-        return out.ravel()
-
-    found = least_squares(off, np.array([0.0, 0.0, 300.0, 1000.0]), x_scale=np.array([1.0, 1.0, 300.0, 300.0]))
-    return Fit(np.array([*found.x, 0.0, 0.0]), alpha, float(np.abs(off(found.x)).max()))
-
-
-def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]) -> bool:
-    """Whether one of two is water and the other a hydrocarbon or its chloride."""
-    others = [name for name in names if name != "water"]
-    found = forms[0].groups(others[0], materials[others[0]]) if len(others) == 1 else None
-    return found is not None and {forms[0].subgroups[number].group for number in found} <= APOLAR
-
-
-def described(
-    names: tuple[str, str],
-    materials: Mapping[str, Material],
-    forms: list[Model],
-    measured: Mapping[frozenset[str], Measured | Mutual],
-    known: dict[Any, Fit],
-) -> dict[str, Any]:
-    """A row of the pair file.
-
-    Raises:
-        DataError: neither form of UNIFAC has the groups of both.
-    """
-    for form in sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms:
-        groups = [form.groups(name, materials[name]) for name in names]
-        if any(found is None for found in groups) or form.lacks(g for g in groups if g):
-            continue
-        both = [g for g in groups if g is not None]
-        log_gamma = form.log_gamma(both)
-        given = measured.get(frozenset(names))
-        low, high = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
-        source = form.name
-        borrowed = [name for name in names if name in GROUPS]
-        if borrowed:
-            source += f", {' and '.join(borrowed)} by the groups of an isomer"
-        if isinstance(given, Measured):
-            if given.solute != names[0]:
-                log_gamma = log_gamma[:, ::-1, ::-1]
-            found = fit_measured(given, materials[given.solute], log_gamma)
-            names, source = (given.solute, given.solvent), f"solubility of {given.solute}: {given.source}"
-        elif isinstance(given, Mutual):
-            found = fit_mutual(given)
-            names, source = (given.first, given.second), f"mutual solubilities: {given.source}"
-        else:
-            key = (form.name, *(tuple(sorted(g.items())) for g in both))
-            found = known[key] = known.get(key) or fit(log_gamma)
-        if given is not None:
-            low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
-        p = [float(f"{v:.7g}") for v in found.parameters]
-        return {
-            "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
-            "low_k": low, "high_k": high, "error": float(f"{found.error:.2g}"), "source": source,
-        }  # fmt: skip
-    raise DataError(
-        f"{names[0]!r} with {names[1]!r}: no form of UNIFAC in thermo has their groups; give groups "
-        "of a similar molecule in GROUPS of tools/pairs.py, or measured parameters in a pair file of your own"
-    )
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(v)}" for key, v in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"' if isinstance(value, str) else repr(value)
-
-
-def text(rows: list[dict[str, Any]], command: str) -> str:
-    """The pair file."""
-    versions = {name: importlib.metadata.version(name) for name in ("chemicals", "numpy", "scipy", "thermo")}
-    lines = [
-        "# Binary NRTL parameters: see chemlab/pairs.py for the equation. Made by tools/pairs.py; do not edit.",
-        "",
-        "[lock]",
-        *(f"{key} = {_toml(value)}" for key, value in {"command": command, **versions}.items()),
-        "",
-    ]
-    # A key of the whole file stands before the first table.
-    body = ["pairs = [", *(f"    {_toml(row)}," for row in rows), "]", ""]
-    return "\n".join([lines[0], "", *body, *lines[2:]])
-
-
-def is_molecule(material: Material) -> bool:
-    """Whether a material can be in a liquid as a molecule."""
-    return material.role in ("solvent", "solute") and not any(re.match("Q[a-z]", e) for e in material.composition)
 
 
 def main() -> None:
@@ -398,23 +29,20 @@ def main() -> None:
     parser.add_argument("--materials", type=Path, action="append", default=[], help="material file of your own")
     parser.add_argument("--output", type=Path, default=None, help="pair file to write (default: the shipped one)")
     arguments = parser.parse_args()
-    own = load_materials(arguments.materials)
-    materials = {**shipped_materials(), **own}
+    if arguments.names and arguments.output is None:
+        parser.error("--output: say where the pairs of some go to")
+    materials = {**shipped_materials(), **load_materials(arguments.materials)}
     names = arguments.names or sorted(name for name, m in shipped_materials().items() if is_molecule(m))
-    unknown = [name for name in names if name not in materials]
-    if unknown or (arguments.names and arguments.output is None):
-        parser.error(f"unknown material {unknown[0]!r}" if unknown else "--output: say where the pairs of some go to")
-    forms, measured, rows = models(), measured_pairs(), []
-    known: dict[Any, Fit] = {}
     pairs = list(itertools.combinations(names, 2))
-    for done, two in enumerate(pairs, start=1):
-        rows.append(described(two, materials, forms, measured, known))
-        print(f"\r{done} of {len(pairs)}: {two[0]}, {two[1]}{' ' * 30}", end="", file=sys.stderr, flush=True)
+
+    def tell(done: str) -> None:
+        print(f"\r{done}{' ' * 30}", end="", file=sys.stderr, flush=True)
+
+    rows = make_pairs(pairs, materials, measured_pairs(SOLUBILITIES), tell)
     print(file=sys.stderr)
-    command = "python tools/pairs.py" + "".join(f" {name}" for name in arguments.names)
     output = arguments.output or SHIPPED
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text(rows, command), encoding="utf-8")
+    output.write_text(pair_text(rows, " ".join(["python tools/pairs.py", *arguments.names])), encoding="utf-8")
     print(f"{output}: {len(rows)} pairs; largest error of ln gamma {max(row['error'] for row in rows):.2f}")
 
 

@@ -19,7 +19,9 @@ from chemlab.scenario import Scenario
 
 __all__ = ["CrystallizationHeuristic", "solubility"]
 
-_SOLVENT = "water"
+_PATIENCE = 30
+_FULLEST = 0.85
+"""Share of the vessel that is filled at most."""
 _SPARE = 1.1
 """Solvent taken, by what would dissolve the crude product if it were all goal."""
 _HOT_K = 3.0
@@ -81,6 +83,10 @@ class _Batch:
     solids_l: float = math.inf
     seeded: bool = False
     washes: int = 0
+    solvent: str = "water"
+    hot_k: float = math.inf
+    patience: int = _PATIENCE
+    """steps that are still waited for everything to dissolve"""
 
 
 class CrystallizationHeuristic:
@@ -104,7 +110,25 @@ class CrystallizationHeuristic:
         for process, start in zip(processes, starts.tolist(), strict=False):
             key = (process.kind, process.target if process.kind in ("filter", "pour") else None, process.material)
             self._actions[key] = sorted((m, start + i) for i, m in enumerate(process.magnitudes))
+        self._wait = self._most(("settle", None, None), math.inf)
         self._memory: dict[int, _Batch] = {}
+
+    def _solvent_for(self, goal: str, mol: float, room_l: float) -> tuple[str, float, float]:
+        """The solvent at the bench that gives most of a solid back when it cools, how hot it can be, and litres of it:
+        of those that dissolve all in what the vessel has room for, if there are any."""
+        scenario = self._bench.scenario
+        found: list[tuple[bool, float, str, float, float]] = []
+        for process in self._bench.options.process:
+            if process.kind != "add" or process.material is None or process.material == goal:
+                continue
+            hot_k = min(self._hot_k, scenario.materials[process.material].boiling_point_k - _HOT_K)
+            hot, cold = (solubility(scenario, goal, process.material, t) for t in (hot_k, self._cold_k))
+            litres = _SPARE * mol / hot
+            found.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
+        if not found:
+            raise ValueError(f"benches.{self._bench.key}: its script needs a process that adds a solvent")
+        _, _, liquid, hot_k, litres = max(found)
+        return liquid, hot_k, min(litres, max(room_l, 0.0))
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -137,13 +161,14 @@ class CrystallizationHeuristic:
         scenario, name = self._bench.scenario, self._bench.goals.names[goal]
         material = scenario.materials[name]
         mol = max(crude_l, 1e-6) * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
-        solvent = _SPARE * mol / solubility(scenario, name, _SOLVENT, self._hot_k)
-        low, high = self._cold_k, self._hot_k
+        room = _FULLEST * self._bench.spec.start.capacity_l - crude_l
+        liquid, hot_k, solvent = self._solvent_for(name, mol, room)
+        low, high = self._cold_k, hot_k
         for _ in range(30):
             middle = 0.5 * (low + high)
             wanted = _SEED_AT * mol / solvent
-            low, high = (middle, high) if solubility(scenario, name, _SOLVENT, middle) < wanted else (low, middle)
-        return _Batch(solvent_l=solvent, seed_k=low)
+            low, high = (middle, high) if solubility(scenario, name, liquid, middle) < wanted else (low, middle)
+        return _Batch(solvent_l=solvent, seed_k=low, solvent=liquid, hot_k=hot_k)
 
     def _most(self, key: tuple[str | None, ...], wanted: float) -> int:
         """The largest magnitude of at most ``wanted``, or else the smallest."""
@@ -155,7 +180,7 @@ class CrystallizationHeuristic:
         joules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
         heats = self._actions["heat", None, None]
         fitting = [(abs(q), a) for q, a in heats if q * joules > 0.0 and abs(q) <= abs(joules)]
-        return max(fitting)[1] if fitting else self._most(("settle", None, None), math.inf)
+        return max(fitting)[1] if fitting else self._wait
 
     def _still(self, batch: _Batch, solids_l: float) -> bool:
         """Whether the solids have stayed what they were."""
@@ -163,7 +188,7 @@ class CrystallizationHeuristic:
         return abs(solids_l - before) <= _STILL * max(solids_l, 1e-9)
 
     def _decide(self, batch: _Batch, kelvin: float, litres: float, solids: float, mask: MaskArray) -> int:
-        add = ("add", None, _SOLVENT)
+        add = ("add", None, batch.solvent)
         least = self._actions[add][0][0]
         if batch.phase == ADD:
             if batch.solvent_l > least:
@@ -173,8 +198,11 @@ class CrystallizationHeuristic:
             batch.phase = DISSOLVE
         if batch.phase == DISSOLVE:
             still = self._still(batch, solids * litres)
-            if not still or kelvin < self._hot_k - _HOT_K:
-                return self._warm(kelvin, litres, self._hot_k)
+            action = self._warm(kelvin, litres, batch.hot_k)
+            batch.patience -= 1
+            # Where the smallest step of heat is too much, or it boils before, it is as hot as it gets.
+            if batch.patience and (not still or (kelvin < batch.hot_k - _HOT_K and action != self._wait)):
+                return action
             batch.phase = STRAIN if self._careful and solids > _LEAST_SOLIDS else COOL
         if batch.phase in (STRAIN, ASIDE, BACK):
             batch.phase += 1
@@ -187,7 +215,9 @@ class CrystallizationHeuristic:
             still = self._still(batch, solids * litres)
             if kelvin > self._cold_k + 1.0 or not still:
                 unseeded = self._careful and not batch.seeded
-                return self._warm(kelvin, litres, batch.seed_k if unseeded else self._cold_k)
+                action = self._warm(kelvin, litres, batch.seed_k if unseeded else self._cold_k)
+                if not still or action != self._wait:
+                    return action
             batch.phase = COLLECT
         if batch.phase == COLLECT:
             batch.phase = WASH

@@ -23,6 +23,7 @@ from ..roles import role_of
 __all__ = ["ManagerHeuristic"]
 
 _PURE_ENOUGH = 0.97
+_MOST_OF_IT = 0.5
 _MOST_DISTILLATIONS = 2
 
 
@@ -245,17 +246,28 @@ class ManagerHeuristic:
                 if (slot, instrument) not in line.measured and mask[action]:
                     line.measured.add((slot, instrument))
                     return action
-            if self._gc is not None and self._estimate(observation, slot, line.goal)[1] >= _PURE_ENOUGH:
+            if self._gc is not None and self._good(*self._estimate(observation, slot, line.goal), line.goal):
                 return self._submit(line, slot)
         estimates = [self._estimate(observation, slot, line.goal) for slot in candidates]
         best = int(np.argmax([amount * purity for amount, purity in estimates]))
         slot = candidates[best]
-        if self._dit and estimates[best][1] < _PURE_ENOUGH and line.distillations < _MOST_DISTILLATIONS:
+        # What has crystallized is not distilled once more.
+        if (
+            self._dit
+            and last == self._dit
+            and estimates[best][1] < _PURE_ENOUGH
+            and line.distillations < _MOST_DISTILLATIONS
+        ):
             line.slot = slot
             again = self._start(observation, mask, line, lines, self._dit)
             if again is None or again == self._actions.encode("start", self._agent(self._dit, line), slot, line.goal):
                 return again
         return self._submit(line, slot)
+
+    def _good(self, amount: float, purity: float, goal: str) -> bool:
+        """Whether nothing else needs to be analysed; where fractions are taken, a pure heel is not the product."""
+        most = self._scenario.theoretical_maximum_mol[goal] / len(self._orders)
+        return purity >= _PURE_ENOUGH and (self._scenario.physics == "paper" or amount >= _MOST_OF_IT * most)
 
     def _estimate(self, observation: ObservationArray, slot: int, goal: str) -> tuple[float, float]:
         """(mol of the goal, its purity) from the readings; the fill level stands in for a balance that is not there."""

@@ -1,0 +1,90 @@
+"""Scripted policy of a distillation bench with a column: what boils below the goal, then the goal, then no more."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.distillation import DistillationBench
+
+from .real import RealDistillationHeuristic
+
+__all__ = ["FractionHeuristic"]
+
+_HEAVIER_K = 5.0
+"""What boils that much above the goal is to stay behind."""
+_HEEL_L = 0.01
+"""Less is not heated any more."""
+_SMALL_KJ = 10.0
+
+STRIP, SWAP, COLLECT = range(3)
+
+
+class FractionHeuristic(RealDistillationHeuristic):
+    """Boils off what boils below the goal; where a column can part it from something heavier that may be there, changes
+    the receiver and takes the goal over, up to halfway to what boils next. Which liquids there may be, and where they
+    boil, is public.
+
+    Args:
+        bench: the bench it is for.
+        careful: False always heats with all there is.
+    """
+
+    def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
+        super().__init__(bench, careful)
+        materials = bench.scenario.materials
+        liquids = [m.boiling_point_k for m in materials.values() if m.role == "solvent"]
+        self._until_k: list[float | None] = []
+        for goal in bench.goals.names:
+            boils = materials[goal].boiling_point_k
+            heavier = min((t for t in liquids if t > boils + _HEAVIER_K), default=None)
+            over = bench.options.stages > 1 and heavier is not None and boils < bench.options.hottest_k
+            self._until_k.append(0.5 * (boils + heavier) if over and heavier is not None else None)
+        processes = bench.options.process
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+        swap = next((i for i, p in enumerate(processes) if (p.kind, p.vessel, p.target) == ("pour", "B1", "B2")), None)
+        self._swap = None if swap is None else int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
+        self._phase: dict[int, int] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the distillation bench has discrete actions"
+        stripping = super().act(observation, mask, step, members)
+        t, v = self._temperature, self._volume
+        out = []
+        for i, (seen, legal, action) in enumerate(zip(observation, mask, stripping.tolist(), strict=True)):
+            member, goal = int(members[i]), int(seen[self._slices["goal"]].argmax())
+            if step[i] == 0:
+                self._phase[member] = STRIP
+            until = self._until_k[goal]
+            litres = v.low + float(seen[self._slices["volume"]][0]) * (v.high - v.low)
+            if litres < _HEEL_L:
+                out.append(self._end)
+                continue
+            if until is None or self._swap is None or (self._phase[member] == STRIP and action != self._end):
+                out.append(action)
+                continue
+            if self._phase[member] == STRIP:
+                self._phase[member] = COLLECT
+                if legal[self._swap]:
+                    out.append(self._swap)
+                    continue
+            kelvin = t.low + float(seen[self._slices["temperature"]][0]) * (t.high - t.low)
+            heat = next((a for q, a in reversed(self._heats) if q <= _SMALL_KJ), self._heats[0][1])
+            over = kelvin > until or not legal[heat]
+            out.append(self._end if over else heat)
+        return np.array(out, dtype=np.int64)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy(self._phase)
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._phase = copy.deepcopy(memory)

@@ -1,0 +1,339 @@
+"""Commands that make data files: material, pairs, reactions, new."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..files import write_text
+from ..materials import Material, load_materials, shipped_materials
+from .common import JsonOption, app, out
+from .screen import counting, plain, show_table
+
+__all__: list[str] = []
+
+MaterialsOption = Annotated[
+    list[Path] | None, typer.Option(help="Material file of your own; repeat the option for more.")
+]
+ValuesOption = Annotated[
+    list[Path] | None,
+    typer.Option(help="File with values of your own, tables as in a material file, each with its source."),
+]
+NameOption = Annotated[
+    list[str] | None, typer.Option(help="KEY=WHAT: the id that a compound (CAS number, name, SMILES) is to have.")
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
+
+
+def _free(path: Path, force: bool) -> None:
+    """Refuse to write over something."""
+    if path.suffix != ".toml":
+        raise ValueError(f"{path}: must end with .toml")
+    if path.exists() and not force:
+        raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+
+
+def _named(options: Iterable[str] | None) -> dict[str, str]:
+    found = {}
+    for option in options or ():
+        key, equals, what = option.partition("=")
+        if not (key and equals and what):
+            raise ValueError(f"--name: must be KEY=WHAT, given {option!r}")
+        found[key] = what
+    return found
+
+
+def _command(*words: object) -> str:
+    return shlex.join(["chemlab", *map(str, words)])
+
+
+def _known(files: Sequence[Path] | None) -> dict[str, Material]:
+    return {**shipped_materials(), **load_materials(files or ())}
+
+
+def _write_pairs(
+    path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str
+) -> list[dict[str, Any]]:
+    """Make some pairs and write them."""
+    from ..openchem.activity import make_pairs, pair_text
+
+    with counting() as progress:
+        task = progress.add_task("pairs", total=len(two))
+        rows = make_pairs(two, known, None, lambda _: progress.advance(task))
+    write_text(path, pair_text(rows, command))
+    return rows
+
+
+@app.command()
+def material(
+    what: Annotated[list[str] | None, typer.Argument(help="CAS numbers, names or structures (SMILES).")] = None,
+    output: Annotated[Path, typer.Option("--out", "-o", help="Material file to write.")] = Path("materials.toml"),
+    name: NameOption = None,
+    values: ValuesOption = None,
+    pairs: Annotated[
+        Path | None, typer.Option(help="Also write activity coefficients of every two here; shipped ones may be named.")
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a material file, every number with its source (needs the extra `chem`).
+
+    Estimates are called so, and what is not found is asked for. What is shipped already is left out. Works offline.
+    """
+    from ..openchem import compounds
+
+    for path in filter(None, (output, pairs)):
+        _free(path, force)
+    wanted = compounds.compounds(what or [], _named(name))
+    if not wanted:
+        raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
+    shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, shipped_materials()))}
+    new = [compound for compound in wanted if compound.key not in shipped]
+    words = [*(what or []), *itertools.chain.from_iterable(("--name", pair) for pair in name or ())]
+    tables: dict[str, Any] = {}
+    if new:
+        with counting() as progress:
+            task = progress.add_task("materials", total=len(new))
+            own = compounds.own_values(values or ())
+            tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
+        write_text(output, compounds.material_text(tables, _command("material", *words)))
+    keys = [*shipped.values(), *tables]
+    two = _missing_pairs(keys, {**shipped_materials(), **(load_materials([output]) if new else {})})
+    if pairs is not None:
+        known = {**shipped_materials(), **(load_materials([output]) if new else {})}
+        _write_pairs(pairs, two, known, _command("pairs", *keys))
+    if as_json:
+        typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
+        return
+    for key, as_ in shipped.items():
+        out.print(f"{plain(key)}: is shipped as {plain(as_)}")
+    _show_materials(tables)
+    if new:
+        out.print(f"{plain(output)}: {len(tables)} materials")
+    if pairs is not None:
+        out.print(f"{plain(pairs)}: {len(two)} pairs")
+    elif new:
+        line = _command("pairs", *tables, "OTHERS", "--materials", output, "-o", "pairs.toml")
+        out.print(f"liquids of theirs need activity coefficients: chemlab new makes them, or {plain(line)}")
+
+
+def _show_materials(tables: dict[str, Any]) -> None:
+    from ..openchem.compounds import estimates
+
+    guessed = estimates(tables)
+    rows = [
+        (key, t["formula"], t["role"], f"{t['boiling_point_k']:.1f}", f"{t['density_kg_l']:.3f}",
+         ", ".join(guessed[key]) or "none")
+        for key, t in tables.items()
+    ]  # fmt: skip
+    if rows:
+        show_table("", ("material", "formula", "role", "boils (K)", "kg/L", "estimates"), rows, right=(3, 4))
+    for key, table in tables.items():
+        if "melting_point_k" not in table:
+            out.print(
+                f"{plain(key)}: no melting point was found: it is taken for a liquid; if it is a solid, give "
+                "melting_point_k and fusion_enthalpy_j_mol with --values"
+            )
+
+
+def _missing_pairs(keys: Sequence[str], known: dict[str, Material]) -> list[tuple[str, str]]:
+    """Every two molecules of some materials that no shipped pair file has."""
+    from ..openchem.activity import is_molecule
+    from ..pairs import shipped_pairs
+
+    molecules = [key for key in keys if is_molecule(known[key])]
+    return [two for two in itertools.combinations(molecules, 2) if frozenset(two) not in shipped_pairs()]
+
+
+@app.command()
+def pairs(
+    names: Annotated[list[str], typer.Argument(help="Materials, at least two.")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Pair file to write.")] = Path("pairs.toml"),
+    materials: MaterialsOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write activity coefficients of every two of some materials, fitted to UNIFAC (needs the extra `chem`)."""
+    _free(output, force)
+    if len(names) < 2:
+        raise ValueError("a pair is of two materials; name one more")
+    known = _known(materials)
+    two = list(itertools.combinations(names, 2))
+    rows = _write_pairs(output, two, known, _command("pairs", *names))
+    if as_json:
+        typer.echo(json.dumps(rows))
+        return
+    out.print(f"{plain(output)}: {len(rows)} pairs; largest error of ln gamma {max(row['error'] for row in rows):.2f}")
+
+
+@app.command()
+def reactions(
+    smarts: Annotated[
+        list[str], typer.Option(help="Template, reaction SMARTS; repeat the option for more.", show_default=False)
+    ],
+    reactants: Annotated[
+        list[str],
+        typer.Option(help="Material, CAS number, name or structure; repeat the option for more.", show_default=False),
+    ],
+    more: Annotated[list[str] | None, typer.Argument(help="More reactants.")] = None,
+    output: Annotated[Path, typer.Option("--out", "-o", help="Reaction file to write.")] = Path("reactions.toml"),
+    side: Annotated[list[str] | None, typer.Option(help="Template of a side reaction.")] = None,
+    rate: Annotated[
+        list[float] | None,
+        typer.Option(help="Rate constant at 298.15 K in (L/mol)^(order-1)/s, one for each --smarts, then each --side."),
+    ] = None,
+    activation: Annotated[
+        list[float] | None, typer.Option(help="Activation energy in J/mol, in the same order.")
+    ] = None,
+    equilibrium: Annotated[
+        list[float] | None, typer.Option(help="Equilibrium constant at 298.15 K, in the same order; 0: not reversible.")
+    ] = None,
+    source: Annotated[str, typer.Option(help="Where these are from.")] = "",
+    catalyst: Annotated[
+        list[str] | None, typer.Option(help="Material without which the main reaction stands still.")
+    ] = None,
+    generations: Annotated[int, typer.Option(min=1, max=10, help="How often products react on.")] = 2,
+    materials: MaterialsOption = None,
+    name: NameOption = None,
+    values: ValuesOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the reactions that templates make of some materials, balanced (needs the extra `chem`).
+
+    Rate constants that are not given are guesses, and are called so. Materials that are not known yet are written to a
+    file beside it, NAME_materials.toml.
+    """
+    from ..openchem import compounds, templates
+
+    beside = output.with_name(f"{output.stem}_materials.toml")
+    _free(output, force)
+    texts = [*smarts, *(side or ())]
+    rates = _rates(len(texts), rate, activation, equilibrium, source)
+    made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(texts, rates, strict=True))]
+    known, named = _known(materials), _named(name)
+    everybody = [*reactants, *(more or ())]
+    found, species = templates.expand(made, everybody, known, named, generations)
+    strangers = {s.key: s.smiles for s in species if not s.known}
+    words = [
+        "reactions",
+        *(w for t in smarts for w in ("--smarts", t)),
+        *(w for t in side or () for w in ("--side", t)),
+    ]
+    command = _command(*words, *(w for r in everybody for w in ("--reactants", r)))
+    tables: dict[str, Any] = {}
+    if strangers:
+        _free(beside, force)
+        wanted = compounds.compounds([], strangers)
+        tables = compounds.material_tables(wanted, compounds.own_values(values or ()))
+        known |= compounds.checked(tables)
+    family = templates.family_tables(output.stem, found, known, command, catalyst or ())
+    if strangers:
+        write_text(beside, compounds.material_text(tables, command))
+    write_text(output, templates.family_text(family))
+    if as_json:
+        typer.echo(json.dumps({"reactions": family, "materials": tables}))
+        return
+    _show_materials(tables)
+    rows = [(f.words, f"{templates.heat_of_reaction(f, known) / 1000.0:.1f}", "side" if f.template.side else "main")
+            for f in found]  # fmt: skip
+    show_table("", ("reaction", "heat (kJ/mol)", ""), rows, right=(1,))
+    if strangers:
+        out.print(f"{plain(beside)}: {len(strangers)} materials")
+    guesses = "" if rate and activation else "; rate constants that were not given are guesses"
+    out.print(f"{plain(output)}: {len(found)} reactions{guesses}")
+
+
+def _rates(
+    count: int,
+    rate: Sequence[float] | None,
+    activation: Sequence[float] | None,
+    equilibrium: Sequence[float] | None,
+    source: str,
+) -> list[Any]:
+    """What is given of every template."""
+    from ..openchem.templates import Rate
+
+    columns: list[list[float | None]] = []
+    for option, given in (("--rate", rate), ("--activation", activation), ("--equilibrium", equilibrium)):
+        if given and len(given) > count:
+            raise ValueError(f"{option}: {len(given)} numbers for {count} templates")
+        columns.append([*(given or ()), *[None] * (count - len(given or ()))])
+    return [Rate(k, e, q or None, source) for k, e, q in zip(*columns, strict=True)]
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Of the scenario: lower-case letters, digits and _.")],
+    reactions: Annotated[str, typer.Option(help="Reaction file, or a shipped family's name.")] = "",
+    materials: MaterialsOption = None,
+    pairs: Annotated[list[Path] | None, typer.Option(help="Pair file of your own; repeat the option for more.")] = None,
+    goal: Annotated[str, typer.Option(help="What is to be made; default: the first product.")] = "",
+    solvent: Annotated[str, typer.Option(help="What it is made in; default: one that boils far from the goal.")] = "",
+    mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Most of the goal that there can be.")] = 0.25,
+    output: Annotated[Path | None, typer.Option("--out", "-o", help="Default: NAME.toml here.")] = None,
+    force: ForceOption = False,
+) -> None:
+    """Write a scenario of your own reaction, physics `real`, that `chemlab run` plays at once.
+
+    Asks for what is not given where there is somebody to ask. Activity coefficients that are missing are made (that
+    needs the extra `chem`) and written beside it, NAME_pairs.toml.
+    """
+    from ..openchem import designs
+    from ..pairs import load_pairs, shipped_pairs
+    from ..reactions import load_reactions
+    from ..scenario import load_scenario
+
+    path = output or Path(f"{name}.toml")
+    own = path.with_name(f"{path.stem}_pairs.toml")
+    _free(path, force)
+    asking = sys.stdin.isatty()
+    reactions = reactions or (typer.prompt("reaction file") if asking else "")
+    if not reactions:
+        raise ValueError("--reactions: name a reaction file (chemlab reactions makes one)")
+    file = Path(reactions)
+    files = list(materials or ())
+    made = file.with_name(f"{file.stem}_materials.toml")
+    if made.exists() and made not in files:
+        files.append(made)
+    known = _known(files)
+    family = load_reactions(reactions, known)
+    candidates = [key for step in family.reaction for key in step.products if known[key].role in ("solvent", "solute")]
+    if not candidates and not goal:
+        raise ValueError(f"--goal: none of the products of {family.name!r} is a molecule")
+    if not goal:
+        goal = typer.prompt("goal", default=candidates[0]) if asking else candidates[0]
+    if goal not in known:
+        raise ValueError(f"--goal: unknown material {goal!r}; made here: {', '.join(dict.fromkeys(candidates))}")
+    if not solvent:
+        proposed = designs.solvent_for(goal, family, known)
+        solvent = typer.prompt("solvent", default=proposed) if asking else proposed
+    if solvent not in known:
+        raise ValueError(f"--solvent: unknown material {solvent!r}; name its file with --materials")
+    at_hand = {**shipped_pairs(), **load_pairs(pairs or ())}
+    missing = [two for two in designs.occurring(goal, solvent, family, known) if frozenset(two) not in at_hand]
+    command = _command("new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent)
+    pair_files = list(pairs or ())
+    if missing:
+        _free(own, force)
+        _write_pairs(own, missing, known, command)
+        pair_files.append(own)
+        at_hand |= load_pairs([own])
+    places: dict[str, Any] = {"reactions": designs.beside(file, path.parent) if file.suffix == ".toml" else reactions}
+    places |= {"material_files": [designs.beside(f, path.parent) for f in files]} if files else {}
+    places |= {"pair_files": [designs.beside(f, path.parent) for f in pair_files]} if pair_files else {}
+    made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, places)
+    text = designs.scenario_text(made_for.tables, command)
+    write_text(path, text)
+    spec = load_scenario(path)
+    benches = ", ".join(spec.benches)
+    out.print(
+        f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: chemlab run {plain(path)}"
+    )

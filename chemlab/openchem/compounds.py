@@ -1,0 +1,235 @@
+"""Material files from names, CAS numbers and structures."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..datafile import DataError, read_toml, validated
+from ..materials import Material, shipped_materials
+from .identity import Compound, canonical, compound_of
+from .properties import Properties, Value
+from .writing import lock, toml_tables
+
+__all__ = [
+    "OWN_FIELDS",
+    "checked",
+    "compounds",
+    "estimates",
+    "known_as",
+    "material_tables",
+    "material_text",
+    "own_values",
+]
+
+OWN_FIELDS = (
+    "density_kg_l", "heat_capacity_j_mol_k", "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol",
+    "critical_temperature_k", "formation_enthalpy_j_mol", "fusion_enthalpy_j_mol",
+)  # fmt: skip
+"""What may be given instead of being looked up."""
+_PALETTE = ("#332288", "#88ccee", "#44aa99", "#117733", "#999933", "#ddcc77", "#cc6677", "#882255", "#aa4499")
+"""Paul Tol's muted colours."""
+_WATERY = 0.14
+"""The camera takes grey values this close to water's for it."""
+_DESIGN = "design value: palette colour, spread shade, artificial bands"
+
+
+def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
+    """Values of the user's own, by material and field: tables as in a material file, with a ``source`` each.
+
+    Raises:
+        DataError: a file is malformed, a field is unknown, no number, or has no source.
+    """
+    found: dict[str, dict[str, Value]] = {}
+    for path in paths:
+        for key, table in read_toml(path).items():
+            here = f"{path}: {key}"
+            if not isinstance(table, dict):
+                raise DataError(f"{here}: must be a table [{key}]")
+            sources = table.get("source", {})
+            for field, number in table.items():
+                if field == "source":
+                    continue
+                if field not in OWN_FIELDS:
+                    raise DataError(f"{here}: {field}: unknown; known: {', '.join(OWN_FIELDS)}")
+                if isinstance(number, bool) or not isinstance(number, (int, float)):
+                    raise DataError(f"{here}: {field}: must be a number, given {number!r}")
+                if not isinstance(sources, dict) or not isinstance(sources.get(field), str) or not sources[field]:
+                    raise DataError(f"{here}: source: must say where {field} is from")
+                found.setdefault(key, {})[field] = Value(float(number), sources[field])
+    return found
+
+
+def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> list[Compound]:
+    """The compounds that some texts mean, in order, each once.
+
+    Args:
+        texts: CAS numbers, names, structures.
+        named: the same, by the id that each is to have.
+
+    Raises:
+        DataError: some are none; all of them are named.
+    """
+    found: dict[str, Compound] = {}
+    wrong = []
+    for key, text in [*(("", text) for text in texts), *(named or {}).items()]:
+        try:
+            made = compound_of(text, key)
+        except DataError as error:
+            wrong.append(str(error))
+            continue
+        twin = next((other for other in found.values() if made.key == other.key and made.smiles != other.smiles), None)
+        if twin is not None:
+            wrong.append(f"{text!r}: would be called {made.key!r} as {twin.smiles} is; name it with --name KEY={text}")
+        found.setdefault(made.smiles, made)
+    if wrong:
+        raise DataError("\n".join(wrong))
+    return list(found.values())
+
+
+def known_as(compound: Compound, known: Mapping[str, Material]) -> str | None:
+    """The id under which some materials have a compound already, None if they do not."""
+    return next(
+        (key for key, m in known.items() if m.smiles and canonical(m.smiles, key) == compound.smiles),
+        None,
+    )
+
+
+def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any]:
+    """What it looks like: a colour, a grey value far from others' (of a liquid, from water's, too), two bands."""
+    number = int(hashlib.sha256(compound.inchi_key.encode()).hexdigest()[:8], 16)
+    water = shipped_materials()["water"].shade
+    shades = [round(0.12 + 0.01 * i, 2) for i in range(82)]
+    fit = [s for s in shades if not liquid or abs(s - water) > _WATERY]
+    turn = number % len(fit)
+    shade = max(fit[turn:] + fit[:turn], key=lambda s: min(abs(s - other) for other in used))
+    used.append(shade)
+    centers = 210.0 + (number % 97) * 2.0, 420.0 + (number // 97 % 181) * 2.0
+    bands = [
+        {"height_l_mol": height, "center_nm": center, "width_nm": width}
+        for center, height, width in zip(centers, (0.08, 0.06), (11.0, 13.0), strict=True)
+    ]
+    return {"color": _PALETTE[number % len(_PALETTE)], "shade": shade, "absorption": bands}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[dict[str, Any], list[str]]:
+    """A material's table, and the fields that are missing in it."""
+    metal, state = found.metal, found.state
+    role = "gas" if state == "g" else "solid" if metal else "solvent" if state == "l" else "solute"
+    values: dict[str, Any] = {"name": compound.name, "formula": compound.formula, "composition": compound.composition}
+    values |= {"cas": compound.cas} if compound.cas else {}
+    values |= {"smiles": compound.smiles, "molar_mass_g_mol": round(found.mass, 6)}
+    source = {"molar_mass_g_mol": "sum of the atomic weights in the header of chemlab's solvents.toml; others: CIAAW"}
+    real: dict[str, Any] = {}
+    cited: dict[str, str] = {}
+    missing = []
+
+    def put(into: dict[str, Any], where: dict[str, str], field: str, value: Value | None, needed: bool = True) -> None:
+        if value is not None:
+            into[field], where[field] = _rounded(value.number), value.source
+        elif needed:
+            missing.append(field)
+
+    put(values, source, "density_kg_l", found.density)
+    put(values, source, "heat_capacity_j_mol_k", found.heat_capacity)
+    put(values, source, "melting_point_k", found.melting_point, needed=False)
+    put(values, source, "boiling_point_k", found.boiling_point)
+    put(values, source, "vaporization_enthalpy_j_mol", found.vaporization_enthalpy)
+    values |= {"role": role, **_looks(compound, used, role == "solvent")}
+    source["color_shade_absorption"] = _DESIGN
+    if role in ("solvent", "solute"):
+        if found.vapor_pressure is None:
+            missing += ["vapor_pressure"] if found.boiling_point and not found.critical_temperature else []
+        else:
+            formula, cited["vapor_pressure"] = found.vapor_pressure
+            real["vapor_pressure"] = formula.model_dump()
+        put(real, cited, "critical_temperature_k", found.critical_temperature)
+    heat = found.formation_enthalpy
+    put(real, cited, "formation_enthalpy_j_mol", heat[0] if heat else None)
+    real["formation_state"] = heat[1] if heat else state
+    if role == "solute":
+        put(real, cited, "fusion_enthalpy_j_mol", found.fusion_enthalpy)
+    return {**values, "source": source, "real": {**real, "source": cited}}, missing
+
+
+def material_tables(
+    wanted: Sequence[Compound],
+    given: Mapping[str, Mapping[str, Value]] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, dict[str, Any]]:
+    """Tables of a material file, by id, checked as a file's are.
+
+    Args:
+        wanted: the compounds.
+        given: own values by id and field, see :func:`own_values`.
+        progress: is told of every compound that is done.
+
+    Raises:
+        DataError: something was not found; the message names all of it and says how to give it. Nothing is made up.
+    """
+    strangers = sorted(set(given or {}) - {compound.key for compound in wanted})
+    if strangers:
+        known = ", ".join(compound.key for compound in wanted)
+        raise DataError(f"values: {strangers[0]!r} is not asked for; asked for: {known}")
+    used = [m.shade for m in shipped_materials().values() if m.role in ("solvent", "gas")]
+    tables, missing = {}, {}
+    for compound in wanted:
+        table, lacks = _table(compound, Properties(compound, (given or {}).get(compound.key)), used)
+        if lacks:
+            missing[compound.key] = lacks
+        tables[compound.key] = table
+        progress(compound.key)
+    if missing:
+        listed = "; ".join(f"{key}: {', '.join(fields)}" for key, fields in missing.items())
+        first, fields = next(iter(missing.items()))
+        raise DataError(
+            f"not found, and nothing is made up: {listed}. Give each with its source in a file, as "
+            f'[{first}] {fields[0]} = NUMBER and [{first}.source] {fields[0]} = "WHERE FROM", '
+            "and name the file with --values"
+        )
+    checked(tables)
+    return tables
+
+
+def checked(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Material]:
+    """The materials that some tables are.
+
+    Raises:
+        DataError: a table is none.
+    """
+    return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
+
+
+def material_text(tables: Mapping[str, Mapping[str, Any]], command: str) -> str:
+    """The text of a material file.
+
+    Args:
+        tables: from :func:`material_tables`.
+        command: what they were made by.
+    """
+    locked = {"lock": lock(command, "chemicals", "thermo", "rdkit")}
+    lines = [
+        "# Materials. Units and keys: see chemlab's page Write a material or a reaction. Made by the command below;",
+        "# a source says where each number is from, and [KEY] at its end the table of the package chemicals or thermo.",
+    ]
+    lines += toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure"))
+    return "\n".join(lines) + "\n"
+
+
+def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Fields of each material that are estimates."""
+    return {
+        key: [
+            field
+            for field, source in itertools.chain(table["source"].items(), table["real"]["source"].items())
+            if source.startswith("estimate")
+        ]
+        for key, table in tables.items()
+    }

@@ -1,0 +1,385 @@
+"""A scenario of the tier ``real`` for a reaction family: what is fed, in which solvent, and how it is worked up."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..datafile import DataError
+from ..materials import Material
+from ..pairs import Pair, log_activity_coefficients, pair_table
+from ..physics.constants import GAS_CONSTANT
+from ..reactions import Reaction, ReactionFamily
+from ..scenario import SAFETY_EVENTS
+from .writing import toml_tables
+
+__all__ = ["Design", "design", "feeds", "scenario_text", "solvent_for"]
+
+ROOM_K = 298.15
+WATER = "water"
+_SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
+"""Shipped ones that a reaction may be run in and that water is washed out of, the lightest first."""
+_APART_K = 35.0
+"""Boiling points of goal and solvent are that far from each other."""
+_MOL_PER_L = 0.8
+"""Of the goal, if all goes well."""
+_CAPACITY_L, _CRYSTALS_L = 1.5, 2.0
+"""Of vessels, and of those in which something is to crystallize: that takes more solvent."""
+_BELOW_BOILING_K = 8.0
+_LIFETIMES = (8.0, 40.0)
+"""Times 1/k of the slowest step on the way to the goal, at full concentration, that an experiment lasts: of first
+order, and of higher orders, which slow down as they go."""
+_STEPS = 60
+_CLOCK_S = 60.0
+_PARTED = 30.0
+"""Ratio of two materials above and below a cut that a column is to reach."""
+_MOST_STAGES = 15
+_ATMOSPHERE_PA = 101325.0
+_TICK_S = (10.0, 1800.0)
+_STAYS = 20.0
+"""Ratio of activity coefficients at high dilution in water and in the solvent, above which a wash leaves a liquid in
+it; what goes below a tenth of it is washed out."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a scenario is made for."""
+
+    goal: str
+    solvent: str
+    feed_mol: dict[str, float]
+    washing: bool
+    crystallizing: bool
+    tables: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Charge:
+    """What one preparation takes."""
+
+    goal: str
+    solvent: str
+    fed: dict[str, float]
+    solvent_mol: float
+    tick: float
+    warm_k: float
+    heat_j: float
+    washing: bool
+    crystallizing: bool
+    liquids: list[str]
+
+
+def _steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
+    """The first reaction that makes each material on the way to the goal."""
+    found: dict[str, Reaction] = {}
+    wanted = [goal]
+    while wanted:
+        name = wanted.pop()
+        # What a step on the way uses is not made by that step run backwards.
+        users = [step for step in found.values() if name in step.reactants]
+        step = next(
+            (s for s in family.reaction if name in s.products and s not in users and name not in s.reactants), None
+        )
+        if step is not None and name not in found:
+            found[name] = step
+            wanted += list(step.reactants)
+    return found
+
+
+def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
+    """mol of each starting material for some mol of the goal.
+
+    Raises:
+        DataError: no reaction makes the goal.
+    """
+    steps = _steps_to(goal, family)
+    if goal not in steps:
+        made = sorted({name for step in family.reaction for name in step.products})
+        raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; made here: {', '.join(made)}")
+    need, fed = {goal: mol}, dict[str, float]()
+    for _ in range(len(steps) + 1):
+        following: dict[str, float] = {}
+        for name, amount in need.items():
+            if name not in steps:
+                fed[name] = fed.get(name, 0.0) + amount
+                continue
+            step = steps[name]
+            for reactant, number in step.reactants.items():
+                following[reactant] = following.get(reactant, 0.0) + amount * number / step.products[name]
+        need = following
+    return fed
+
+
+def _liquid(material: Material) -> bool:
+    return material.role in ("solvent", "solute") and not (material.melting_point_k or 0.0) > ROOM_K
+
+
+def _crystallizes(material: Material) -> bool:
+    return material.role == "solute" and material.real is not None and material.real.fusion_enthalpy_j_mol is not None
+
+
+def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Material]) -> str:
+    """A shipped solvent that takes no part and boils far from the goal, below it if there is one.
+
+    Raises:
+        DataError: there is none.
+    """
+    boils = materials[goal].boiling_point_k
+    free = [name for name in _SOLVENTS if name not in family.materials() and name != goal]
+    below = [name for name in free if materials[name].boiling_point_k < boils - _APART_K]
+    above = [name for name in free if materials[name].boiling_point_k > boils + _APART_K]
+    if not below and not above:
+        raise DataError(f"solvent: none of {', '.join(_SOLVENTS)} fits; name one with --solvent")
+    # The warmest that can be boiled off: reactions are run in what boils, and most are slow in the cold.
+    return below[-1] if below else above[-1]
+
+
+def _dilute(
+    solute: str, solvent: str, materials: Mapping[str, Material], pairs: Mapping[frozenset[str], Pair]
+) -> float:
+    """Activity coefficient at infinite dilution, by litre instead of by mole of solvent, at 298.15 K."""
+    tau = pair_table((solute, solvent), pairs).tau(ROOM_K)
+    gamma = log_activity_coefficients(np.array([0.0, 1.0]), tau, pair_table((solute, solvent), pairs).alpha)[0]
+    liquid = materials[solvent]
+    return math.exp(float(gamma)) * liquid.molar_mass_g_mol / liquid.density_kg_l / 1000.0
+
+
+def _tick(goal: str, family: ReactionFamily, temperature: float, litre: float, fed: Mapping[str, float]) -> float:
+    """Seconds a step of the reaction bench, by the slowest reaction on the way."""
+    longest = 0.0
+    for step in _steps_to(goal, family).values():
+        k = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * temperature))
+        order = sum(step.orders.values())
+        concentration = max(fed.values()) / litre
+        longest = max(longest, _LIFETIMES[order > 1.0] / (k * concentration ** (order - 1.0)))
+    return float(f"{min(max(longest / _STEPS, _TICK_S[0]), _TICK_S[1]):.2g}")
+
+
+def _column(goal: str, others: Collection[str], materials: Mapping[str, Material]) -> tuple[int, float]:
+    """Theoretical stages and reflux ratio that part the goal from what boils next to it (Fenske 1932, with twice the
+    stages of total reflux): vapour pressures alone, as if all were ideal."""
+    boils = materials[goal].boiling_point_k
+    nearest = 1e9
+    for key in others:
+        real = materials[key].real
+        if key == goal or real is None or real.vapor_pressure is None or _crystallizes(materials[key]):
+            continue
+        ratio = float(real.vapor_pressure.pascal(boils)) / _ATMOSPHERE_PA
+        nearest = min(nearest, max(ratio, 1.0 / max(ratio, 1e-9)))
+    stages = 2.0 * math.log(_PARTED**2) / math.log(max(nearest, 1.2))
+    return min(max(math.ceil(stages), 1), _MOST_STAGES), 1.0 if stages < 6.0 else 3.0
+
+
+def _litres(contents: Mapping[str, float], materials: Mapping[str, Material]) -> float:
+    return sum(n * materials[k].molar_mass_g_mol / materials[k].density_kg_l / 1000.0 for k, n in contents.items())
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def design(
+    name: str,
+    goal: str,
+    solvent: str,
+    family: ReactionFamily,
+    materials: Mapping[str, Material],
+    pairs: Mapping[frozenset[str], Pair],
+    mol: float,
+    files: Mapping[str, Any],
+) -> Design:
+    """A scenario: which benches, what stands there, how long it may take, what it costs.
+
+    Args:
+        name: of the scenario.
+        goal, solvent: materials.
+        family: reactions; rate constants are per second.
+        materials: known ones, by id.
+        pairs: activity coefficients of what can occur.
+        mol: most of the goal that there can be.
+        files: ``reactions``, ``material_files`` and ``pair_files`` of the scenario.
+
+    Raises:
+        DataError: no reaction makes the goal, the solvent is no liquid, or it is more than a vessel takes.
+    """
+    if solvent not in materials or not _liquid(materials[solvent]):
+        raise DataError(f"solvent {solvent!r}: is no liquid that is known")
+    fed = {key: _round(amount) for key, amount in feeds(goal, family, mol).items()}
+    litre = max(mol / _MOL_PER_L, 1.2 * _litres(fed, materials))
+    liquid = max(litre - _litres(fed, materials), 0.2 * litre)
+    in_solvent = _round(liquid * 1000.0 * materials[solvent].density_kg_l / materials[solvent].molar_mass_g_mol)
+    if litre > 0.8 * _CAPACITY_L:
+        raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
+    reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
+    washing = not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
+    crystallizing = _crystallizes(materials[goal])
+    liquids = [materials[k].boiling_point_k for k in (*fed, solvent) if _liquid(materials[k])]
+    warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
+    tick = _tick(goal, family, warm, litre, fed)
+    heat = sum(abs(_heat(step, materials)) for step in _steps_to(goal, family).values()) * mol
+    present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
+    charge = _Charge(goal, solvent, fed, in_solvent, tick, warm, heat, washing, crystallizing, present)
+    benches = _benches(charge, materials)
+    others = {WATER: 80.0} if washing or crystallizing else {}
+    others |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
+    stock = {**fed, solvent: _round(2.0 * in_solvent), **{k: v for k, v in others.items() if k not in fed}}
+    prices = {key: 5e-5 if key == WATER else 1e-3 if key not in fed else 5e-3 for key in stock}
+    safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
+    vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
+    tables = {
+        "name": name,
+        "title": f"{materials[goal].name.capitalize()} from {' and '.join(materials[key].name for key in fed)}",
+        "summary": family.summary,
+        "physics": "real",
+        **files,
+        "goals": [goal],
+        "lab_goals": [goal],
+        "theoretical_maximum_mol": {goal: _round(mol + (others.get(goal, 0.0) if crystallizing else 0.0))},
+        # On other benches: what is distilled cools down in between, crystals want time.
+        "real": {"tick_s": 2.0 * _CLOCK_S if crystallizing else _CLOCK_S},
+        "stock": stock,
+        "shelf": {"slots": 8, "vessel": [vessel]},
+        "benches": benches,
+        "instruments": _INSTRUMENTS,
+        "limits": {"manager_actions": 60, "ticks": 500, "budget": 0.2},
+        "costs": {"waste_per_l": 0.002, "tick": 0.0002, "illegal_action": 0.005, "stock_per_mol": prices},
+        "safety": {"weights": safety},
+    }
+    return Design(goal, solvent, fed, washing, crystallizing, tables)
+
+
+_INSTRUMENTS: dict[str, dict[str, Any]] = {
+    "uv_vis": {"kind": "uv_vis", "price": 0.002},
+    "layer_camera": {"kind": "layer_camera", "price": 0.001},
+    "balance": {"kind": "balance", "price": 0.0005},
+    "gas_chromatograph": {"kind": "gas_chromatograph", "price": 0.01, "sample_fraction": 0.001},
+}
+
+
+def _heat(step: Reaction, materials: Mapping[str, Material]) -> float:
+    """J per mol of the step, by formation enthalpies."""
+    total = 0.0
+    for sign, side in ((-1.0, step.reactants), (1.0, step.products)):
+        for key, number in side.items():
+            real = materials[key].real
+            total += sign * number * (real.formation_enthalpy_j_mol if real else 0.0)
+    return total
+
+
+def _washes(
+    goal: str,
+    solvent: str,
+    family: ReactionFamily,
+    materials: Mapping[str, Material],
+    pairs: Mapping[frozenset[str], Pair],
+) -> bool:
+    """Whether water takes something out of the solvent, and neither the solvent nor the goal."""
+    if WATER in (goal, solvent) or materials[goal].role == "solid":
+        return False
+
+    def stays(key: str) -> float:
+        inside = 1.0 if key == solvent else _dilute(key, solvent, materials, pairs)
+        return _dilute(key, WATER, materials, pairs) / inside
+
+    if stays(solvent) < _STAYS or stays(goal) < _STAYS:
+        return False
+    salts = {salt.solid for salt in family.salt}
+    present = {key for step in family.reaction for key in (*step.reactants, *step.products)} - {goal, solvent, WATER}
+    liquids = [key for key in present if materials[key].role in ("solvent", "solute")]
+    return bool(salts & present) or any(stays(key) < 0.1 * _STAYS for key in liquids)
+
+
+def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, Any]:
+    """The benches' tables."""
+    goal, solvent = charge.goal, charge.solvent
+    watts = charge.heat_j / (0.5 * _STEPS * charge.tick)
+    start = {"capacity_l": _CAPACITY_L, "contents": {solvent: charge.solvent_mol}}
+    made = _round(0.8 * min(charge.fed.values()))
+    crude = {**start, "contents": {solvent: charge.solvent_mol, goal: made}}
+    low, high = min(ROOM_K - 30.0, charge.warm_k - 60.0), charge.warm_k + 2.0 * _BELOW_BOILING_K
+    benches: dict[str, Any] = {
+        "rxn": {
+            "kind": "reaction",
+            "step_limit": _STEPS,
+            "reagents": dict(charge.fed),
+            "temperature_k": {"low": round(low, 2), "high": round(high, 2), "step": 10.0},
+            "volume_l": {"low": 0.6, "high": _CAPACITY_L, "step": 0.1},
+            "vessel_volume_l": _CAPACITY_L,
+            "rated_pressure_kpa": 500.0,
+            "tick": charge.tick,
+            "jacket_w_k": 6.0,
+            "condenser_w": _round(max(80.0, 2.0 * watts)),
+            "atol": 1e-9,
+            "start": start,
+        }
+    }
+    if charge.washing:
+        benches["ext"] = {"kind": "extraction", "process": _WASHING, "start": crude}
+    if charge.crystallizing:
+        # Only the solvent goes: what crystallizes is not distilled.
+        hottest, stages, reflux = max(materials[solvent].boiling_point_k + 15.0, 375.0), 1, 1.0
+    else:
+        hottest = max(max(materials[key].boiling_point_k for key in charge.liquids) + 20.0, 478.15)
+        stages, reflux = _column(goal, charge.liquids, materials)
+    benches["dit"] = {
+        "kind": "distillation",
+        "step_limit": 100,
+        "hottest_k": round(min(hottest, 650.0), 2),
+        **({"stages": stages, "reflux": reflux} if stages > 1 else {}),
+        "start": crude,
+    }
+    if charge.crystallizing:
+        raw = {"capacity_l": _CRYSTALS_L, "contents": {goal: made}}
+        benches["cry"] = {"kind": "crystallization", "step_limit": 120, "start": raw}
+    return benches
+
+
+_WASHING = [
+    {"kind": "drain", "vessel": "EV", "target": "B1", "magnitudes": [1, 3, 8, 16, 32]},
+    {"kind": "mix", "vessel": "EV", "magnitudes": [0.5, 1, 2, 4, 6]},
+    {"kind": "pour", "vessel": "B1", "target": "EV", "magnitudes": [0.2, 0.4, 0.6, 0.8, 1]},
+    {"kind": "pour", "vessel": "EV", "target": "B2", "magnitudes": [0.2, 0.4, 0.6, 0.8, 1]},
+    {"kind": "add", "vessel": "EV", "material": WATER, "magnitudes": [0.05, 0.1, 0.2, 0.3, 0.4]},
+    {"kind": "settle", "vessel": "EV", "magnitudes": [0.5, 1, 2, 4, 6]},
+]
+
+
+def occurring(
+    goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material]
+) -> list[tuple[str, str]]:
+    """Every two molecules whose activity coefficients a design may need."""
+    names = [goal, solvent, WATER, *sorted(family.materials())]
+    names += ["ethanol"] if _crystallizes(materials[goal]) else []
+    molecules = [key for key in dict.fromkeys(names) if materials[key].role in ("solvent", "solute")]
+    return list(itertools.combinations(molecules, 2))
+
+
+def scenario_text(tables: Mapping[str, Any], command: str) -> str:
+    """The text of a scenario file."""
+    inline = (
+        "contents",
+        "reagents",
+        "start",
+        "temperature_k",
+        "volume_l",
+        "process",
+        "vessel",
+        "weights",
+        *_INSTRUMENTS,
+    )
+    lines = [f"# Made by {command}; every key: see chemlab's pages Write a scenario, and Keys of data files"]
+    return "\n".join([*lines, *toml_tables(tables, inline)]) + "\n"
+
+
+def beside(path: Path, folder: Path) -> str:
+    """A file's name as a scenario in a folder has it."""
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return str(path.resolve())

@@ -1,0 +1,140 @@
+"""Which compound is meant: by a CAS number, a name or a structure, offline."""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from ..datafile import DataError
+from ..materials import shipped_materials
+
+try:
+    from chemicals.elements import periodic_table
+    from chemicals.identifiers import check_CAS, pubchem_db
+    from rdkit import Chem, RDLogger
+    from rdkit.Chem.rdMolDescriptors import CalcMolFormula
+except ImportError as error:
+    raise ImportError(
+        f'open chemistry needs rdkit and chemicals ({error}): pip install "chemlab-marl[chem]"'
+    ) from error
+
+__all__ = ["Compound", "canonical", "composition_of", "compound_of", "molar_mass", "parsed", "structures"]
+
+RDLogger.DisableLog("rdApp.*")
+
+_CAS = re.compile(r"\d{2,7}-\d{2}-\d")
+_WEIGHTS = {"H": 1.00794, "C": 12.0107, "N": 14.0067, "O": 15.9994, "Na": 22.98977, "Cl": 35.453, "Ar": 39.948}
+"""Atomic weights of the shipped files; reactions conserve mass only where all files have the same."""
+
+
+@dataclass(frozen=True)
+class Compound:
+    """One molecule or element."""
+
+    key: str
+    """Id of its table in a material file."""
+    name: str
+    formula: str
+    smiles: str
+    """Canonical, by RDKit."""
+    inchi_key: str
+    cas: str | None = None
+
+    @property
+    def composition(self) -> dict[str, int]:
+        """Atoms by element."""
+        return composition_of(parsed(self.smiles, self.key))
+
+
+def parsed(smiles: str, what: str) -> Any:
+    """RDKit's molecule of a structure.
+
+    Raises:
+        DataError: it is none; the message names ``what``.
+    """
+    molecule = Chem.MolFromSmiles(smiles) if smiles else None
+    if molecule is None or molecule.GetNumAtoms() == 0:
+        raise DataError(f"{what}: {smiles!r} is no structure (SMILES)")
+    return molecule
+
+
+def canonical(smiles: str, what: str) -> str:
+    """The structure as RDKit writes it, the same for every way to write it.
+
+    Raises:
+        DataError: it is none.
+    """
+    return str(Chem.MolToSmiles(parsed(smiles, what)))
+
+
+def composition_of(molecule: Any) -> dict[str, int]:
+    """Atoms of a molecule by element, carbon and hydrogen first."""
+    counts: dict[str, int] = {}
+    for atom in molecule.GetAtoms():
+        counts[atom.GetSymbol()] = counts.get(atom.GetSymbol(), 0) + 1
+        hydrogens = atom.GetTotalNumHs()
+        if hydrogens:
+            counts["H"] = counts.get("H", 0) + hydrogens
+    return dict(sorted(counts.items(), key=lambda item: ({"C": 0, "H": 1}.get(item[0], 2), item[0])))
+
+
+def molar_mass(composition: dict[str, int]) -> float:
+    """g/mol: the sum of atomic weights, for the elements of the shipped files with those."""
+    return float(
+        sum(n * _WEIGHTS.get(element, getattr(periodic_table, element).MW) for element, n in composition.items())
+    )
+
+
+@functools.cache
+def structures() -> dict[str, str]:
+    """Ids of the shipped materials by canonical structure."""
+    return {canonical(m.smiles, key): key for key, m in shipped_materials().items() if m.smiles}
+
+
+def _key(name: str) -> str:
+    return re.sub(r"\s+", "_", name.strip().lower())
+
+
+def compound_of(text: str, key: str = "") -> Compound:
+    """The compound that a text means.
+
+    Args:
+        text: a CAS number, a name (as in PubChem, in English), or a structure (SMILES); tried in this order.
+        key: the id it is to have, default: its name with ``_`` for spaces.
+
+    Raises:
+        DataError: it is none of these, a salt, or an ion.
+    """
+    text = text.strip()
+    entry = None
+    if _CAS.fullmatch(text):
+        if not check_CAS(text):
+            raise DataError(f"{text!r}: its check digit is wrong: no CAS number")
+        entry = pubchem_db.search_CAS(text)
+        if not entry:
+            raise DataError(f"{text!r}: this CAS number is not in the list of chemicals; give the structure (SMILES)")
+    named = pubchem_db.search_name(text.lower()) if entry is None and text else None
+    entry = entry or named or None
+    molecule = parsed(entry.smiles, text) if entry else Chem.MolFromSmiles(text) if text else None
+    if molecule is None or molecule.GetNumAtoms() == 0:
+        raise DataError(
+            f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
+            "of these, a structure as SMILES (ethanol: CCO)"
+        )
+    fragments = len(Chem.GetMolFrags(molecule))
+    charge = Chem.GetFormalCharge(molecule)
+    if fragments > 1 or charge != 0:
+        what = f"has a charge of {charge:+d}" if fragments == 1 else f"has {fragments} fragments"
+        raise DataError(
+            f"{text!r}: {what}: ions and salts have no boiling point and no groups to estimate from; take a shipped "
+            "one, or write its tables by hand (docs: Write a material or a reaction), solubilities included"
+        )
+    inchi_key = str(Chem.MolToInchiKey(molecule))
+    entry = entry or pubchem_db.search_InChI_key(inchi_key) or None
+    formula = str(CalcMolFormula(molecule))
+    name = text if named else (entry.common_name if entry else formula)
+    return Compound(
+        key or _key(name), name, formula, str(Chem.MolToSmiles(molecule)), inchi_key, entry.CASs if entry else None
+    )

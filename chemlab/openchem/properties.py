@@ -1,0 +1,538 @@
+"""Properties of a compound: looked up, else estimated by a named method, else missing; never without a source."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..datafile import DataError
+from ..materials import VaporPressure
+from ..physics.constants import GAS_CONSTANT
+from .identity import Compound, molar_mass, parsed
+
+try:
+    import chemicals
+    import thermo
+    from chemicals.elements import periodic_table
+    from rdkit.Chem import MolFromSmarts
+except ImportError as error:
+    raise ImportError(f'properties need chemicals and thermo ({error}): pip install "chemlab-marl[chem]"') from error
+
+__all__ = ["Properties", "Value", "is_metal"]
+
+ROOM_K = 298.15
+ATMOSPHERE_PA = 101325.0
+
+_CRC = "CRC Handbook, 95th ed. (2014)"
+_PERRY = "Perry's Chemical Engineers' Handbook, 8th ed. (2007)"
+_VDI = "VDI Heat Atlas, 2nd ed. (2010)"
+_CITATIONS = {
+    "ANTOINE_EXTENDED_POLING": "extended Antoine, Poling, Prausnitz and O'Connell (2001)",
+    "ANTOINE_POLING": "Antoine, Poling, Prausnitz and O'Connell (2001)",
+    "ANTOINE_WEBBOOK": "Antoine, NIST Chemistry WebBook",
+    "ATCT_G": "Active Thermochemical Tables",
+    "ATCT_L": "Active Thermochemical Tables",
+    "COMMON_CHEMISTRY": "CAS Common Chemistry",
+    "CRC": _CRC,
+    "CRC_HVAP_298": f"{_CRC}, enthalpy of vaporization",
+    "CRC_HVAP_TB": f"{_CRC}, enthalpy of vaporization",
+    "CRC_INORG": f"{_CRC}, inorganic compounds",
+    "CRC_INORG_L": f"{_CRC}, liquid inorganic compounds",
+    "CRC_INORG_L_CONST": f"{_CRC}, liquid inorganic compounds",
+    "CRC_INORG_S": f"{_CRC}, solid inorganic compounds",
+    "CRC_ORG": f"{_CRC}, organic compounds",
+    "CRCSTD": f"{_CRC}, standard thermodynamic properties",
+    "DIPPR_PERRY_8E": f"DIPPR, {_PERRY}",
+    "HEOS": "reference equation of state",
+    "HEOS_FIT": "reference equation of state",
+    "HTCOSTALDFIT": "COSTALD with fitted parameters, API Technical Data Book",
+    "IUPAC": "IUPAC critical properties, J. Chem. Eng. Data 40-62 (1995-2017)",
+    "JANAF": "NIST-JANAF thermochemical tables",
+    "LANDOLT": "Landolt-Boernstein, New Series IV/20, Vapor Pressure of Chemicals (1999-2001)",
+    "MATTHEWS": "Matthews, Chem. Rev. 72 (1972) 71",
+    "MMSNM0FIT": "COSTALD-like fit of Mchaweh et al., Fluid Phase Equilib. 224 (2004) 157",
+    "OPEN_NTBKM": "Open Notebook Melting Points (Bradley et al. 2014)",
+    "PD": "Passut and Danner, Ind. Eng. Chem. Process Des. Dev. 12 (1973) 365",
+    "PERRY151": f"{_PERRY}, heat capacities of solids",
+    "PINAMARTINES": "Pina-Martinez et al., J. Chem. Eng. Data 63 (2018) 3980",
+    "POLING_CONST": "Poling, Prausnitz and O'Connell (2001), heat capacities at 298.15 K",
+    "POLING_POLY": "Poling, Prausnitz and O'Connell (2001)",
+    "PSRK": "Horstmann et al., Fluid Phase Equilib. 227 (2005) 157",
+    "RACKETTFIT": "Rackett with fitted parameter, API Technical Data Book",
+    "TRCIG": "TRC Thermodynamics of Organic Compounds in the Gas State",
+    "UNARY": "SGTE data for pure elements",
+    "VDI_PPDS": _VDI,
+    "VDI_TABULAR": _VDI,
+    "WAGNER_MCGARRY": "Wagner, McGarry, Ind. Eng. Chem. Process Des. Dev. 22 (1983) 313",
+    "WAGNER_POLING": "Wagner, Poling, Prausnitz and O'Connell (2001)",
+    "WEBBOOK": "NIST Chemistry WebBook",
+    "WEBBOOK_SHOMATE": "NIST Chemistry WebBook, Shomate equation",
+    "YAWS": "Yaws (2014)",
+    "ZABRANSKY_QUASIPOLYNOMIAL_C": "Zabransky et al. (1996)",
+    "ZABRANSKY_QUASIPOLYNOMIAL_SAT": "Zabransky et al. (1996)",
+    "ZABRANSKY_SPLINE_C": "Zabransky et al. (1996)",
+    "ZABRANSKY_SPLINE_SAT": "Zabransky et al. (1996)",
+}
+_JOBACK = "Joback and Reid, Chem. Eng. Commun. 57 (1987) 233"
+_JOBACK_ERROR = {"Tb": "12.9 K", "Tc": "4.8 K", "Hf": "8.4 kJ/mol", "Hfus": "2.0 kJ/mol"}
+"""Mean absolute errors that its authors give (as remembered, not looked up)."""
+
+_ZABRANSKY = (
+    "ZABRANSKY_SPLINE_C", "ZABRANSKY_QUASIPOLYNOMIAL_C", "ZABRANSKY_SPLINE_SAT", "ZABRANSKY_QUASIPOLYNOMIAL_SAT",
+)  # fmt: skip
+_LIQUID_HEAT = ("CRCSTD", "POLING_CONST", *_ZABRANSKY, "HEOS_FIT", "WEBBOOK_SHOMATE", "VDI_TABULAR")
+_SOLID_HEAT = ("CRCSTD", "PERRY151", "WEBBOOK_SHOMATE", "JANAF", "UNARY")
+_GAS_HEAT = ("HEOS_FIT", "TRCIG", "CRCSTD", "POLING_POLY", "POLING_CONST", "WEBBOOK_SHOMATE", "JANAF")
+_HEAT = {
+    "l": ("HeatCapacityLiquid", _LIQUID_HEAT),
+    "s": ("HeatCapacitySolid", _SOLID_HEAT),
+    "g": ("HeatCapacityGas", _GAS_HEAT),
+}
+_SOLID_VOLUME = ("CRC_INORG_S",)
+_LIQUID_VOLUME = (
+    "DIPPR_PERRY_8E", "HEOS_FIT", "VDI_PPDS", "CRC_INORG_L", "CRC_INORG_L_CONST", "HTCOSTALDFIT", "RACKETTFIT",
+    "MMSNM0FIT", "VDI_TABULAR", "COMMON_CHEMISTRY",
+)  # fmt: skip
+_VAPORIZATION = ("DIPPR_PERRY_8E", "CRC_HVAP_TB", "HEOS_FIT", "VDI_PPDS", "VDI_TABULAR")
+_VAPOR_PRESSURE = (
+    "DIPPR_PERRY_8E", "WAGNER_MCGARRY", "WAGNER_POLING", "VDI_PPDS", "HEOS_FIT", "ANTOINE_EXTENDED_POLING",
+    "ANTOINE_POLING", "LANDOLT", "ANTOINE_WEBBOOK",
+)  # fmt: skip
+_CONSTANTS: dict[str, tuple[str, ...]] = {
+    "Tb": ("CRC_ORG", "CRC_INORG", "HEOS", "YAWS", "COMMON_CHEMISTRY", "WEBBOOK"),
+    "Tm": ("CRC_ORG", "CRC_INORG", "OPEN_NTBKM", "COMMON_CHEMISTRY", "WEBBOOK"),
+    "Tc": ("IUPAC", "HEOS", "MATTHEWS", "CRC", "PSRK", "PD", "PINAMARTINES", "YAWS", "WEBBOOK"),
+    "Pc": ("IUPAC", "HEOS", "MATTHEWS", "CRC", "PSRK", "PD", "PINAMARTINES", "YAWS", "WEBBOOK"),
+    "Hfl": ("CRC", "ATCT_L", "WEBBOOK", "JANAF"),
+    "Hfs": ("CRC", "WEBBOOK"),
+    "Hfg": ("CRC", "ATCT_G", "WEBBOOK", "JANAF", "YAWS", "TRC"),
+    "Hfus": ("CRC", "WEBBOOK"),
+}
+_AGREE = {"Tb": 6.0, "Tm": 6.0, "Tc": 12.0, "Pc": 4e5, "Hfl": 8e3, "Hfs": 8e3, "Hfg": 8e3, "Hfus": 2e3}
+"""How far a compilation may be from the median of all (K, Pa, J/mol) before the next one is taken instead of it."""
+_AGREE_SHARE = 0.08
+"""The same, of the median, for what depends on temperature."""
+_UNITS = {"Tb": ("K", 1.0), "Tm": ("K", 1.0), "Tc": ("K", 1.0), "Pc": ("kPa", 1e3)}
+_MET = 0.04
+"""How far a vapour pressure may be from an atmosphere at the boiling point; a material takes 0.1."""
+_WATSON = 0.38
+_VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0)} | {
+    **dict.fromkeys(("Na", "Mg", "Al", "Si", "P", "S", "Cl"), 4.0),
+    **dict.fromkeys(("K", "Ca", "Ga", "Ge", "As", "Se", "Br"), 5.0),
+    **dict.fromkeys(("Rb", "Sr", "In", "Sn", "Sb", "Te", "I"), 7.5),
+}
+"""Girolami's volumes of atoms, in units of 5 mL/mol."""
+_ASSOCIATING = ("[OX2H1]", "[NX3;H1,H2]", "[NX3;H0][CX3]=[OX1]", "[#16X3]=[OX1]", "[#16X4](=[OX1])=[OX1]")
+"""Groups that each raise the density by a tenth: hydroxyl and carboxyl, amines, amides, sulfoxides, sulfones."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number and where it is from."""
+
+    number: float
+    source: str
+
+    @property
+    def estimated(self) -> bool:
+        """Whether nobody measured it."""
+        return self.source.startswith("estimate")
+
+
+def is_metal(composition: Mapping[str, int]) -> bool:
+    """Whether it is an element that is a metal."""
+    element = next(iter(composition))
+    return len(composition) == 1 and element not in ("H", "He") and getattr(periodic_table, element).block in "sdf"
+
+
+def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressure, float]:
+    """DIPPR 101 through a curve.
+
+    Args:
+        temperature_k: [n] K, rising.
+        pascal: [n] Pa.
+
+    Returns:
+        The formula and its largest relative error on the curve.
+
+    Raises:
+        DataError: no formula of that form rises everywhere.
+    """
+    t, log = np.asarray(temperature_k, dtype=np.float64), np.log(np.asarray(pascal, dtype=np.float64))
+    best: tuple[float, tuple[float, ...]] | None = None
+    for power in (1.0, 2.0, 6.0):
+        columns = np.stack([np.ones_like(t), 1.0 / t, np.log(t), t**power], axis=1)
+        scale = np.abs(columns).max(axis=0)
+        found = np.linalg.lstsq(columns / scale, log, rcond=None)[0] / scale
+        made = tuple(float(f"{number:.9g}") for number in found)
+        error = float(np.abs(np.expm1(columns @ np.array(made) - log)).max())
+        if best is None or error < best[0]:
+            best = error, (*made, power)
+    assert best is not None
+    try:
+        formula = VaporPressure(
+            form="dippr101", coefficients=best[1], low_k=round(float(t[0]), 2), high_k=round(float(t[-1]), 2)
+        )
+    except ValueError as error:
+        raise DataError(f"vapor_pressure: DIPPR 101 does not fit: {error}") from error
+    return formula, best[0]
+
+
+def _agreeing(found: Mapping[str, float], tolerance: float, referee: float | None) -> str:
+    """The first of some compilations that is near their median; of two that are far from each other, the one that is
+    nearer to an estimate."""
+    values = list(found.values())
+    if len(values) == 2 and abs(values[0] - values[1]) > tolerance and referee is not None:
+        return min(found, key=lambda method: abs(found[method] - referee))
+    middle = float(np.median(values))
+    return next((method for method, value in found.items() if abs(value - middle) <= tolerance), next(iter(found)))
+
+
+class Properties:
+    """What is known of a compound, each found when it is first asked for; None where nothing is found.
+
+    Args:
+        compound: which.
+        given: own values by field of a material, which go before everything.
+    """
+
+    def __init__(self, compound: Compound, given: Mapping[str, Value] | None = None) -> None:
+        self.compound, self.given = compound, dict(given or {})
+        self.mass = molar_mass(compound.composition)
+        self.metal = is_metal(compound.composition)
+
+    # What is looked up -----------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _joback(self) -> Any:
+        """thermo's Joback object if the molecule is made of its groups."""
+        found = thermo.Joback(self.compound.smiles)
+        return found if found.success else None
+
+    def _listed(self, name: str) -> dict[str, float]:
+        """What compilations say of a constant, by compilation."""
+        if self.compound.cas is None:
+            return {}
+        lookup, methods = getattr(chemicals, name), getattr(chemicals, f"{name}_methods")(self.compound.cas)
+        return {m: float(lookup(self.compound.cas, method=m)) for m in _CONSTANTS[name] if m in methods}
+
+    def _constant(self, name: str, referee: float | None = None) -> Value | None:
+        """What compilations say: the first of them that agrees with the others; of two that do not agree, the one that
+        is nearer to an estimate."""
+        found = self._listed(name)
+        if not found:
+            return None
+        chosen = _agreeing(found, _AGREE[name], referee)
+        others = [value for method, value in found.items() if method != chosen]
+        unit, factor = _UNITS.get(name, ("kJ/mol", 1e3))
+        source = _CITATIONS.get(chosen, chosen)
+        if others:
+            spread = max(abs(value - found[chosen]) for value in others) / factor
+            number = "another compilation" if len(others) == 1 else f"{len(others)} other compilations"
+            source += f"; {number} within {spread:.2g} {unit}"
+        return Value(found[chosen], f"{source} [{chosen}]")
+
+    def _estimate(self, name: str, method: str, number: float | None) -> Value | None:
+        if number is None or not math.isfinite(number):
+            return None
+        error = _JOBACK_ERROR.get(name) if method == _JOBACK else None
+        return Value(float(number), f"estimate: {method}{f'; its mean error is {error}' if error else ''}")
+
+    def _tabulated(self, kind: str, temperature: float, methods: Iterable[str]) -> dict[str, float]:
+        """A property that depends on temperature, by every method that has it there."""
+        found, out = self._thermo(kind), {}
+        for method in methods:
+            if found is None or method not in found.all_methods:
+                continue
+            low, high = found.T_limits.get(method, (0.0, math.inf))
+            if not low - 0.01 <= temperature <= high + 0.01:
+                continue
+            value = found.calculate(temperature, method)
+            if isinstance(value, float) and math.isfinite(value) and value > 0.0:
+                out[method] = value
+        return out
+
+    def _correlation(
+        self, kind: str, temperature: float, methods: Iterable[str], referee: float | None = None
+    ) -> Value | None:
+        """The same by the first method that agrees with the others, or of two with an estimate."""
+        found = self._tabulated(kind, temperature, methods)
+        if not found:
+            return None
+        method = _agreeing(found, _AGREE_SHARE * float(np.median(list(found.values()))), referee)
+        return Value(found[method], f"{_CITATIONS.get(method, method)} [{method}]")
+
+    def compilations(self, field: str) -> dict[str, float]:
+        """What was measured of a field, by compilation, in the material's units; of a vapour pressure at 0.85 of the
+        boiling point, in Pa.
+
+        Args:
+            field: the name of one of the properties below.
+        """
+        constants = {"boiling_point": "Tb", "melting_point": "Tm", "critical_temperature": "Tc"}
+        constants |= {"fusion_enthalpy": "Hfus", "formation_enthalpy": f"Hf{self.state}"}
+        if field in constants:
+            return self._listed(constants[field])
+        boils = self.boiling_point.number if self.boiling_point else ROOM_K
+        if field == "vaporization_enthalpy":
+            return self._tabulated("EnthalpyVaporization", boils, _VAPORIZATION)
+        if field == "vapor_pressure":
+            return self._tabulated("VaporPressure", 0.85 * boils, _VAPOR_PRESSURE)
+        if field == "heat_capacity":
+            return self._tabulated(_HEAT[self.state][0], ROOM_K, _HEAT[self.state][1])
+        kind, methods = {"l": ("VolumeLiquid", _LIQUID_VOLUME), "s": ("VolumeSolid", _SOLID_VOLUME)}.get(
+            self.state, ("VolumeGas", ())
+        )
+        return {m: self.mass / volume / 1e6 for m, volume in self._tabulated(kind, ROOM_K, methods).items()}
+
+    @functools.cache  # noqa: B019 - an object of a compound lives as long as the command
+    def _thermo(self, kind: str) -> Any:
+        if self.compound.cas is None:
+            return None
+        wanted: dict[str, Any] = {"MW": self.mass} if kind.startswith(("Heat", "Volume")) else {}
+        return getattr(thermo, kind)(CASRN=self.compound.cas, **wanted)
+
+    @functools.cached_property
+    def boiling_point(self) -> Value | None:
+        """K, at 101.325 kPa."""
+        guess = self._estimate("Tb", _JOBACK, self._joback.Tb(self._joback.counts)) if self._joback else None
+        return self.given.get("boiling_point_k") or self._constant("Tb", guess.number if guess else None) or guess
+
+    @functools.cached_property
+    def melting_point(self) -> Value | None:
+        """K; never estimated: 20 K more or less decide what is a solid."""
+        return self.given.get("melting_point_k") or self._constant("Tm")
+
+    def _boils_by_estimate(self) -> bool:
+        """Whether its critical point has to be an estimate, too: a measured one would not fit to the boiling point."""
+        return self.boiling_point is not None and self.boiling_point.estimated and self._joback is not None
+
+    @functools.cached_property
+    def critical_temperature(self) -> Value | None:
+        """K"""
+        boils = self.boiling_point
+        given = self.given.get("critical_temperature_k")
+        known = given or (None if self._boils_by_estimate() else self._constant("Tc"))
+        if known is not None and (given or boils is None or known.number > 1.1 * boils.number):
+            return known
+        if boils is None:
+            return None
+        if self._joback:
+            return self._estimate("Tc", _JOBACK, self._joback.Tc(self._joback.counts, boils.number))
+        wilson = chemicals.Tc(self.compound.cas, method="WILSON_JASPERSON") if self.compound.cas else None
+        return self._estimate("Tc", "Wilson and Jasperson (1996)", wilson)
+
+    @functools.cached_property
+    def critical_pressure(self) -> Value | None:
+        """Pa"""
+        known = None if self._boils_by_estimate() else self._constant("Pc")
+        if known is None and self._joback:
+            atoms = sum(self.compound.composition.values())
+            return self._estimate("Pc", _JOBACK, self._joback.Pc(self._joback.counts, atoms))
+        if known is None and self.compound.cas:
+            wilson = chemicals.Pc(self.compound.cas, method="WILSON_JASPERSON")
+            return self._estimate("Pc", "Wilson and Jasperson (1996)", wilson)
+        return known
+
+    @property
+    def state(self) -> str:
+        """``l``, ``s`` or ``g`` at 298.15 K; a liquid where no melting point is known."""
+        boils, melts = self.boiling_point, self.melting_point
+        if boils is not None and boils.number <= ROOM_K:
+            return "g"
+        return "s" if melts is not None and melts.number > ROOM_K else "l"
+
+    # What follows ----------------------------------------------------------------------------------------------------
+
+    def _critical(self) -> tuple[float, float, float] | None:
+        """Tb, Tc, Pc if all are known."""
+        parts = self.boiling_point, self.critical_temperature, self.critical_pressure
+        return None if None in parts else tuple(p.number for p in parts if p)  # type: ignore[return-value]
+
+    @functools.cached_property
+    def vaporization_enthalpy(self) -> Value | None:
+        """J/mol, at the boiling point."""
+        if given := self.given.get("vaporization_enthalpy_j_mol"):
+            return given
+        boils = self.boiling_point
+        if boils is None:
+            return None
+        if known := self._correlation("EnthalpyVaporization", boils.number, _VAPORIZATION):
+            return known
+        if self.metal:
+            return Value(88.0 * boils.number, "estimate: Trouton's rule, 88 J/mol/K; a solid never boils here")
+        critical = self._critical()
+        if critical is None:
+            return None
+        return self._estimate("Hvap", "Chen (1965), J. Chem. Eng. Data 10, 207", chemicals.Chen(*critical))
+
+    def _vaporization_at_room(self) -> Value | None:
+        """J/mol at 298.15 K: tabulated, or that of the boiling point carried on (Watson 1943)."""
+        if known := self._correlation("EnthalpyVaporization", ROOM_K, ("CRC_HVAP_298",)):
+            return known
+        heat, boils, critical = self.vaporization_enthalpy, self.boiling_point, self.critical_temperature
+        if heat is None or boils is None or critical is None:
+            return None
+        share = (critical.number - ROOM_K) / (critical.number - boils.number)
+        return Value(heat.number * share**_WATSON, "heat of vaporization at the boiling point carried on (Watson 1943)")
+
+    @functools.cached_property
+    def vapor_pressure(self) -> tuple[VaporPressure, str] | None:
+        """Of the liquid, and its source."""
+        boils, found = self.boiling_point, self._thermo("VaporPressure")
+        if boils is None:
+            return None
+        top = self.critical_temperature.number if self.critical_temperature else 2.0 * boils.number
+        for method in _VAPOR_PRESSURE:
+            if found is None or method not in found.all_methods:
+                continue
+            low, high = found.T_limits[method]
+            low, high = max(low, 0.45 * boils.number, 150.0), min(high, 0.97 * top)
+            if low > boils.number - 25.0 or high < boils.number - 5.0:
+                continue
+            t = np.linspace(low, high, 60)
+            made = self._curve(t, [found.calculate(float(x), method) for x in t], boils.number)
+            if made is not None:
+                return made[0], f"fit of DIPPR 101 within {made[1]:.2g} % to {_CITATIONS[method]} [{method}]"
+        critical = self._critical()
+        if critical is None:
+            return None
+        boiling, tc, pc = critical
+        omega = chemicals.LK_omega(boiling, tc, pc)
+        t = np.linspace(0.5 * tc, 0.95 * tc, 60)
+        made = self._curve(t, [chemicals.Lee_Kesler(float(x), tc, pc, omega) for x in t], boiling)
+        source = "estimate: Lee and Kesler, AIChE J. 21 (1975) 510, through the boiling point"
+        return None if made is None else (made[0], f"{source}; fit of DIPPR 101 within {made[1]:.2g} %")
+
+    @staticmethod
+    def _curve(t: Any, pascal: Sequence[Any], boiling: float) -> tuple[VaporPressure, float] | None:
+        """The fit and its error in %, if it is a vapour pressure that is an atmosphere at the boiling point."""
+        if any(not isinstance(p, float) or not math.isfinite(p) or p <= 0.0 for p in pascal):
+            return None
+        try:
+            made, error = fitted_vapor_pressure(t, pascal)
+        except DataError:
+            return None
+        met = abs(float(made.pascal(boiling)) / ATMOSPHERE_PA - 1.0) < _MET
+        return (made, 100.0 * error) if met and error < 0.03 else None
+
+    @functools.cached_property
+    def density(self) -> Value | None:
+        """kg/L at 298.15 K, of a gas at 101.325 kPa."""
+        if given := self.given.get("density_kg_l"):
+            return given
+        if self.state == "g":
+            return Value(
+                self.mass * ATMOSPHERE_PA / (GAS_CONSTANT * ROOM_K) / 1e6, "ideal gas law at 298.15 K and 101.325 kPa"
+            )
+        if self.state == "s":
+            return self._solid_density()
+        known = self._correlation("VolumeLiquid", ROOM_K, _LIQUID_VOLUME)
+        if known is not None:
+            return Value(self.mass / known.number / 1e6, known.source)
+        tc, pc, critical = self.critical_temperature, self.critical_pressure, self._critical()
+        if tc and pc and critical and not tc.estimated and not pc.estimated:
+            volumes = self._corresponding_states(*critical)
+            words = "an equation" if len(volumes) == 1 else f"median of {len(volumes)} equations"
+            density = self.mass / float(np.median(list(volumes.values()))) / 1e6
+            return Value(density, f"estimate: {words} of corresponding states ({', '.join(volumes)})")
+        return self._girolami(1.0, "")
+
+    def _corresponding_states(self, boiling: float, tc: float, pc: float) -> dict[str, float]:
+        """m3/mol of the liquid at 298.15 K by equations that need critical constants, as far as these are known."""
+        cas = self.compound.cas
+        omega = (chemicals.omega(cas) if cas else None) or chemicals.LK_omega(boiling, tc, pc)
+        found = {"Yamada and Gunn 1973": chemicals.Yamada_Gunn(ROOM_K, tc, pc, omega)}
+        vc = chemicals.Vc(cas) if cas else None
+        if vc:
+            found["COSTALD 1979"] = chemicals.COSTALD(ROOM_K, tc, vc, omega)
+            found["Mchaweh et al. 2004"] = chemicals.SNM0(ROOM_K, tc, vc, omega)
+            found["Townsend and Hales 1976"] = chemicals.Townsend_Hales(ROOM_K, tc, vc, omega)
+            zc = pc * vc / (GAS_CONSTANT * tc)
+            found["Yen and Woods 1966"] = chemicals.Yen_Woods_saturation(ROOM_K, tc, vc, zc)
+        return {method: float(volume) for method, volume in found.items()}
+
+    def _girolami(self, factor: float, more: str) -> Value | None:
+        """Density of a liquid of main-group elements from the atoms' volumes, times a factor."""
+        atoms = self.compound.composition
+        if not atoms.keys() <= _VOLUMES.keys():
+            return None
+        molecule = parsed(self.compound.smiles, self.compound.key)
+        raised = sum(len(molecule.GetSubstructMatches(MolFromSmarts(group))) for group in _ASSOCIATING)
+        rings = [set(ring) for ring in molecule.GetRingInfo().BondRings()]
+        fused = sum(any(ring & other for other in rings if other is not ring) for ring in rings)
+        raised_by = 0.1 * (raised + len(rings) - fused) + 0.075 * fused
+        volume = 5.0 * sum(n * _VOLUMES[element] for element, n in atoms.items())
+        density = self.mass / volume * (1.0 + min(raised_by, 0.3)) * factor
+        return Value(density, f"estimate: Girolami, J. Chem. Educ. 71 (1994) 962{more}")
+
+    def _solid_density(self) -> Value | None:
+        known = self._correlation("VolumeSolid", ROOM_K, _SOLID_VOLUME)
+        if known is not None:
+            return Value(self.mass / known.number / 1e6, known.source)
+        melts = self.melting_point
+        assert melts is not None
+        goodman = "Goodman et al., J. Chem. Eng. Data 49 (2004) 1512"
+        measured = self._correlation("VolumeLiquid", melts.number, _LIQUID_VOLUME)
+        if measured is not None:
+            volume = chemicals.Goodman(ROOM_K, melts.number, measured.number)
+            return Value(self.mass / volume / 1e6, f"estimate: {goodman}, from the melt's by {measured.source}")
+        return self._girolami(1.28 - 0.16 * ROOM_K / melts.number, f" for the melt, {goodman}, for the solid")
+
+    @functools.cached_property
+    def heat_capacity(self) -> Value | None:
+        """J/mol/K at 298.15 K."""
+        if given := self.given.get("heat_capacity_j_mol_k"):
+            return given
+        kind, methods = _HEAT[self.state]
+        guess = self._heat_estimate()
+        return self._correlation(kind, ROOM_K, methods, guess.number if guess else None) or guess
+
+    def _heat_estimate(self) -> Value | None:
+        similarity = sum(self.compound.composition.values()) / self.mass
+        if self.state == "g":
+            return self._estimate("Cp", _JOBACK, self._joback.Cpig(ROOM_K)) if self._joback else None
+        if self.state == "s":
+            method = "Lastovka et al., Fluid Phase Equilib. 268 (2008) 51"
+            return self._estimate("Cp", method, chemicals.Lastovka_solid(ROOM_K, similarity, self.mass))
+        method = "Dadgostar and Shaw, Fluid Phase Equilib. 313 (2012) 211"
+        return self._estimate("Cp", method, chemicals.Dadgostar_Shaw(ROOM_K, similarity, self.mass))
+
+    @functools.cached_property
+    def formation_enthalpy(self) -> tuple[Value, str] | None:
+        """J/mol at 298.15 K, and of which state."""
+        state = self.state
+        if given := self.given.get("formation_enthalpy_j_mol"):
+            return given, state
+        if self.metal:
+            return Value(0.0, "an element in its standard state"), state
+        joback = self._estimate("Hf", _JOBACK, self._joback.Hf(self._joback.counts)) if self._joback else None
+        heat = self._vaporization_at_room() if state != "g" else None
+        less = {"l": heat.number if heat else 0.0, "s": heat.number if heat else 0.0, "g": 0.0}
+        for name in {"l": ("Hfl",), "s": ("Hfs", "Hfl"), "g": ("Hfg",)}[state]:
+            if known := self._constant(name, joback.number - less[name[-1]] if joback else None):
+                return known, name[-1]
+        gas = self._constant("Hfg", joback.number if joback else None) or joback
+        if gas is None or state == "g":
+            return None if gas is None else (gas, "g")
+        if heat is None:
+            return None
+        source = f"estimate: that of the gas ({gas.source.removeprefix('estimate: ')}) less {heat.source}"
+        return Value(gas.number - heat.number, source), "l"
+
+    @functools.cached_property
+    def fusion_enthalpy(self) -> Value | None:
+        """J/mol at the melting point, of what is a solid at room temperature; others do not freeze here."""
+        if given := self.given.get("fusion_enthalpy_j_mol"):
+            return given
+        if self.state != "s" or self.metal:
+            return None
+        known = self._constant("Hfus")
+        if known is None and self._joback:
+            return self._estimate("Hfus", _JOBACK, self._joback.Hfus(self._joback.counts))
+        return known

@@ -1,0 +1,408 @@
+"""Reaction families from reaction templates (SMARTS): every way that some materials can react, balanced."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..datafile import DataError, validated
+from ..materials import Material
+from ..physics.constants import GAS_CONSTANT
+from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
+from .identity import Compound, composition_of, compound_of, parsed
+from .writing import lock, toml_tables
+
+try:
+    from rdkit import Chem
+    from rdkit.Chem import AllChem
+except ImportError as error:
+    raise ImportError(f'reaction templates need rdkit ({error}): pip install "chemlab-marl[chem]"') from error
+
+__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "family_text", "heat_of_reaction"]
+
+ROOM_K = 298.15
+_MOST_WAYS = 50_000
+"""Ways to fill the places of a template that are tried."""
+_MOST_REACTIONS = 200
+_GUESSED = ((2e-4, 60_000.0), (2e-5, 75_000.0))
+"""Rate constant at 298.15 K and activation energy in J/mol where none is given: of a preparation that takes an hour or
+two, and of a side reaction that is ten times slower there and gains on it with temperature."""
+_SURFACE_ORDER = 0.667
+"""Of a solid: spheres that shrink."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How fast a template's reactions are; None is guessed."""
+
+    constant: float | None = None
+    """At 298.15 K, in (L/mol)^(order - 1) per s."""
+    activation_j_mol: float | None = None
+    equilibrium_constant: float | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for name, value, least in (("rate", self.constant, 0.0), ("equilibrium", self.equilibrium_constant, 0.0)):
+            if value is not None and not value > least:
+                raise DataError(f"{name}: must be above 0, given {value:g}")
+        if self.activation_j_mol is not None and not 0.0 <= self.activation_j_mol <= 500_000.0:
+            raise DataError(f"activation: must be 0 to 500000 J/mol, given {self.activation_j_mol:g}")
+
+
+@dataclass(frozen=True)
+class Template:
+    """A reaction template.
+
+    Args:
+        smarts: reactants and products with a dot between, ``>>`` between both; ions of a salt in one pair of brackets.
+        rate: of every reaction that it makes.
+        side: whether it is of a side reaction.
+
+    Raises:
+        DataError: it is no reaction SMARTS.
+    """
+
+    smarts: str
+    rate: Rate = field(default_factory=Rate)
+    side: bool = False
+    reaction: Any = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        try:
+            made = AllChem.ReactionFromSmarts(self.smarts)
+            made.Initialize()
+        except (ValueError, RuntimeError) as error:
+            why = str(error).strip().splitlines()[-1] if str(error).strip() else "it cannot be read"
+            raise DataError(
+                f"template {self.smarts!r}: no reaction SMARTS: {why}; write REACTANTS>>PRODUCTS, as in "
+                "'[C:1][Br].[OH:2][C:3]>>[C:1][O:2][C:3].Br'"
+            ) from error
+        if not made.GetNumReactantTemplates() or not made.GetNumProductTemplates():
+            raise DataError(f"template {self.smarts!r}: has no reactants or no products")
+        object.__setattr__(self, "reaction", made)
+
+
+@dataclass(frozen=True)
+class Species:
+    """A material that takes part: its id, or what it would be called, by structure."""
+
+    inchi_key: str
+    smiles: str
+    key: str
+    known: bool
+
+
+@dataclass(frozen=True)
+class Found:
+    """A reaction that a template makes: coefficients by material."""
+
+    reactants: dict[str, int]
+    products: dict[str, int]
+    template: Template
+
+    @property
+    def words(self) -> str:
+        """As text: ``A + 2 B -> C``."""
+        return " -> ".join(_side(side) for side in (self.reactants, self.products))
+
+
+def _side(side: Mapping[str, int]) -> str:
+    return " + ".join(f"{n} {key}" if n > 1 else key for key, n in side.items())
+
+
+class _Pool:
+    """All species so far, by InChIKey, which does not care how a structure is written (nor whether sodium chloride is
+    drawn with a bond)."""
+
+    def __init__(self, materials: Mapping[str, Material], names: Mapping[str, str]) -> None:
+        self.species: dict[str, Species] = {}
+        self._known: dict[str, tuple[str, str]] = {}
+        for key, material in materials.items():
+            if material.smiles:
+                molecule = parsed(material.smiles, key)
+                self._known.setdefault(Chem.MolToInchiKey(molecule), (key, Chem.MolToSmiles(molecule)))
+        self._names = {Chem.MolToInchiKey(parsed(smiles, key)): key for key, smiles in names.items()}
+        self._taken = {*materials, *names}
+        self.molecules: dict[str, Any] = {}
+
+    def add(self, molecule: Any, where: str) -> Species:
+        """The species that a molecule is.
+
+        Raises:
+            DataError: it is charged.
+        """
+        inchi_key = str(Chem.MolToInchiKey(molecule))
+        if inchi_key in self.species:
+            return self.species[inchi_key]
+        smiles = str(Chem.MolToSmiles(molecule))
+        if inchi_key in self._known:
+            key, smiles = self._known[inchi_key]
+            made = Species(inchi_key, smiles, key, True)
+        else:
+            if Chem.GetFormalCharge(molecule) != 0:
+                raise DataError(
+                    f"{where}: makes {smiles}, a fragment with a charge of {Chem.GetFormalCharge(molecule):+d}; put "
+                    "the ions of a salt into one pair of brackets, as in ([Na+:1].[Cl-:2]), or give atoms all bonds"
+                )
+            if len(Chem.GetMolFrags(molecule)) > 1:
+                raise DataError(
+                    f"{where}: makes the salt {smiles}, which no material is; write its material by hand (docs: Write "
+                    "a material or a reaction) and name the file with --materials"
+                )
+            compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""))
+            key, number = compound.key, 1
+            while key in self._taken and key != self._names.get(inchi_key):
+                number += 1
+                key = f"{compound.key}_{number}"
+            self._taken.add(key)
+            made = Species(inchi_key, smiles, key, False)
+        self.species[inchi_key] = made
+        self.molecules[inchi_key] = parsed(smiles, made.key)
+        return made
+
+
+def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[Any, ...]], int]:
+    """Different sets of products that molecules give in this order, and how many had impossible ones."""
+    found: dict[tuple[str, ...], tuple[Any, ...]] = {}
+    wrong = 0
+    for products in template.reaction.RunReactants(tuple(molecules)):
+        made = []
+        try:
+            for product in products:
+                Chem.SanitizeMol(product)
+                made.append(Chem.RemoveHs(product))
+        except (Chem.MolSanitizeException, ValueError):
+            wrong += 1
+            continue
+        found.setdefault(tuple(sorted(Chem.MolToSmiles(m) for m in made)), tuple(made))
+    return list(found.values()), wrong
+
+
+def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str) -> None:
+    """Refuse a reaction that does not conserve atoms and charge."""
+    sides = []
+    for side in (reactants, products):
+        totals: Counter[str] = Counter()
+        for molecule in side:
+            totals.update(composition_of(molecule))
+            totals["charge"] += Chem.GetFormalCharge(molecule)
+        sides.append(totals)
+    before, after = sides
+    wrong = [f"{e} {before[e]} -> {after[e]}" for e in sorted({*before, *after}) if before[e] != after[e]]
+    if wrong:
+        raise DataError(
+            f"{where}: not balanced: {', '.join(wrong)}; write what leaves as a product of the template (water: O, "
+            "hydrogen chloride: Cl), and every reactant as often as it is used"
+        )
+
+
+def expand(
+    templates: Sequence[Template],
+    reactants: Sequence[str],
+    materials: Mapping[str, Material],
+    names: Mapping[str, str] | None = None,
+    generations: int = 2,
+) -> tuple[list[Found], list[Species]]:
+    """All reactions that templates make of some materials, and of what comes of them.
+
+    Args:
+        templates: each has to make at least one reaction.
+        reactants: ids of materials, CAS numbers, names or structures.
+        materials: known ones, by id.
+        names: structures by the id that a new material is to have.
+        generations: how often products are reactants again; salts are not unless they are among ``reactants``.
+
+    Returns:
+        The reactions, each once, and all species in the order they were met.
+
+    Raises:
+        DataError: a reactant is unknown, a template fits nothing, makes impossible, charged or unbalanced products, or
+            there is no end of reactions.
+    """
+    pool = _Pool(materials, names or {})
+    ready = [pool.add(_reactant(text, materials), f"reactant {text!r}").inchi_key for text in reactants]
+    found: dict[Any, Found] = {}
+    fruitful: set[int] = set()
+    for _ in range(generations):
+        before = set(ready)
+        for number, template in enumerate(templates):
+            for step in _applied(template, ready, pool):
+                fruitful.add(number)
+                mark = (frozenset(step.reactants.items()), frozenset(step.products.items()))
+                if step.reactants != step.products:
+                    found.setdefault(mark, step)
+            if len(found) > _MOST_REACTIONS:
+                raise DataError(
+                    f"template {template.smarts!r}: makes more than {_MOST_REACTIONS} reactions; make it more "
+                    "specific, or ask for fewer --generations"
+                )
+        molecules = [key for key, species in pool.species.items() if "." not in species.smiles]
+        ready += [key for key in molecules if key not in before]
+        if set(ready) == before:
+            break
+    for number, template in enumerate(templates):
+        if number not in fruitful:
+            raise DataError(
+                f"template {template.smarts!r}: fits none of {', '.join(pool.species[key].key for key in ready)}; "
+                "check its atoms, bonds and hydrogens"
+            )
+    return list(found.values()), list(pool.species.values())
+
+
+def _reactant(text: str, materials: Mapping[str, Material]) -> Any:
+    if text in materials:
+        smiles = materials[text].smiles
+        if not smiles:
+            raise DataError(f"reactant {text!r}: its material has no structure; add smiles to its table")
+        return parsed(smiles, text)
+    return parsed(compound_of(text).smiles, text)
+
+
+def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[Found]:
+    """The reactions that one template makes of species."""
+    count = template.reaction.GetNumReactantTemplates()
+    fitting = [
+        [key for key in ready if pool.molecules[key].HasSubstructMatch(template.reaction.GetReactantTemplate(slot))]
+        for slot in range(count)
+    ]
+    if math.prod(len(keys) for keys in fitting) > _MOST_WAYS:
+        raise DataError(f"template {template.smarts!r}: fits in more than {_MOST_WAYS} ways; make it more specific")
+    impossible, made = 0, 0
+    for chosen in itertools.product(*fitting):
+        molecules = [pool.molecules[key] for key in chosen]
+        outcomes, wrong = _outcomes(template, molecules)
+        impossible += wrong
+        for products in outcomes:
+            made += 1
+            before = Counter(pool.species[key].key for key in chosen)
+            where = f"template {template.smarts!r}: {_side(before)}"
+            _check_balance(molecules, products, where)
+            after = Counter(pool.add(product, where).key for product in products)
+            yield Found(dict(before), dict(after), template)
+    if impossible and not made:
+        raise DataError(
+            f"template {template.smarts!r}: its products are impossible (an atom has too many bonds); check charges, "
+            "hydrogens and bonds on its right"
+        )
+
+
+def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
+    """J/mol at 298.15 K, of dissolved materials, from formation enthalpies.
+
+    Raises:
+        DataError: a material has none.
+    """
+    total = 0.0
+    for sign, side in ((-1.0, found.reactants), (1.0, found.products)):
+        for key, number in side.items():
+            real = materials[key].real
+            if real is None:
+                raise DataError(f"material {key!r} has no [{key}.real] with its formation enthalpy")
+            molten = (real.fusion_enthalpy_j_mol or 0.0) if real.formation_state == "s" else 0.0
+            total += sign * number * (real.formation_enthalpy_j_mol + molten)
+    return total
+
+
+def _entry(found: Found, materials: Mapping[str, Material]) -> dict[str, Any]:
+    """The table of a reaction."""
+    rate, template = found.template.rate, found.template
+    guessed = _GUESSED[template.side]
+    constant = guessed[0] if rate.constant is None else rate.constant
+    activation = guessed[1] if rate.activation_j_mol is None else rate.activation_j_mol
+    values: dict[str, Any] = {"reactants": found.reactants, "products": found.products}
+    solids = [key for key in found.reactants if materials[key].role == "solid"]
+    if solids:
+        if rate.equilibrium_constant is not None:
+            raise DataError(f"{found.words}: equilibrium: a reaction on the surface of {solids[0]!r} has none")
+        values["orders"] = {key: _SURFACE_ORDER if key in solids else 1 for key in found.reactants}
+    values["pre_exponential"] = float(f"{constant * math.exp(activation / (GAS_CONSTANT * ROOM_K)):.6g}")
+    values["activation_energy_j_mol"] = float(activation)
+    if rate.equilibrium_constant is not None:
+        values["equilibrium_constant"] = rate.equilibrium_constant
+    heat = heat_of_reaction(found, materials) / 1000.0
+    given = rate.source or "given on the command line"
+    words = [
+        f"rate constant at 298.15 K {constant:g}: {'a guess' if rate.constant is None else given}",
+        f"activation energy: {'a guess' if rate.activation_j_mol is None else given}",
+    ]
+    if rate.equilibrium_constant is not None:
+        words.append(f"equilibrium constant: {given}")
+    if solids:
+        words.append("orders of a reaction on a surface: a guess")
+    values["source"] = (
+        f"template {template.smarts}; {'; '.join(words)}; heat by formation enthalpies: {heat:.4g} kJ/mol"
+    )
+    return values
+
+
+def _companions(keys: Iterable[str], materials: Mapping[str, Material]) -> dict[str, list[dict[str, Any]]]:
+    """What shipped families know of some materials without a template: how salts dissolve, what water does to them."""
+    here = set(keys)
+    salts: dict[str, dict[str, Any]] = {}
+    violent: dict[str, dict[str, Any]] = {}
+    for path in sorted(shipped_reactions_folder().glob("*.toml")):
+        family = load_reactions(path.stem, materials)
+        for salt in family.salt:
+            if salt.solid in here and salt.solubility is not None:
+                salts.setdefault(salt.solid, salt.model_dump(mode="json"))
+        for step in family.violent:
+            others = set(step.reactants) - {"water"}
+            if others and others <= here and "water" in step.reactants:
+                violent[" ".join(sorted(step.reactants))] = step.model_dump(mode="json")
+    return {"salt": list(salts.values()), "violent": list(violent.values())}
+
+
+def family_tables(
+    name: str,
+    found: Sequence[Found],
+    materials: Mapping[str, Material],
+    command: str,
+    catalysts: Sequence[str] = (),
+) -> dict[str, Any]:
+    """A reaction family, checked as a file is.
+
+    Args:
+        name: of the family.
+        found: from :func:`expand`.
+        materials: all that take part, by id.
+        command: what it is made by.
+        catalysts: materials that the reactions do not run without, of order 1; of the first template.
+
+    Raises:
+        DataError: a material is unknown, or has no formation enthalpy.
+    """
+    keys = list(dict.fromkeys(key for step in found for key in (*step.reactants, *step.products)))
+    for key in (*keys, *catalysts):
+        if key not in materials:
+            raise DataError(f"unknown material {key!r}; name its file with --materials")
+    entries = []
+    for step in found:
+        entry = _entry(step, materials)
+        if catalysts and not step.template.side:
+            entry = {**entry, "catalysts": dict.fromkeys(catalysts, 1)}
+        entries.append(entry)
+    summary = "; ".join(step.words for step in found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
+    companions = _companions(keys, materials)
+    tables = {
+        "name": name,
+        "summary": summary,
+        "lock": lock(command, "rdkit"),
+        "reaction": entries,
+        **{key: value for key, value in companions.items() if value},
+    }
+    validated(ReactionFamily, tables, f"reactions {name!r}")
+    return tables
+
+
+def family_text(tables: Mapping[str, Any]) -> str:
+    """The text of a reaction file."""
+    lines = [
+        "# A reaction family. Units and keys: see chemlab's page Write a material or a reaction. Rates are per",
+        "# second, so that a bench's tick is in seconds. Made by the command below.",
+        *toml_tables(tables, inline=("reactants", "products", "orders", "catalysts", "solvents", "inhibitors")),
+    ]
+    return "\n".join(lines) + "\n"
