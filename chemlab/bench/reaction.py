@@ -35,6 +35,8 @@ from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
 from ..scenario import Scenario
 from ..shelf import T_MIX, Shelf, ShelfArrays
 from .base import (
+    HEAT,
+    STIR,
     Bench,
     BenchRules,
     Channel,
@@ -152,7 +154,8 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     state.events[m, :] = 0.0
     jacketed = rules.transfer >= 0.0
     temperature = state.jacket[m] if jacketed else row[TEMPERATURE]
-    temperature += (2.0 * action[0] - 1.0) * rules.temperature_step
+    step = rules.temperature_step if jacketed else rules.temperature_step * state.gain[m, HEAT]
+    temperature += (2.0 * action[0] - 1.0) * step
     molar_volume = opened(Chemistry, chem).molar_volume
     before = heat_capacity(row, chem)
     arriving = 0.0
@@ -185,21 +188,22 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
     keeps its temperature."""
     row = shelf.rows[state.places[m, 0]]
     jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
+    tick, transfer = rules.tick * state.gain[m, STIR], rules.transfer * state.gain[m, HEAT]
     if rules.condenser < 0.0:
-        return react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
+        return react(row, chem, tick, jacket, transfer, rules.rtol, rules.atol, rules.work)
     # As a whole first: mostly nothing boils. If it does, once more from where it was.
     kept = state.kept_row[m]
     for x in range(row.shape[0]):
         kept[x] = row[x]
     ambient = opened(Chemistry, chem).ambient_pressure
-    steps = react(row, chem, rules.tick, jacket, rules.transfer, rules.rtol, rules.atol, rules.work)
+    steps = react(row, chem, tick, jacket, transfer, rules.rtol, rules.atol, rules.work)
     if vapor_pressure(row, chem) <= ambient:
         return steps
     for x in range(row.shape[0]):
         row[x] = kept[x]
-    dt, worst = rules.tick / _REFLUX_PARTS, 0
+    dt, worst = tick / _REFLUX_PARTS, 0
     for _part in range(_REFLUX_PARTS):
-        worst = min(worst, react(row, chem, dt, jacket, rules.transfer, rules.rtol, rules.atol, rules.work))
+        worst = min(worst, react(row, chem, dt, jacket, transfer, rules.rtol, rules.atol, rules.work))
         reflux(row, rules.condenser * dt, chem, shelf.waste[m], state.events[m])
     return worst
 
@@ -423,7 +427,7 @@ class ReactionBench(Bench):
                 amounts,
                 float(row[TEMPERATURE]),
                 liquid_volume(row, shelf.chem(m)),
-                self.options.tick,
+                self.options.tick * float(experiments.gain[m, STIR]),
                 self._elements,
             )
         _conclude_all(members, *handles)
