@@ -25,6 +25,7 @@ from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
 from .heuristics.real import RealDistillationHeuristic, RealExtractionHeuristic, RealReactionHeuristic
+from .heuristics.upkeep import UpkeepManager, has_wearing_lines
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
@@ -337,6 +338,8 @@ def manager_heuristic(
     given = labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(*given, remember=remember)
+    if has_wearing_lines(labs.scenario):
+        return UpkeepManager(*given, remember=remember)
     if not remember:
         raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} carries nothing from batch to batch")
     return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)
