@@ -29,6 +29,7 @@ from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
 from .heuristics.real import RealExtractionHeuristic, RealReactionHeuristic
+from .heuristics.upkeep import UpkeepManager, has_wearing_lines
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
@@ -343,6 +344,8 @@ def manager_heuristic(
         return CampaignManager(*given, remember=remember)
     if foresees(labs.scenario) and (remember or labs.scenario.orders > 1):
         return ForeseeingManager(*given, remember=remember)
+    if has_wearing_lines(labs.scenario):
+        return UpkeepManager(*given, remember=remember)
     if not remember:
         raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} carries nothing from batch to batch")
     return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)

@@ -38,7 +38,7 @@ from .reactions import (
     check_without_real,
     load_reactions,
 )
-from .world import VESSEL_QUANTITIES, Draw, WorldSpec, draw_limits
+from .world import DEVICE_QUANTITIES, VESSEL_QUANTITIES, Draw, WorldSpec, draw_limits
 
 __all__ = [
     "PHYSICS_TIERS",
@@ -47,6 +47,7 @@ __all__ = [
     "BenchSpec",
     "Companion",
     "CostSpec",
+    "DriftSpec",
     "InstrumentSpec",
     "LimitSpec",
     "ManagerSpec",
@@ -58,6 +59,7 @@ __all__ = [
     "ShelfSpec",
     "StartSpec",
     "VesselSpec",
+    "WearSpec",
     "dump_scenario",
     "load_scenario",
     "restore_scenario",
@@ -153,6 +155,29 @@ class StartSpec(BaseModel):
     """A further material that may be there."""
 
 
+class WearSpec(BaseModel):
+    """How a bench's apparatus errs, wears and breaks. Agents are told when it is broken, and nothing else."""
+
+    model_config = _FROZEN
+
+    actuator: Literal["stir", "heat"] = "stir"
+    """What is at stake: ``stir``, the share of a tick in which a reaction bench's contents react (and take up heat), or
+    of a shaking that counts; ``heat``, the share of the heat asked for that arrives: of a heating mantle's kJ, of a
+    jacket's W/K, or of a thermostat's step."""
+    gain: float = Field(default=1.0, ge=0.01, le=100.0)
+    """What that is multiplied by (from 0.01 to 100) where the bench is new or repaired: the median; 1 is right."""
+    spread: float = Field(default=0.0, ge=0.0, le=3.0)
+    """Standard deviation of its natural logarithm then."""
+    drift: float = Field(default=0.0, ge=0.0, le=3.0)
+    """Standard deviation of what its logarithm changes by in a tick of work (a random walk)."""
+    life: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Mean number of ticks of work until it breaks, which is as likely in every tick; 0: it never does."""
+    repair_price: Price = 0.0
+    """What a repair costs, in units of the score: with it the gain and the life are drawn anew."""
+    repair_ticks: int = Field(default=0, ge=0, le=1_000_000)
+    """Ticks until it can be used again."""
+
+
 class BenchSpec(Grown):
     """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
 
@@ -161,7 +186,7 @@ class BenchSpec(Grown):
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
-    _later = ("observe", "reward", "actions")
+    _later = ("observe", "reward", "actions", "wear")
 
     kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
@@ -175,8 +200,27 @@ class BenchSpec(Grown):
     """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
     actions: Literal["native", "discrete"] = "native"
     """``native``: as the bench's kind has them; ``discrete``: where those are continuous, a choice among some."""
+    wear: WearSpec | None = None
+    """How its apparatus errs, drifts and breaks; none: it does as it is told. The manager may have it repaired."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
+
+
+class DriftSpec(BaseModel):
+    """How an instrument's zero goes astray, and what it takes to set it right."""
+
+    model_config = _FROZEN
+
+    first: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value of the (0 to 1) reading is off by when an episode begins."""
+    walk: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value goes off by in a tick (a random walk, each value's its own)."""
+    trend: float = Field(default=0.0, ge=-1.0, le=1.0)
+    """What every value goes off by in a tick, always the same."""
+    price: Price = 0.0
+    """What a calibration costs, in units of the score."""
+    error: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value is off by after one."""
 
 
 class InstrumentSpec(Grown):
@@ -184,7 +228,7 @@ class InstrumentSpec(Grown):
     1 of its channel."""
 
     model_config = _FROZEN
-    _later = ("detection_limit", "gain", "bias")
+    _later = ("detection_limit", "gain", "bias", "drift")
 
     kind: Key
     """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, ``thermometer``, ``density_meter``,
@@ -202,6 +246,8 @@ class InstrumentSpec(Grown):
     """Calibration: what every value is multiplied by; 1 is right."""
     bias: float = Field(default=0.0, ge=-1.0, le=1.0)
     """Calibration: what is added to every value of the (0 to 1) reading; 0 is right."""
+    drift: DriftSpec | None = None
+    """How it goes astray besides; none: it does not. The manager may then have it calibrated."""
 
 
 class LimitSpec(BaseModel):
@@ -214,7 +260,7 @@ class LimitSpec(BaseModel):
     ticks: int = Field(ge=1, le=1_000_000)
     """Ticks of laboratory time, in which every busy bench makes one step."""
     budget: float = Field(default=1.0, gt=0.0, le=1e6)
-    """What the manager may spend on measuring, in units of the score; dearer measurements are masked."""
+    """What the manager may spend on measuring and calibrating, in units of the score; what is dearer is masked."""
 
 
 class CostSpec(BaseModel):
@@ -460,6 +506,12 @@ class Scenario(Grown):
             return "FILE.toml"
         return self.name if shipped else shlex.quote(self._origin)
 
+    @property
+    def errs(self) -> bool:
+        """Whether any bench or instrument has a condition of its own, which changes while it is used."""
+        wearing = any(bench.wear is not None for bench in self.benches.values())
+        return wearing or any(instrument.drift is not None for instrument in self.instruments.values())
+
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
         return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
@@ -551,9 +603,11 @@ def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> N
     starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
     starts |= {key: bench.start for key, bench in spec.benches.items()}
     for key, draw in spec.world.draws.items():
+        here = f"{where}: world.draws.{key}"
+        if draw.what in DEVICE_QUANTITIES:
+            _check_devices(spec, draw, here)
         if draw.what not in VESSEL_QUANTITIES:
             continue
-        here = f"{where}: world.draws.{key}"
         for name in draw.of:
             if name not in starts:
                 raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join(starts)}")
@@ -563,6 +617,32 @@ def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> N
                     f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
                 )
             _check_limits(draw, starts[name], known, f"{here}: {name}")
+
+
+def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of the condition of benches or instruments that have none."""
+    if draw.what in ("gain", "life"):
+        table, example = "wear", "{ gain = 1.0 }"
+        known = {
+            **{agent: agent.rpartition("_")[0] for agent in spec.bench_agents()},
+            **{key: key for key in spec.benches},
+        }
+        lacking = {name for name, key in known.items() if spec.benches[key].wear is None}
+    else:
+        table, example = "drift", "{ error = 0.0 }"
+        known = {name: name for name in spec.instruments}
+        lacking = {name for name in known if spec.instruments[name].drift is None}
+    for name in draw.of:
+        if name not in known:
+            raise DataError(f"{where}.of: {name!r} has no {draw.what}; what may have: {', '.join(known)}")
+        if name in lacking:
+            kind = "benches" if table == "wear" else "instruments"
+            raise DataError(f"{where}.of: {name!r} has no {table}; give {kind}.{known[name]} one: {table} = {example}")
+    low, _ = draw_limits(draw)
+    if table == "drift" and draw.change == "factor":
+        raise DataError(f"{where}.change: must be offset or value for {draw.what}, which is nothing to begin with")
+    if table == "wear" and not (draw.change != "offset" and low > 0.0):
+        raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
 
 
 def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:

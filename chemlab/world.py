@@ -30,6 +30,7 @@ from .rng import normal, random_bits, uniform
 from .tables import Table
 
 __all__ = [
+    "DEVICE_QUANTITIES",
     "SPLITS",
     "VESSEL_QUANTITIES",
     "Choice",
@@ -71,6 +72,9 @@ _PRIVATE = "private"
 
 VESSEL_QUANTITIES = ("identity", "amount", "titre")
 """What may be drawn of the contents of a vessel."""
+
+DEVICE_QUANTITIES = ("gain", "life", "bias", "trend")
+"""What may be drawn of benches that wear (gain, life) and of instruments that drift (bias, trend)."""
 
 
 # -- what a file says -------------------------------------------------------------------------------------------------
@@ -160,11 +164,13 @@ class Draw(BaseModel):
     what: Name
     """``identity`` (which material a vessel really holds where the file says ``material``, litre for litre), ``amount``
     (how much of ``material`` it holds) or ``titre`` (which share of ``material`` is that; the rest is ``inert``, litre
-    for litre) of the vessels ``of``; or a parameter of the chemistry, as ``pre_exponential`` and
+    for litre) of the vessels ``of``; ``gain`` or ``life`` of benches that wear, ``bias`` or ``trend`` of instruments
+    that drift, as an episode begins; or a parameter of the chemistry, as ``pre_exponential`` and
     ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``, ``ambient_temperature``."""
     of: tuple[Name, ...] = Bound(default=(), max_length=_MOST_TARGETS)
-    """Whose: slots of the shelf (``slot_0``) and benches whose own starting vessel is meant (``rxn``), reactions as
-    equations (``A + D -> F``), materials; nothing for a number that is not anybody's."""
+    """Whose: slots of the shelf (``slot_0``) and benches whose own starting vessel is meant (``rxn``), benches of a
+    laboratory (``rxn_0``; ``rxn``: on its own), instruments, reactions as equations (``A + D -> F``), materials;
+    nothing for a number that is not anybody's."""
     material: Name | None = None
     """Of vessels: the material that the file says is in them."""
     inert: Name | None = None
@@ -194,6 +200,8 @@ class Draw(BaseModel):
             raise ValueError(f"material: only for {', '.join(VESSEL_QUANTITIES)}; put materials under of")
         if vessel and not self.of:
             raise ValueError("of: name at least one vessel, as slot_0")
+        if self.what in DEVICE_QUANTITIES and not self.of:
+            raise ValueError("of: name at least one bench or instrument")
         if len(set(self.of)) != len(self.of):
             raise ValueError("of: somebody is named twice")
         self._check_options()

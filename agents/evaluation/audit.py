@@ -210,9 +210,14 @@ def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, An
 def _alone(scenario: Scenario) -> Scenario:
     """The laboratory for one of the orders. Its share of the score is the whole there: prices grow by as much."""
     times = scenario.orders
-    instruments = {
-        name: spec.model_copy(update={"price": times * spec.price}) for name, spec in scenario.instruments.items()
-    }
+    instruments = {}
+    for name, spec in scenario.instruments.items():
+        drift = spec.drift and spec.drift.model_copy(update={"price": times * spec.drift.price})
+        instruments[name] = spec.model_copy(update={"price": times * spec.price, "drift": drift})
+    benches = {}
+    for key, bench in scenario.benches.items():
+        wear = bench.wear and bench.wear.model_copy(update={"repair_price": times * bench.wear.repair_price})
+        benches[key] = bench.model_copy(update={"wear": wear})
     costs = scenario.costs.model_copy(
         update={
             "stock_per_mol": {name: times * price for name, price in scenario.costs.stock_per_mol.items()},
@@ -223,9 +228,8 @@ def _alone(scenario: Scenario) -> Scenario:
     )
     safety = scenario.safety.model_copy(update={"reward_price": times * scenario.safety.reward_price})
     limits = scenario.limits.model_copy(update={"budget": times * scenario.limits.budget})
-    return scenario.model_copy(
-        update={"orders": 1, "instruments": instruments, "costs": costs, "safety": safety, "limits": limits}
-    )
+    prices = {"benches": benches, "instruments": instruments, "costs": costs, "safety": safety, "limits": limits}
+    return scenario.model_copy(update={"orders": 1, **prices})
 
 
 _KINDS: dict[str, Callable[..., dict[str, Any]]] = {

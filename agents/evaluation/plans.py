@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.laboratory.actions import DISCARD, MEASURE, RECALL, START, SUBMIT, WAIT, ManagerActions
+from chemlab.laboratory.actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import Scenario, load_scenario
@@ -59,7 +59,7 @@ _OWN_GOAL = 4.0
 _SCRIPTED = ("heuristic", "direct", "hasty")
 _PROMISING, _FINALISTS, _FINAL_SEEDS = 4, 16, 64
 # Chances with which a random plan does something next, where it is possible.
-_CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WAIT: 3.0}
+_CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WAIT: 3.0, REPAIR: 0.5}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from chemlab.world import quantiles
 
 from .reaction import ReactionHeuristic
 
-__all__ = ["CampaignManager", "has_unknown_rate"]
+__all__ = ["CampaignManager", "foreseen", "has_unknown_rate"]
 
 _GRID = 48
 """Rates that are told apart: the middle of each part of the prior, all as likely."""
@@ -198,33 +198,57 @@ def _foreseen(
 ) -> tuple[FloatArray, FloatArray]:
     """What a batch comes to at each possible rate: readings [T, runs, size] without noise, and worth [T, runs] to the
     score, less the time it takes; played on the public scenario."""
+    readings, worth, ticks = foreseen(
+        scenario, [{drawn: number} for number in numbers.tolist()], instrument, agent, _MOST_RUNS
+    )
+    return readings, worth - scenario.costs.tick * ticks
+
+
+def foreseen(
+    scenario: Scenario,
+    worlds: Sequence[Mapping[str, Any] | None],
+    instrument: str | None,
+    agent: str | None,
+    runs: int,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """What the first vessel comes to in some worlds of the public scenario, one experiment after the other.
+
+    Args:
+        scenario: the public scenario.
+        worlds: what is given of each; None: nothing is drawn.
+        instrument: that looks at it; None: none does.
+        agent: bench that works on it; None: none does.
+        runs: how many experiments.
+
+    Returns:
+        Readings [T, runs + 1, size] without noise; what it would be worth to the score as one of the orders
+        [T, runs + 1]; ticks passed by then [runs + 1].
+    """
     exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
-    labs = Laboratories(scenario.model_copy(update={"instruments": exact}), len(numbers))
+    labs = Laboratories(scenario.model_copy(update={"instruments": exact}), len(worlds))
     members, rules = labs.members, labs.rules.arrays
-    for member, number in zip(members, numbers.tolist(), strict=True):
-        labs.reset(members[member : member + 1], world={drawn: number})
+    for member, world in zip(members, worlds, strict=True):
+        labs.reset(members[member : member + 1], world=world)
     goal = int(labs.state.goal[0, 0])
     name, orders = scenario.goals[goal], labs.state.goal.shape[1]
     size = 1 if instrument is None else labs.instruments.channels[labs.instruments.names.index(instrument)].size
-    readings = np.zeros((len(numbers), _MOST_RUNS + 1, size))
-    worth = np.zeros((len(numbers), _MOST_RUNS + 1))
-    ticks = 0
-    for run in range(_MOST_RUNS + 1):
+    readings, worth = np.zeros((len(worlds), runs + 1, size)), np.zeros((len(worlds), runs + 1))
+    ticks = np.zeros(runs + 1, dtype=np.int64)
+    for run in range(runs + 1):
         amounts = labs.shelf.amounts[:, 0]
         made, all_there = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
         purity = made / np.maximum(all_there, 1e-12)
         met = (purity >= rules.least_purity[goal]) & (made >= rules.least_amount[goal])
-        worth[:, run] = met * made * purity / rules.maximum[goal] / orders - rules.tick_price * ticks
+        worth[:, run] = met * made * purity / rules.maximum[goal] / orders
         if instrument is not None:
             number = labs.instruments.names.index(instrument)
             zeros = np.zeros(len(members), dtype=np.int64)
             labs.instruments.read(labs.shelf, labs.state.reading, labs.state.stream, members, zeros, zeros + number)
             start, stop = labs.instruments.start[number : number + 2]
             readings[:, run] = labs.state.reading[:, 0, start:stop]
-        if agent is None or run == _MOST_RUNS:
-            continue
-        ticks += _run_once(labs, agent, name)
-    return readings, worth
+        if run < runs:
+            ticks[run + 1] = ticks[run] + (0 if agent is None else _run_once(labs, agent, name))
+    return readings, worth, ticks
 
 
 def _run_once(labs: Laboratories, agent: str, goal: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ from ..materials import DataError, validated
 from ..parts import Part, PartError, blamed, checked, load_part
 from ..physics.laws import partition, settle_phases, work_size
 from ..physics.transfer import place
-from ..scenario import BenchSpec, Scenario
+from ..scenario import BenchSpec, Scenario, WearSpec
 from ..shelf import Shelf, ShelfArrays
 from ..tables import Table
 
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BENCH_KINDS",
     "CAMERA_PIXELS",
+    "HEAT",
+    "STIR",
     "Bench",
     "BenchRules",
     "Channel",
@@ -59,6 +62,9 @@ __all__ = [
 ]
 
 CAMERA_PIXELS = 100
+
+STIR, HEAT = range(2)
+"""Actuators of a bench that may err."""
 
 BENCH_KINDS: dict[str, str] = {
     "reaction": "chemlab.bench.reaction:ReactionBench",
@@ -197,6 +203,14 @@ class ExperimentState(NamedTuple):
     """[N, E] safety events of the last action"""
     stream: Annotated[StreamArray, Field("N 1", first=None)]
     """[N, 1] random stream of the bench's own draws (camera)"""
+    gain: Annotated[FloatArray, Field("N 2", first=1.0)]
+    """[N, 2] what the effect of stirring and of heating is multiplied by (:data:`STIR`, :data:`HEAT`)"""
+    life: Annotated[FloatArray, Field("N", first=math.inf)]
+    """[N] ticks of work until it breaks"""
+    broken: Annotated[BoolArray, Field("N")]
+    """[N] whether it has broken"""
+    wear_stream: Annotated[StreamArray, Field("N 1", first=None)]
+    """[N, 1] random stream of how it wears: the world's"""
 
 
 class BenchRules(NamedTuple):
@@ -216,6 +230,8 @@ class BenchRules(NamedTuple):
     step_limit: Annotated[int, Field("")]
     auxiliary_capacity: Annotated[float, Field("")]
     """L, of the clean vessels it provides"""
+    wear: Annotated[FloatArray, Field("5")]
+    """[5] how it wears: actuator, gain, spread, drift, life (see :class:`chemlab.scenario.WearSpec`)"""
     work: Annotated[FloatArray, Field("A B")]
     """scratch of the bench's kernels, which allocate nothing"""
 
@@ -382,7 +398,7 @@ class Bench(ABC):
 
     def state_sizes(self, members: int, positions: int) -> dict[str, int]:
         """Length of every axis of the experiments' arrays, by name."""
-        return {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1}
+        return {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1, "2": 2}
 
     def rules_values(self) -> dict[str, Any]:
         """Values of the bench's own rules, by field."""
@@ -391,7 +407,7 @@ class Bench(ABC):
     def _set_rules(self) -> None:
         """Put together what kernels need to know of the scenario."""
         scenario, columns = self.scenario, self.layout.fluid_columns
-        safety = scenario.safety
+        safety, wear = scenario.safety, self.spec.wear or WearSpec()
         declaration = merged(BenchRules, *self.own_rules)
         values = {
             "parts": self.goals.parts,
@@ -402,6 +418,7 @@ class Bench(ABC):
             "illegal_price": scenario.costs.illegal_action,
             "step_limit": self.step_limit,
             "auxiliary_capacity": self.auxiliary_capacity_l,
+            "wear": np.array([(STIR, HEAT)[wear.actuator == "heat"], wear.gain, wear.spread, wear.drift, wear.life]),
             "work": np.zeros(
                 np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
             ),

@@ -27,7 +27,7 @@ from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
-from .base import CAMERA_PIXELS, Bench, BenchRules, Channel, Experiments, ExperimentState, check_discrete
+from .base import CAMERA_PIXELS, HEAT, STIR, Bench, BenchRules, Channel, Experiments, ExperimentState, check_discrete
 from .models import SeparationModel
 
 __all__ = ["OperationBench", "OperationOptions", "Process"]
@@ -35,6 +35,7 @@ __all__ = ["OperationBench", "OperationOptions", "Process"]
 END = -1
 _KIND, _VESSEL, _TARGET, _MATERIAL, _MAGNITUDE, _TOUCHES, _COLUMNS = range(7)
 _BUILT_IN = len(OPERATIONS)
+_HEATING, _MIXING = list(OPERATIONS).index("heat"), list(OPERATIONS).index("mix")
 _GAUGES = (("temperature", "K"), ("volume", "L"), ("pressure", "kPa"), ("solids", "share of the volume"))
 
 
@@ -119,10 +120,15 @@ OperationRules: Any = merged(BenchRules, ApparatusRules)
 def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
     """What action ``a`` works on in laboratory ``m``."""
     vessel, target = int(rules.table[a, _VESSEL]), int(rules.table[a, _TARGET])
+    kind, magnitude = int(rules.table[a, _KIND]), rules.table[a, _MAGNITUDE]
+    if kind == _HEATING:
+        magnitude *= state.gain[m, HEAT]
+    elif kind == _MIXING:
+        magnitude *= state.gain[m, STIR]
     return Turn(
         shelf.rows[state.places[m, vessel]],
         shelf.rows[state.places[m, target]],
-        rules.table[a, _MAGNITUDE],
+        magnitude,
         int(rules.table[a, _MATERIAL]),
         shelf.stock[m],
         shelf.waste[m],

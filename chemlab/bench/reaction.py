@@ -36,6 +36,8 @@ from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
 from ..scenario import Scenario
 from ..shelf import T_MIX, Shelf, ShelfArrays
 from .base import (
+    HEAT,
+    STIR,
     Bench,
     BenchRules,
     Channel,
@@ -150,7 +152,8 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     state.events[m, :] = 0.0
     jacketed = rules.transfer >= 0.0
     temperature = state.jacket[m] if jacketed else row[TEMPERATURE]
-    temperature += (2.0 * action[0] - 1.0) * rules.temperature_step
+    step = rules.temperature_step if jacketed else rules.temperature_step * state.gain[m, HEAT]
+    temperature += (2.0 * action[0] - 1.0) * step
     molar_volume = opened(Chemistry, chem).molar_volume
     before = heat_capacity(row, chem)
     arriving = 0.0
@@ -182,8 +185,9 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
     """The reactions of a tick; below 0 if they were too stiff."""
     row = shelf.rows[state.places[m, 0]]
     jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
-    around = Surroundings(jacket, rules.transfer, rules.condenser, rules.rtol, rules.atol)
-    return react_open(row, rules.tick, around, chem, shelf.waste[m], state.events[m], rules.work)
+    around = Surroundings(jacket, rules.transfer * state.gain[m, HEAT], rules.condenser, rules.rtol, rules.atol)
+    tick = rules.tick * state.gain[m, STIR]
+    return react_open(row, tick, around, chem, shelf.waste[m], state.events[m], rules.work)
 
 
 @inner
@@ -433,7 +437,7 @@ class ReactionBench(Bench):
                 amounts,
                 float(row[TEMPERATURE]),
                 liquid_volume(row, shelf.chem(m)),
-                self.options.tick,
+                self.options.tick * float(experiments.gain[m, STIR]),
                 self._elements,
             )
         _conclude_all(members, *handles)

@@ -79,8 +79,7 @@ def _take(
     chemistry: Handle,
 ) -> None:
     """Let instrument ``used[b]`` read the vessel of slot ``slots[b]`` into ``readings`` [N, S, R], for each b of
-    ``members`` [B]. What is not chemlab's has been read already; calibration, noise, detection limit and sample are
-    everybody's."""
+    ``members`` [B], and take its sample. What is not chemlab's has been read already."""
     rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
     vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for b in range(members.shape[0]):
@@ -88,12 +87,29 @@ def _take(
         chem, row = chemistry[arrays.variant[m]], arrays.rows[m * vessels + slots[b]]
         out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
         _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
-        for k in range(out.shape[0]):
-            value = rules.gain[i] * out[k] + rules.bias[i]
-            value += rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0
-            out[k] = min(max(value, 0.0), 1.0) if value >= rules.least[i] else 0.0
         if rules.sample[i] > 0.0:
             remove_fraction(row, rules.sample[i], chem, arrays.waste[m])
+
+
+@kernel
+def _err(
+    members: IntArray,
+    slots: IntArray,
+    used: IntArray,
+    readings: FloatArray,
+    stream: StreamArray,
+    drifted: FloatArray,
+    instruments: Handle,
+) -> None:
+    """Calibration, drift, noise and detection limit of what has been read; ``drifted`` [N, R] or, for all, [1, R]."""
+    rules = opened(InstrumentRules, instruments)
+    for b in range(members.shape[0]):
+        m, i = members[b], used[b]
+        own = drifted[min(m, drifted.shape[0] - 1)]
+        for k in range(rules.start[i], rules.start[i + 1]):
+            value = rules.gain[i] * readings[m, slots[b], k] + rules.bias[i] + own[k]
+            value += rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0
+            readings[m, slots[b], k] = min(max(value, 0.0), 1.0) if value >= rules.least[i] else 0.0
 
 
 class InstrumentTable:
@@ -167,6 +183,8 @@ class InstrumentTable:
             )
         )
 
+        self._right = np.zeros((1, int(self.rules.arrays.start[-1])))
+
     @property
     def start(self) -> IntArray:
         """[I + 1] where each reading begins among all of them."""
@@ -201,9 +219,10 @@ class InstrumentTable:
         members: IntArray,
         slots: IntArray,
         used: IntArray,
+        drifted: FloatArray | None = None,
     ) -> None:
         """Let instrument ``used`` [B] read the vessel of slot ``slots`` [B], in laboratories ``members`` [B], into
-        ``readings`` [N, S, R]; takes their samples."""
+        ``readings`` [N, S, R]; takes their samples. ``drifted`` [N, R] is what every value is off by; None: nothing."""
         if any(self._own):
             rules: Any = self.rules.arrays
             reading = getattr(_reading, "py_func", _reading)
@@ -216,3 +235,5 @@ class InstrumentTable:
                     out[:] = checked(out, out.shape, self._own[i], 0.0, 1.0)
         handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
         _take(members, slots, used, readings, stream, *handles)
+        off = self._right if drifted is None else drifted
+        _err(members, slots, used, readings, stream, off, self.rules.handle)

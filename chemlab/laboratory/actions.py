@@ -10,10 +10,21 @@ import numpy as np
 from ..arrays import IntArray
 from ..scenario import Scenario
 
-__all__ = ["DISCARD", "KINDS", "MEASURE", "RECALL", "START", "SUBMIT", "WAIT", "ManagerActions"]
+__all__ = [
+    "CALIBRATE",
+    "DISCARD",
+    "KINDS",
+    "MEASURE",
+    "RECALL",
+    "REPAIR",
+    "START",
+    "SUBMIT",
+    "WAIT",
+    "ManagerActions",
+]
 
-START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT = range(6)
-KINDS = ("start", "measure", "discard", "submit", "recall", "wait")
+START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT, CALIBRATE, REPAIR = range(8)
+KINDS = ("start", "measure", "discard", "submit", "recall", "wait", "calibrate", "repair")
 
 
 @dataclass(frozen=True)
@@ -22,7 +33,9 @@ class ManagerActions:
 
     Attributes:
         table: [A, 4] kind, then its arguments (start: bench, slot, goal; measure: slot, instrument; submit: slot,
-            order; discard: slot; recall: bench; wait: none), -1 where there is none.
+            order; discard: slot; recall, repair: bench; calibrate: instrument; wait: none), -1 where there is none.
+        drifting: instruments that can be calibrated.
+        wearing: benches that can be repaired.
     """
 
     bench_agents: tuple[str, ...]
@@ -31,6 +44,8 @@ class ManagerActions:
     goals: tuple[str, ...]
     instruments: tuple[str, ...]
     table: IntArray
+    drifting: tuple[str, ...] = ()
+    wearing: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario) -> ManagerActions:
@@ -43,9 +58,15 @@ class ManagerActions:
         rows += [(DISCARD, s, -1, -1) for s in range(slots)]
         rows += [(SUBMIT, s, o, -1) for s in range(slots) for o in range(scenario.orders)]
         rows += [(RECALL, b, -1, -1) for b in range(len(bench_agents))]
+        instruments = tuple(scenario.instruments)
+        drifting = tuple(name for name, spec in scenario.instruments.items() if spec.drift is not None)
+        kinds = [bench for bench in scenario.benches.values() for _ in range(bench.count)]
+        wearing = tuple(agent for agent, bench in zip(bench_agents, kinds, strict=True) if bench.wear is not None)
+        rows += [(CALIBRATE, instruments.index(name), -1, -1) for name in drifting]
+        rows += [(REPAIR, bench_agents.index(agent), -1, -1) for agent in wearing]
         rows += [(WAIT, -1, -1, -1)]
         table = np.array(rows, dtype=np.int64)
-        return cls(tuple(bench_agents), slots, scenario.orders, scenario.goals, tuple(scenario.instruments), table)
+        return cls(tuple(bench_agents), slots, scenario.orders, scenario.goals, instruments, table, drifting, wearing)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -55,7 +76,8 @@ class ManagerActions:
 
         Args:
             kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit``
-                (slot, and the order where there are several), ``recall`` (bench agent) or ``wait``.
+                (slot, and the order where there are several), ``recall`` (bench agent), ``wait``; where instruments
+                drift or benches wear ``calibrate`` (instrument) and ``repair`` (bench agent).
             arguments: bench agents, goals and instruments by name, slots and orders by number.
 
         Raises:
@@ -68,9 +90,11 @@ class ManagerActions:
             "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
             "recall": (self.bench_agents,),
             "wait": (),
+            **({"calibrate": (self.drifting,)} if self.drifting else {}),
+            **({"repair": (self.wearing,)} if self.wearing else {}),
         }
         if kind not in spaces:
-            raise ValueError(f"manager action: unknown kind {kind!r}; known: {', '.join(KINDS)}")
+            raise ValueError(f"manager action: unknown kind {kind!r}; known: {', '.join(spaces)}")
         expected: tuple[Any, ...] = spaces[kind]
         if len(arguments) != len(expected):
             raise ValueError(f"manager action {kind!r}: takes {len(expected)} arguments, given {arguments!r}")
@@ -78,7 +102,8 @@ class ManagerActions:
         for i, (argument, values) in enumerate(zip(arguments, expected, strict=True)):
             if argument not in values:
                 raise ValueError(f"manager action {kind!r}: argument {argument!r} is not one of {list(values)}")
-            row[1 + i] = list(values).index(argument)
+            named = {"calibrate": self.instruments, "repair": self.bench_agents}.get(kind, values)
+            row[1 + i] = list(named).index(argument)
         if kind == "submit" and self.orders == 1:
             row[2] = 0
         return int(np.flatnonzero((self.table == row).all(axis=1))[0])
@@ -90,8 +115,10 @@ class ManagerActions:
             return "start", self.bench_agents[arguments[0]], arguments[1], self.goals[arguments[2]]
         if kind == MEASURE:
             return "measure", arguments[0], self.instruments[arguments[1]]
-        if kind == RECALL:
-            return "recall", self.bench_agents[arguments[0]]
+        if kind in (RECALL, REPAIR):
+            return KINDS[kind], self.bench_agents[arguments[0]]
+        if kind == CALIBRATE:
+            return "calibrate", self.instruments[arguments[0]]
         if kind == SUBMIT and self.orders > 1:
             return "submit", arguments[0], arguments[1]
         return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)
@@ -109,6 +136,8 @@ class ManagerActions:
                 "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",
                 "recall": "recall {}",
                 "wait": "wait for the benches",
+                "calibrate": "calibrate {}",
+                "repair": "have {} repaired",
             }[str(kind)]
             meanings.append(words.format(*arguments))
         return meanings

@@ -323,7 +323,7 @@ class BenchVectorEnv(BatchEnv):
             self._events[members[waiting]] = 0.0
             waiting[:] = False
         chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
-        bench.act(shelf, experiments, acting, chosen)
+        batch.act(chosen, acting, bench)
         self._rewards[acting], self._costs[acting] = 0.0, 0.0
         bench.consequences(shelf, experiments, acting, self._costs, self._rewards)
         # A reset in the same step forgets these there.

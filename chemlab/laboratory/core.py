@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..bench import wear
 from ..bench.base import (
     Bench,
     Channel,
@@ -35,12 +36,13 @@ from ..rng import seed_streams, uniform
 from ..scenario import OrderSpec, Scenario, load_scenario
 from ..shelf import Shelf
 from ..tables import Table
-from .actions import ManagerActions
+from .actions import REPAIR, ManagerActions
 from .manager import (
     BEGUN,
     MEASURED,
     OVER,
     RECALLED,
+    REPAIRED,
     advance,
     charge_events,
     itemize,
@@ -53,6 +55,7 @@ from .manager import (
 )
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 from .state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
+from .upkeep import begin_drift, drift_numbers, equip, go_astray, repair_numbers
 from .view import manager_channels, manager_observe
 from .worlds import World, Worlds, world_chemistry
 
@@ -145,11 +148,16 @@ class Laboratories:
         self.worlds = Worlds(spec, self.shelf, split)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
+        drifting, wearing = len(drift_numbers(spec)), len(repair_numbers(spec))
+        numbers_read = int(self.instruments.rules.arrays.start[-1])
         self.table: Table[ManagerState] = Table.empty(
             ManagerState,
             **{"N": n, "S": slots, "B": len(self.benches), "G": len(self.agents), "O": spec.orders, "1": 1, "2": 2},
             I=len(self.instruments.names),
-            R=int(self.instruments.rules.arrays.start[-1]),
+            R=numbers_read,
+            W=wearing,
+            D=drifting,
+            Z=numbers_read if drifting else 0,
             M=len(chemistry.layout.materials),
             E=len(spec.safety_events),
             items=len(COST_ITEMS),
@@ -185,7 +193,13 @@ class Laboratories:
 
     def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
         """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
-        return {"busy": self.state.busy[b], "goal": self.state.bench_goal[b], "steps": self.state.bench_steps[b]}
+        broken = {"broken": self.state.broken[b]} if len(self.state.broken) else {}
+        return {
+            "busy": self.state.busy[b],
+            "goal": self.state.bench_goal[b],
+            "steps": self.state.bench_steps[b],
+            **broken,
+        }
 
     @property
     def busy(self) -> BoolArray:
@@ -254,6 +268,10 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
+            drift=drift_numbers(spec),
+            repair=repair_numbers(spec),
+            drifting=np.array([self.actions.instruments.index(name) for name in self.actions.drifting], dtype=np.int64),
+            wearing=np.array([self.bench_agents.index(agent) for agent in self.actions.wearing], dtype=np.int64),
             least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
             least_amount=np.array([wanted.get(goal, OrderSpec()).amount_at_least_mol for goal in spec.goals]),
             gauge=spec.shelf.gauge,
@@ -343,7 +361,15 @@ class Laboratories:
             self._begin_half_way(members, *self._prepared)
         for experiments in self.experiments:
             experiments.table.reset(members)
+        if self.scenario.errs:
+            self.equip(members)
         open_turn(members, self.table.handle)
+
+    def equip(self, members: IntArray) -> None:
+        """Give benches and instruments the condition that the worlds of ``members`` [B] have drawn for them."""
+        for b, (bench, experiments) in enumerate(zip(self.benches, self.experiments, strict=True)):
+            equip(bench, experiments, members, self.worlds, b, experiments.agent)
+        begin_drift(self.instruments, members, self.table, self.rules.handle, self.worlds)
 
     def prepare(self, shares: Mapping[str, float] | None) -> None:
         """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
@@ -471,6 +497,8 @@ class Laboratories:
         flags = manager_act(members, actions, *handles)
         if flags & MEASURED:
             self._measure(members, actions)
+        if flags & REPAIRED:
+            self._repair(members, actions)
         if flags & BEGUN:
             begun = state.begun[members]
             for b, experiments in enumerate(self.experiments):
@@ -500,10 +528,24 @@ class Laboratories:
         """Let instruments read the vessels that manager actions have sent there."""
         state, sent = self.state, self.state.measured[members] >= 0
         some, used = members[sent], self.rules.arrays.table[actions[sent], 2]
-        self.instruments.read(self.shelf, state.reading, state.stream, some, state.measured[some], used)
+        slots, bias = state.measured[some], None
+        if state.bias.shape[1]:
+            go_astray(some, used, self.table.handle, self.rules.handle)
+            bias = state.bias
+        self.instruments.read(self.shelf, state.reading, state.stream, some, slots, used, bias)
+
+    def _repair(self, members: IntArray, actions: IntArray) -> None:
+        """Give benches that manager actions have had repaired a new gain and life."""
+        kind, which = self.rules.arrays.table[actions, :2].T
+        sent = (kind == REPAIR) & ~self.state.illegal[members]
+        for b in range(len(self.experiments)):
+            some = members[sent & (which == b)]
+            if len(some):
+                wear.renew(self.benches[b], self.experiments[b], some)
 
     def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         self.benches[b].act(self.shelf, self.experiments[b], members, actions)
+        wear.wear_out(self.benches[b], self.experiments[b], members)
         ended = self._charge(b, members)
         if ended:
             self._end(b, self._ended[:ended].copy())

@@ -36,6 +36,7 @@ __all__ = [
     "space_words",
     "stock_table",
     "vessel_table",
+    "wear_words",
     "world_table",
 ]
 
@@ -205,6 +206,13 @@ def _accuracy(spec: InstrumentSpec) -> str:
         words.append(f"{spec.gain:g} x {spec.bias:+g}")
     if spec.detection_limit:
         words.append(f"0 below {spec.detection_limit:g}")
+    if spec.drift is not None:
+        drift = spec.drift
+        words.append(
+            f"off by {drift.first:g} at first, {drift.walk:g} x root of ticks"
+            + (f" {drift.trend:+g} a tick" if drift.trend else "")
+            + f", {drift.error:g} after a calibration for {drift.price:g}"
+        )
     return "; ".join(words)
 
 
@@ -224,6 +232,22 @@ def bench_table(labs: Laboratories) -> FactTable:
         for bench in {bench.key: bench for bench in labs.benches}.values()
     ]
     return _facts(("bench", "kind", "number", "step limit", "score of an experiment"), rows, (2, 3))
+
+
+def wear_words(spec: Scenario) -> list[str]:
+    """How benches wear, in sentences."""
+    found = []
+    for key, bench in spec.benches.items():
+        if bench.wear is not None:
+            wear = bench.wear
+            does = {"stir": "Stirring", "heat": "Heating"}[wear.actuator]
+            breaks = f", and breaks after {wear.life:g} ticks of work in the mean" if wear.life else ""
+            found.append(
+                f"{does} at `{key}` has {wear.gain:g} times its effect, give or take a factor of e^{wear.spread:g}; it "
+                f"drifts by a factor of e^{wear.drift:g} in a tick of work{breaks}. A repair costs "
+                f"{wear.repair_price:g} and takes {wear.repair_ticks} ticks."
+            )
+    return found
 
 
 def limit_words(spec: Scenario) -> str:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..bench.base import Bench, Experiments, ExperimentState, build_bench
 from ..bench.models import ReactionModel, SeparationModel
+from ..bench.wear import wear_out
 from ..chemistry import tier_dimensions
 from ..compiling import Rehearsal, compile_first
 from ..jit import kernel, opened
@@ -25,6 +26,7 @@ from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf, ShelfArrays
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
+from .upkeep import equip
 from .worlds import World, Worlds, world_chemistry
 
 __all__ = ["ExperimentBatch"]
@@ -181,11 +183,14 @@ class ExperimentBatch:
         _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
         if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
             self.worlds.fill(members, shelf.vessels, self.bench.key)
+        equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)
         (bench or self.bench).begin(shelf, experiments, members)
 
-    def act(self, actions: npt.NDArray[Any], members: IntArray | None = None) -> None:
-        """One step of the experiments of ``members`` (default: all)."""
-        self.bench.act(self.shelf, self.experiments, self.members if members is None else members, actions)
+    def act(self, actions: npt.NDArray[Any], members: IntArray | None = None, bench: Bench | None = None) -> None:
+        """One step of the experiments of ``members`` (default: all); ``bench`` is the thread's own."""
+        some, own = self.members if members is None else members, bench or self.bench
+        own.act(self.shelf, self.experiments, some, actions)
+        wear_out(own, self.experiments, some)
 
     def finish(self, members: IntArray) -> FloatArray:
         """End experiments; their scores [B]."""

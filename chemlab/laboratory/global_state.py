@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ..arrays import IntArray, ObservationArray
 from ..bench.base import Channel
+from ..bench.wear import MOST_GAIN
 from ..chemistry import AIR, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
 from ..physics.constants import GAS_CONSTANT
 from ..shelf import CLOCK_SETTLED, T_MIX
@@ -71,7 +72,7 @@ class GlobalState:
 
     def _parts(self, members: IntArray) -> list[_Part]:
         parts = (self._vessel_parts, self._shelf_parts, self._bench_parts, self._order_parts, self._turn_parts)
-        return [part for some in (*parts, self._world_parts) for part in some(members)]
+        return [part for some in (*parts, self._world_parts, self._condition_parts) for part in some(members)]
 
     def _vessel_parts(self, members: IntArray) -> list[_Part]:
         labs, shelf = self._laboratories, self._laboratories.shelf
@@ -194,6 +195,31 @@ class GlobalState:
         worlds = self._laboratories.worlds
         meaning = "share of the prior below what was drawn, or which option: " + ", ".join(worlds.names)
         return [_Part("world", "fraction", 0.0, 1.0, meaning, worlds.positions(members))]
+
+    def _condition_parts(self, members: IntArray) -> list[_Part]:
+        """Condition of the benches that wear and of the instruments that drift."""
+        labs, state, parts = self._laboratories, self._laboratories.state, []
+        ticks, limit = state.ticks[members, None], labs.rules.arrays.tick_limit
+        for b in labs.rules.arrays.wearing.tolist():
+            experiments = labs.experiments[b]
+            name, gain, most = experiments.agent, np.log(experiments.gain[members]), float(np.log(MOST_GAIN))
+            life = np.minimum(experiments.life[members], limit)
+            repair = np.maximum(state.ready[members, b] - ticks[:, 0], 0)
+            parts += [
+                _Part(f"{name}_gain", "ln", -most, most, "logarithm of it: stirring, heating", gain),
+                _Part(f"{name}_life", "ticks", 0.0, limit, "of work until it breaks", life),
+                _Part(f"{name}_broken", "0 or 1", 0.0, 1.0, "whether it is broken", experiments.broken[members]),
+                _Part(f"{name}_repair", "ticks", 0.0, limit, "left of its repair", repair),
+            ]
+        if len(labs.rules.arrays.drifting):
+            since, old = ticks - state.since[members], ticks - state.calibrated[members]
+            parts += [
+                _Part("bias", "scaled", -1.0, 1.0, "of readings when last worked out, by value", state.bias[members]),
+                _Part("bias_age", "ticks", 0.0, limit, "since then, by instrument", since),
+                _Part("trend", "scaled", -1.0, 1.0, "of the bias in a tick, by instrument", state.trend[members]),
+                _Part("calibrated", "ticks", 0.0, limit, "since the calibration, by instrument", old),
+            ]
+        return parts
 
 
 def _hot(indices: IntArray, size: int) -> npt.NDArray[np.float64]:

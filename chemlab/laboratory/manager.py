@@ -11,7 +11,7 @@ from ..jit import helper, inner, kernel, opened
 from ..physics.laws import elapse, partition, settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
 from ..shelf import CLOCK_SETTLED, ShelfArrays
-from .actions import DISCARD, MEASURE, RECALL, START, SUBMIT
+from .actions import CALIBRATE, DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT
 from .state import (
     ILLEGAL,
     INSTRUMENTS,
@@ -26,12 +26,14 @@ from .state import (
     ManagerState,
     Rules,
 )
+from .upkeep import calibrate, send_fitter, under_repair, usable
 
 __all__ = [
     "BEGUN",
     "MEASURED",
     "OVER",
     "RECALLED",
+    "REPAIRED",
     "advance",
     "charge_events",
     "itemize",
@@ -43,8 +45,12 @@ __all__ = [
     "turns",
 ]
 
-BEGUN, RECALLED, OVER, MEASURED = 1, 2, 4, 8
-"""What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured."""
+BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
+"""What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured, a bench repaired."""
+
+
+_CALIBRATION = 3
+"""Column of ``Rules.drift`` with the price."""
 
 
 @inner
@@ -73,7 +79,7 @@ def _allowed(
     base = _first_row(n, shelf)
     if kind == START:
         free = slots[0] >= rules.positions[x] - 1
-        return not state.busy[x, n] and shelf.rows[base + y, PRESENT] > 0.0 and free
+        return not state.busy[x, n] and shelf.rows[base + y, PRESENT] > 0.0 and free and usable(n, x, state)
     if kind == MEASURE:
         affordable = state.charges[n, INSTRUMENTS] + rules.price[y] <= rules.budget + 1e-12
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and affordable)
@@ -83,7 +89,11 @@ def _allowed(
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y])
     if kind == RECALL:
         return bool(state.busy[x, n])
-    return any_busy
+    if kind == CALIBRATE:
+        return bool(state.charges[n, INSTRUMENTS] + rules.drift[x, _CALIBRATION] <= rules.budget + 1e-12)
+    if kind == REPAIR:
+        return not state.busy[x, n] and bool(state.ready[n, x] <= state.ticks[n])
+    return any_busy or under_repair(n, state)
 
 
 @helper
@@ -172,13 +182,40 @@ def _submit(
         _remove(n, x, state, chem, row, state.delivered[n])
 
 
+@inner
+def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
+    """A tick passes for the vessels that nobody works on; what flies counts among the episode's events."""
+    base = _first_row(n, shelf)
+    for s in range(rules.slots):
+        row = shelf.rows[base + s]
+        if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
+            partition(row, chem, rules.work)
+
+
+@inner
+def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
+    """A tick of laboratory time is over; returns whether a repair is."""
+    state.ticks[n] += 1
+    state.charges[n, TIME] += rules.tick_price
+    _age_shelf(n, state, rules, shelf, chem)
+    for s in range(state.age.shape[1]):
+        for k in range(state.age.shape[2]):
+            if state.age[n, s, k] >= 0:
+                state.age[n, s, k] += 1
+    repaired = False
+    for b in range(state.ready.shape[1]):
+        repaired = repaired or state.ready[n, b] == state.ticks[n]
+    return repaired
+
+
 @kernel
 def manager_act(
     members: IntArray, actions: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle
 ) -> int:
     """Carry out one manager action in each laboratory of ``members``.
 
-    Returns the flags BEGUN, RECALLED, OVER and MEASURED of what it led to in any of them; the state says in which.
+    Returns the flags BEGUN, RECALLED, OVER, MEASURED and REPAIRED of what it led to in any of them; the state says in
+    which.
     """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
@@ -208,6 +245,16 @@ def manager_act(
         elif kind == RECALL:
             state.recalled[n] = x
             flags |= RECALLED
+        elif kind == CALIBRATE:
+            calibrate(n, x, state, rules)
+        elif kind == REPAIR:
+            send_fitter(n, x, state, rules)
+            flags |= REPAIRED
+        elif not any_busy:
+            while not _pass_tick(n, state, rules, arrays, chem) and state.ticks[n] < rules.tick_limit:
+                pass
+            if state.ticks[n] >= rules.tick_limit:
+                state.status[n] = TRUNCATED
         else:
             first = 0
             while not state.busy[first, n]:
@@ -300,20 +347,10 @@ def charge_events(
     return count
 
 
-@inner
-def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
-    """A tick passes for the vessels that nobody works on; what flies counts among the episode's events."""
-    base = _first_row(n, shelf)
-    for s in range(rules.slots):
-        row = shelf.rows[base + s]
-        if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
-            partition(row, chem, rules.work)
-
-
 @kernel
 def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle) -> int:
     """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
-    an experiment has ended. Returns OVER if an episode has been truncated by it."""
+    an experiment has ended or a repair. Returns OVER if an episode has been truncated by it."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
     for i in range(members.shape[0]):
@@ -324,18 +361,12 @@ def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle,
         if b < state.busy.shape[0]:
             state.cursor[n] = b
             continue
-        state.ticks[n] += 1
-        state.charges[n, TIME] += rules.tick_price
-        _age_shelf(n, state, rules, arrays, chemistry[arrays.variant[n]])
-        for s in range(state.age.shape[1]):
-            for k in range(state.age.shape[2]):
-                if state.age[n, s, k] >= 0:
-                    state.age[n, s, k] += 1
+        repaired = _pass_tick(n, state, rules, arrays, chemistry[arrays.variant[n]])
         if state.ticks[n] >= rules.tick_limit:
             state.status[n] = TRUNCATED
             state.cursor[n] = MANAGER
             flags |= OVER
-        elif state.finished[n] or not _any_busy(n, state.busy):
+        elif state.finished[n] or repaired or not _any_busy(n, state.busy):
             state.cursor[n] = MANAGER
         else:
             b = 0

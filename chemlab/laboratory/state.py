@@ -23,7 +23,8 @@ __all__ = [
 ]
 
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
-"""What the manager's score is charged for, in units of the score."""
+"""What the manager's score is charged for, in units of the score; calibrating is under instruments, a fitter's repairs
+under time."""
 INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))
 
 RUNNING, TERMINATED, TRUNCATED = range(3)
@@ -33,7 +34,8 @@ MANAGER = -1
 
 class ManagerState(NamedTuple):
     """A laboratory's arrays but for vessels and experiments. N laboratories, S slots, B benches, G agents, O orders,
-    I instruments, R numbers of all readings, M materials, E kinds of safety event, items of the costs."""
+    I instruments, R numbers of all readings, M materials, E kinds of safety event, items of the costs. Where benches
+    wear there are W = B of them, else none; where instruments drift, D = I with Z = R numbers, else none."""
 
     reserved: Annotated[IntArray, Field("N S", first=-1)]
     """[N, S] bench a slot is reserved for, -1 if none"""
@@ -87,6 +89,20 @@ class ManagerState(NamedTuple):
     """[G, N] score of the experiment that it ended, NaN where none ended"""
     safety_totals: Annotated[FloatArray, Field("N E")]
     """[N, E] safety events since the episode began"""
+    ready: Annotated[IntArray, Field("N W")]
+    """[N, W] tick from which each bench can be used again after a repair"""
+    broken: Annotated[BoolArray, Field("W N", first=None, kept=False)]
+    """[W, N] which benches are broken, as their experiments have it"""
+    bias: Annotated[FloatArray, Field("N Z")]
+    """[N, Z] what each value of each instrument is off by besides the scenario's bias"""
+    trend: Annotated[FloatArray, Field("N D")]
+    """[N, D] what it goes off by in a tick"""
+    since: Annotated[IntArray, Field("N D")]
+    """[N, D] tick at which that was last worked out"""
+    calibrated: Annotated[IntArray, Field("N D")]
+    """[N, D] tick of the last calibration"""
+    drift_stream: Annotated[StreamArray, Field("N D", first=None)]
+    """[N, D] random stream of how it drifts: the world's"""
     busy: Annotated[BoolArray, Field("B N", first=None, kept=False)]
     """[B, N] and the two below: what the benches' experiments share with the manager's kernels"""
     bench_goal: Annotated[IntArray, Field("B N", first=None, kept=False)]
@@ -139,6 +155,13 @@ class Rules(NamedTuple):
     tick_limit: Annotated[int, Field("")]
     largest_capacity: Annotated[float, Field("")]
     """L"""
+    drift: Annotated[FloatArray, Field("D 5")]
+    """[D, 5] how instruments drift: first, walk, trend, price, error (see :class:`chemlab.scenario.DriftSpec`)"""
+    repair: Annotated[FloatArray, Field("W 2")]
+    """[W, 2] price of a repair, and the ticks it takes"""
+    drifting: Annotated[IntArray, Field("d")]
+    """[d] instruments that drift, and benches that wear [w]"""
+    wearing: Annotated[IntArray, Field("w")]
     least_purity: Annotated[FloatArray, Field("G")]
     """[G] what a submission must be, to be worth anything"""
     least_amount: Annotated[FloatArray, Field("G")]

@@ -15,6 +15,7 @@ from ..jit import inner, kernel, opened
 from ..physics.transfer import volume
 from ..scenario import Scenario
 from ..shelf import ShelfArrays
+from .actions import ManagerActions
 from .state import INSTRUMENTS, ManagerState, Rules
 
 __all__ = ["manager_channels", "manager_observe", "order_channels"]
@@ -33,6 +34,7 @@ def manager_channels(
     for agent in scenario.bench_agents():
         channels += _bench_channels(agent, scenario)
     channels += [*_stock_channels(scenario), *_order_channels(scenario), *_limit_channels()]
+    channels += _upkeep_channels(scenario)
     return [channel for channel in channels if channel.size > 0]
 
 
@@ -161,6 +163,33 @@ def _write_limits(out: ObservationArray, at: int, n: int, state: ManagerState, r
     return at + 3
 
 
+def _upkeep_channels(scenario: Scenario) -> list[Channel]:
+    """What is to be seen of the condition of instruments and benches, where it changes at all."""
+    limit, actions = float(scenario.limits.ticks), ManagerActions.of(scenario)
+    channels = [
+        Channel(f"{name}_calibrated", 1, "ticks", 0.0, limit, "since its calibration, or since the beginning")
+        for name in actions.drifting
+    ]
+    for agent in actions.wearing:
+        channels += [
+            Channel(f"{agent}_broken", 1, "0 or 1", 0.0, 1.0, "whether it is broken"),
+            Channel(f"{agent}_repair", 1, "ticks", 0.0, limit, "left of its repair"),
+        ]
+    return channels
+
+
+@inner
+def _write_upkeep(out: ObservationArray, at: int, n: int, state: ManagerState, rules: Rules) -> None:
+    for k in range(rules.drifting.shape[0]):
+        out[at] = min((state.ticks[n] - state.calibrated[n, rules.drifting[k]]) / rules.tick_limit, 1.0)
+        at += 1
+    for k in range(rules.wearing.shape[0]):
+        b = rules.wearing[k]
+        out[at] = 1.0 if state.broken[b, n] else 0.0
+        out[at + 1] = min(max((state.ready[n, b] - state.ticks[n]) / rules.tick_limit, 0.0), 1.0)
+        at += 2
+
+
 @kernel
 def manager_observe(
     members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
@@ -180,3 +209,4 @@ def manager_observe(
         at = _write_stock(out[i], at, n, rules, arrays)
         at = _write_orders(out[i], at, n, state, rules)
         at = _write_limits(out[i], at, n, state, rules)
+        _write_upkeep(out[i], at, n, state, rules)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray, Handle, IntArray
+from ..arrays import FloatArray, Handle, IntArray, StreamArray
 from ..chemistry import AMOUNTS, ChemistryTable, build_chemistry
 from ..jit import kernel, opened
 from ..materials import DataError
@@ -18,6 +18,7 @@ from ..reactions import equation
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
 from ..world import (
+    DEVICE_QUANTITIES,
     VESSEL_QUANTITIES,
     Draw,
     Split,
@@ -40,11 +41,14 @@ World = int | Mapping[str, Any]
 _SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point"})
 """Parameters that may not be drawn: they hang together, or order materials."""
 
+_APART = 0xD1B54A32D192ED03
+"""Between the counters of two devices' streams: odd, and no small multiple of what a stream advances by."""
+
 
 def _parameters(scenario: Scenario) -> list[str]:
     """Parameters of the chemistry that a scenario draws."""
     whats = [draw.what for draw in scenario.world.draws.values()]
-    return [what for what in dict.fromkeys(whats) if what not in VESSEL_QUANTITIES]
+    return [what for what in dict.fromkeys(whats) if what not in (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES)]
 
 
 def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
@@ -114,7 +118,7 @@ class Worlds:
     def __init__(self, scenario: Scenario, shelf: Shelf, split: str) -> None:
         self.split = Split.of(split)
         self._spec, self._shelf = scenario.world, shelf
-        self.active = bool(self._spec.draws)
+        self.active = bool(self._spec.draws) or scenario.errs
         materials = shelf.layout.materials
         try:
             self._variables = compile_draws(self._spec, materials)
@@ -124,6 +128,8 @@ class Worlds:
         self.table = world_draws(n, self._variables)
         self._parameters: list[_Parameter] = []
         self._contents: dict[str, list[_Content]] = {}
+        self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        """By quantity and bench or instrument: column of the number, and what it changes how."""
         column = 0
         for name, draw in self._spec.draws.items():
             where = f"{scenario.origin}: world.draws.{name}"
@@ -132,6 +138,9 @@ class Worlds:
             )
             if draw.what in VESSEL_QUANTITIES:
                 self._add_contents(scenario, draw, columns)
+            elif draw.what in DEVICE_QUANTITIES:
+                for target, own in zip(draw.of, columns.tolist(), strict=True):
+                    self._devices.setdefault((draw.what, target), []).append((own, draw.change))
             else:
                 self._parameters.append(self._parameter(scenario, draw, columns, column, where))
             column += draw.variables
@@ -150,7 +159,7 @@ class Worlds:
             if field not in _SETTLED and chemistry.axes(field)[:1] in ((), ("R",), ("M",))
         ]
         if draw.what not in drawable:
-            known = ", ".join([*VESSEL_QUANTITIES, *drawable])
+            known = ", ".join([*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *drawable])
             raise DataError(f"{where}.what: {draw.what!r:.100} is nothing that may be drawn; known: {known}")
         axis = chemistry.axes(draw.what)[:1]
         names = {
@@ -278,6 +287,19 @@ class Worlds:
             rows[members, at, AMOUNTS + real] += share * litres / volume[real]
             if inert >= 0:
                 rows[members, at, AMOUNTS + inert] += (1.0 - share) * litres / volume[inert]
+
+    def drawn(self, what: str, name: str, members: IntArray, values: FloatArray) -> FloatArray:
+        """``values`` [B, ...] of a bench or instrument, changed by what was drawn of it for ``members`` [B]."""
+        for column, change in self._devices.get((what, name), ()):
+            number = self.table.arrays.values[members, column].reshape((-1,) + (1,) * (values.ndim - 1))
+            given = np.zeros_like(values) + number
+            values = {"factor": values * number, "offset": values + number}.get(change, given)
+        return values
+
+    def device_streams(self, members: IntArray, device: int) -> StreamArray:
+        """[B] beginnings of the random streams of a bench or instrument in the worlds of ``members`` [B]."""
+        apart = np.uint64((_APART * (1 + device)) % 2**64)
+        return np.asarray(self.table.arrays.number[members, 0] + apart)
 
     def rest(self, members: IntArray, slots: int) -> None:
         """Let the first ``slots`` vessels come to rest, each in its own world."""

@@ -68,6 +68,10 @@ class Witness:
         own = laboratories.table.member(member, without="reading")
         # Views, which stay: that they are looked up once makes a turn cheaper by a tenth.
         self._parts = [shelf.vessels[member], shelf.stock[member], shelf.waste[member], *own]
+        for bench, experiments in zip(laboratories.benches, laboratories.experiments, strict=True):
+            if bench.spec.wear is not None:  # a bench's condition is its own also while it is idle
+                condition = experiments.gain, experiments.life, experiments.wear_stream
+                self._parts += [array[member : member + 1] for array in condition]
         self._running = [
             (one.busy, one.stream[member], [getattr(one, name) for name in _RUNNING if hasattr(one, name)])
             for one in laboratories.experiments

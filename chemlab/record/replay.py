@@ -84,6 +84,7 @@ class Replay:
         labs.reset(labs.members, header.options.get("goal"), world)
         if told:
             labs.worlds.renumber(0, hidden.get("number"))
+            labs.equip(labs.members)  # whose streams are those of the world with that number
         if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
             streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:

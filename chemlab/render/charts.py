@@ -33,6 +33,8 @@ _DOING = {
     "discard": "#D55E00",
     "submit": "#000000",
     "recall": "#CC79A7",
+    "calibrate": "#0072B2",
+    "repair": "#E69F00",
     "wait": "#D9D9D9",
     "drain": "#0072B2",
     "mix": "#E69F00",

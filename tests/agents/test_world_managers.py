@@ -12,6 +12,7 @@ from helpers import mapping
 from chemlab.agents.heuristics.campaign import CampaignManager, _foreseen, has_unknown_rate
 from chemlab.agents.heuristics.foresee import foresees
 from chemlab.agents.heuristics.identify import IdentifyingManager, has_unlabelled_vessels
+from chemlab.agents.heuristics.upkeep import UpkeepManager, has_wearing_lines
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies, manager_heuristic
 from chemlab.laboratory.actions import MEASURE, SUBMIT
@@ -52,6 +53,7 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         manager = manager_heuristic(Laboratories(scenario))
         assert isinstance(manager, IdentifyingManager) == has_unlabelled_vessels(scenario) == (name == "unlabelled")
         assert isinstance(manager, CampaignManager) == (has_unknown_rate(scenario) is not None) == (name == "campaign")
+        assert isinstance(manager, UpkeepManager) == has_wearing_lines(scenario) == (name == "failing")
 
 
 # -- vessels without a label ------------------------------------------------------------------------------------------
@@ -153,7 +155,7 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
 
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
-    for name in ("campaign", "unlabelled"):
+    for name in ("campaign", "unlabelled", "failing"):
         labs = Laboratories(name, 2, split="test")
         players = Players(labs, list(make_policies("heuristic", labs, 0).values()))
         for member in range(2):
@@ -173,6 +175,71 @@ def test_memories_are_put_back() -> None:
 def test_nobody_forgets_who_has_nothing_to_remember() -> None:
     with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled carries nothing"):
         make_policies("forgetful", Laboratories("unlabelled"))
+
+
+# -- lines that fail --------------------------------------------------------------------------------------------------
+
+
+def failing(**wear: Any) -> dict[str, Any]:
+    """The shipped scenario with other benches, whose gains are as they say."""
+    values = mapping("failing")
+    values["world"] = {}
+    for bench in values["benches"].values():
+        bench["wear"] = {"repair_price": 0.01, "repair_ticks": 10, **wear}
+    return values
+
+
+def counted(labs: Laboratories, watched: Watched) -> dict[str, float]:
+    """How often the manager does what, in the mean over episodes."""
+    kinds = [labs.actions.decode(action)[0] for actions in watched.played for action in actions]
+    return {str(kind): kinds.count(kind) / len(watched.played) for kind in ("measure", "calibrate", "repair", "submit")}
+
+
+def test_a_line_that_is_known_is_not_looked_at() -> None:
+    """Its batches are taken off within what the specification allows, by the clock alone."""
+    labs, watched = played("failing", "heuristic", 4, failing(gain=0.8))
+    assert counted(labs, watched) == {"measure": 0.0, "calibrate": 0.0, "repair": 0.0, "submit": 6.0}
+    assert (labs.state.submitted[..., 1] >= 0.76).all()
+
+
+def test_particles_follow_the_vessel() -> None:
+    """A reading without noise leaves those that show it; without any, they spread as the gains do."""
+    values = failing(spread=0.5)
+    values["instruments"]["gas_chromatograph"] |= {"noise": 0.0, "drift": None}
+    labs = Laboratories(load_scenario(values))
+    manager: Any = manager_heuristic(labs)
+    labs.seed(0, 3)
+    labs.reset(labs.members)
+    players = Players(labs, [manager, *list(make_policies("heuristic", labs, 0).values())[1:]])
+    while labs.state.ticks[0] < 30:
+        players.play_pass(labs.members)
+    belief = manager._beliefs[0]
+    line = belief.lines[0]
+    manager._pass_time(belief, labs.observe(0, labs.members)[0], manager._left(labs.observe(0, labs.members)[0]))
+    assert line.speed.std() == pytest.approx(0.5, rel=0.25)
+    gain = labs.experiments[0].gain[0, 0]
+    true = gain * 3.0  # runs of ten ticks
+    manager._learn(belief, line, manager._shows(np.array([true]))[0])
+    assert line.age.mean() == pytest.approx(true, rel=0.05)
+    assert np.exp(line.speed.mean()) == pytest.approx(gain, rel=0.05)
+
+
+def test_repairs_and_calibrations_are_worth_their_price() -> None:
+    """On the same episodes, against managers for whom they are too dear."""
+    scores = {}
+    for case in ("as it is", "no repair", "no calibration"):
+        values = mapping("failing")
+        for bench in values["benches"].values():
+            bench["wear"]["repair_price"] *= 100.0 if case == "no repair" else 1.0
+        if case == "no calibration":
+            values["instruments"]["gas_chromatograph"]["drift"]["price"] = 2.0 * values["limits"]["budget"]
+        labs, watched = played("failing", "heuristic", 40, values)
+        scores[case], counts = labs.result(labs.members), counted(labs, watched)
+        assert (counts["repair"] > 1.0) == (case != "no repair")
+        assert (counts["calibrate"] > 1.0) == (case != "no calibration")
+    for case in ("no repair", "no calibration"):
+        gained = scores["as it is"] - scores[case]
+        assert gained.mean() > 2.0 * gained.std() / 40**0.5 > 0.0, case
 
 
 # -- specifications ---------------------------------------------------------------------------------------------------

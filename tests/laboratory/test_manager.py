@@ -59,6 +59,9 @@ def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     orders = [(o,) for o in range(scenario.orders)] if scenario.orders > 1 else [()]
     expected |= {("submit", s, *order) for s in slots for order in orders}
     expected |= {("recall", b) for b in scenario.bench_agents()} | {("wait",)}
+    wearing = {key for key, bench in scenario.benches.items() if bench.wear is not None}
+    expected |= {("repair", b) for b in scenario.bench_agents() if b.rpartition("_")[0] in wearing}
+    expected |= {("calibrate", n) for n, one in scenario.instruments.items() if one.drift is not None}
     assert set(decoded) == expected
 
 

@@ -1,0 +1,412 @@
+"""Benches that wear and break, instruments that drift: against closed forms and the laws of random walks; part of state
+and records; nothing changes where nothing is declared."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from helpers import allowed, laboratory, manager, mapping
+
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.bench.operations import OperationBench
+from chemlab.chemistry import CLOCK, TEMPERATURE
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.state import COST_ITEMS
+from chemlab.materials import DataError
+from chemlab.record import Recorder, verify_record
+from chemlab.scenario import Scenario, load_scenario
+
+GC = "gas_chromatograph"
+HOLD = np.array([0.5, 0.5, 0.0])
+"""A reaction bench that is left alone."""
+
+
+def scenario(wear: dict[str, Any] | None = None, drift: dict[str, Any] | None = None, **more: Any) -> Scenario:
+    """The campaign, whose rates are known, on two lines; they wear and its chromatograph drifts as is said."""
+    values = mapping("campaign")
+    values["name"], values["world"] = "failing_campaign", {}
+    bench = {**values["benches"].pop("rxn"), "count": 2, **({"wear": wear} if wear is not None else {})}
+    values["benches"]["rxn"] = bench
+    values["instruments"][GC] |= {"noise": 0.0, **({"drift": drift} if drift is not None else {})}
+    return load_scenario({**values, **more})
+
+
+def run(labs: Laboratories, agent: str, slot: int = 0, actions: Any = HOLD) -> int:
+    """One experiment at a line in every laboratory, alike in all of them; how many ticks it took."""
+    number, members, ticks = labs.agents.index(agent), labs.members, 0
+    for action in (labs.actions.encode("start", agent, slot, "2-chlorohexane"), labs.actions.encode("wait")):
+        labs.act(0, members, np.full(len(members), action))
+    while labs.busy[number - 1, 0]:
+        labs.act(number, members, np.tile(actions, (len(members), 1)))
+        ticks += 1
+    return ticks
+
+
+def begun(spec: Scenario, members: int = 1, seed: int = 0, **world: Any) -> Laboratories:
+    labs = Laboratories(spec, members)
+    for member in range(members):
+        labs.seed(member, seed + member)
+    labs.reset(labs.members, world=world or None)
+    return labs
+
+
+# -- benches ----------------------------------------------------------------------------------------------------------
+
+
+def first_isomer(labs: Laboratories, slot: int = 0) -> float:
+    return float(labs.shelf.amounts[0, slot, labs.shelf.layout.index("1-chlorohexane")])
+
+
+def test_a_weak_stirrer_makes_a_tick_shorter() -> None:
+    """A -> P at 345 K: exp(-k t), with t a tick times the gain."""
+    spec = scenario({"gain": 0.3})
+    labs = begun(spec)
+    assert run(labs, "rxn_0") == 20
+    k = 4.86e12 * math.exp(-85000.0 / (8.314462618 * 345.0))
+    assert first_isomer(labs) == pytest.approx(4.0 * math.exp(-k * 20 * 0.016 * 0.3), rel=1e-3)
+
+
+def test_heating_may_be_weak_instead() -> None:
+    """A thermostat takes smaller steps; a mantle's heat is a share of what is asked for; a shaking counts for less."""
+    values = mapping("wurtz_dodecane")
+    for key, actuator in (("rxn", "heat"), ("dit", "heat"), ("ext", "stir")):
+        values["benches"][key]["wear"] = {"actuator": actuator, "gain": 0.25}
+    worn = load_scenario({**values, "name": "weak"})
+    weak, sound = BenchEnv(worn), BenchEnv("wurtz_dodecane")
+    warm = np.array([1.0, 0.5, 0.0, 0.0, 0.0, 0.0], dtype=np.float32)
+    rises = []
+    for env in (weak, sound):
+        env.reset(seed=0)
+        before = env.batch.shelf.vessel(0, 0).temperature_k
+        env.step(warm)
+        rises.append(env.batch.shelf.vessel(0, 0).temperature_k - before)
+    assert rises[0] == pytest.approx(0.25 * rises[1], rel=1e-3)
+    for bench, process, column in (("dit", "heat", TEMPERATURE), ("ext", "mix", CLOCK)):
+        weak, sound = BenchEnv(worn, bench), BenchEnv("wurtz_dodecane", bench)
+        table = cast(OperationBench, sound.bench).table
+        of_kind = [a for a, words in enumerate(sound.action_meanings) if words.startswith(process)]
+        small = min(of_kind, key=lambda a: table[a, 4])
+        changes = []
+        for env in (weak, sound):
+            env.reset(seed=0)
+            before = env.batch.shelf.rows[0, column]
+            env.step(small)
+            settled = env.bench.options.settle_per_step if column == CLOCK else 0.0
+            changes.append(env.batch.shelf.rows[0, column] - before - settled)
+        assert abs(changes[1]) > 1e-3
+        assert changes[0] == pytest.approx(0.25 * changes[1], rel=1e-2)
+
+
+def test_gains_and_lives_are_as_declared() -> None:
+    """The logarithm of a gain: normal with the spread, then a walk whose variance grows with the ticks of work; a life:
+    exponential."""
+    labs = begun(scenario({"gain": 0.8, "spread": 0.5, "drift": 0.05, "life": 5000.0}), 2000)
+    for experiments in labs.experiments:
+        first = np.log(experiments.gain[:, 0])
+        assert first.mean() == pytest.approx(math.log(0.8), abs=4 * 0.5 / 2000**0.5)
+        assert first.std() == pytest.approx(0.5, rel=0.07)
+        assert experiments.life.mean() == pytest.approx(5000.0, rel=4 / 2000**0.5)
+    gains = [np.log(one.gain[:, 0]) for one in labs.experiments]
+    assert abs(np.corrcoef(gains[0], gains[1])[0, 1]) < 0.09
+    lives = labs.experiments[0].life.copy()
+    whole = begun(scenario({"spread": 0.5, "drift": 0.05}), 2000)
+    before = [np.log(one.gain[:, 0]) for one in whole.experiments]
+    assert run(whole, "rxn_0") == 20
+    change = np.log(whole.experiments[0].gain[:, 0]) - before[0]
+    assert change.std() == pytest.approx(0.05 * 20**0.5, rel=0.07)
+    assert (np.log(whole.experiments[1].gain[:, 0]) == before[1]).all()  # which has not worked
+    assert (whole.experiments[0].gain[:, 1] == 1.0).all()
+    assert len(np.unique(lives)) == 2000
+
+
+def test_a_bench_that_breaks_ends_its_experiment_and_waits_for_a_fitter() -> None:
+    spec = scenario({"life": 1e6, "repair_price": 0.03, "repair_ticks": 7}, world={"draws": DRAWN_LIFE})
+    env = raw_env(spec)
+    env.reset(seed=0, options={"world": {"life": {"rxn_0": 5.0}}})
+    labs = env.laboratories
+    seen = {channel.name: i for i, channel in enumerate(labs.channels)}
+    assert list(seen)[-4:] == ["rxn_0_broken", "rxn_0_repair", "rxn_1_broken", "rxn_1_repair"]
+    manager(env, "start", "rxn_0", 0, "2-chlorohexane")
+    manager(env, "wait")
+    for tick in range(5):
+        assert env.agent_selection == "rxn_0"
+        assert labs.state.ticks[0] == tick
+        env.step(HOLD.astype(np.float32))
+    assert env.agent_selection == "manager_0"
+    assert env.observe("manager_0")[-4:].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert not allowed(env, "start", "rxn_0", 0, "2-chlorohexane")
+    assert not allowed(env, "wait")
+    assert allowed(env, "start", "rxn_1", 0, "2-chlorohexane")
+    manager(env, "repair", "rxn_0")
+    assert labs.costs()["time"] == pytest.approx(0.03 + 5 * spec.costs.tick)
+    limit = spec.limits.ticks
+    assert env.observe("manager_0")[-4:] == pytest.approx([0.0, 7 / limit, 0.0, 0.0])
+    for action in (("start", "rxn_0", 0, "2-chlorohexane"), ("repair", "rxn_0")):
+        assert not allowed(env, *action)
+    manager(env, "wait")  # for the fitter, as nobody works
+    assert labs.state.ticks[0] == 12
+    assert allowed(env, "start", "rxn_0", 0, "2-chlorohexane")
+    assert labs.costs()["time"] == pytest.approx(0.03 + 12 * spec.costs.tick)
+    assert set(labs.costs()) == set(COST_ITEMS)
+
+
+DRAWN_LIFE: dict[str, dict[str, Any]] = {
+    "life": {
+        "what": "life",
+        "of": ["rxn_0", "rxn_1", "rxn"],
+        "change": "value",
+        "distribution": {"kind": "uniform", "low": 1.0, "high": 1000.0},
+    }
+}
+
+
+def test_a_repair_is_over_while_another_line_works() -> None:
+    """The manager has the turn then, and the other experiment goes on."""
+    env = laboratory(scenario({"repair_ticks": 3}))
+    manager(env, "repair", "rxn_1")
+    manager(env, "start", "rxn_0", 0, "2-chlorohexane")
+    manager(env, "wait")
+    for _ in range(3):
+        env.step(HOLD.astype(np.float32))
+    assert env.agent_selection == "manager_0"
+    assert env.laboratories.busy[0, 0]
+    assert allowed(env, "start", "rxn_1", 1, "2-chlorohexane")
+
+
+def test_waiting_for_a_fitter_may_end_the_episode() -> None:
+    env = laboratory(scenario({"repair_ticks": 10_000}))
+    manager(env, "repair", "rxn_1")
+    manager(env, "wait")
+    assert env.truncations["manager_0"]
+    assert env.laboratories.state.ticks[0] == env.scenario.limits.ticks
+
+
+def test_single_benches_wear_and_break_too() -> None:
+    spec = scenario({"spread": 0.5, "life": 8.0})
+    one, several = BenchEnv(spec), BenchVectorEnv(4, spec, threads=2)
+    lengths = []
+    for seed in range(6):
+        one.reset(seed=seed)
+        several.reset(seed=[90, 91, 92, seed])
+        alone, among = one.batch.experiments, several.batch.experiments
+        assert among.gain[3].tobytes() == alone.gain[0].tobytes()
+        assert among.life[3] == alone.life[0]
+        life, steps, over = float(one.batch.experiments.life[0]), 0, False
+        while not over:
+            _, _, over, _, _ = one.step(HOLD.astype(np.float32))
+            steps += 1
+        assert steps == min(math.ceil(life), 20)
+        lengths.append(steps)
+    assert len(set(lengths)) > 2
+
+
+# -- instruments ------------------------------------------------------------------------------------------------------
+
+
+def readings(labs: Laboratories) -> Any:
+    labs.act(0, labs.members, np.full(len(labs.members), labs.actions.encode("measure", 0, GC)))
+    return labs.state.reading[:, 0].copy()
+
+
+def test_biases_walk_with_time_and_go_with_a_calibration() -> None:
+    """Values away from the ends of the scale: the variance of what they are off by grows with the ticks."""
+    spec = scenario({}, {"first": 0.01, "walk": 0.004, "price": 0.02, "error": 0.002})
+    labs, true = begun(spec, 1500), begun(scenario({}))
+    assert run(labs, "rxn_0") == run(true, "rxn_0") == 20
+    exact = readings(true)[0]
+    middle = int(np.abs(exact - 0.5).argmin())
+    assert 0.15 < exact[middle] < 0.85
+    off = readings(labs)[:, middle] - exact[middle]
+    assert off.std() == pytest.approx(math.sqrt(0.01**2 + 20 * 0.004**2), rel=0.08)
+    again = readings(labs)[:, middle] - exact[middle]
+    assert (again == off).all()  # no time has passed
+    labs.act(0, labs.members, np.full(1500, labs.actions.encode("calibrate", GC)))
+    assert labs.charges(labs.members)[:, 0] == pytest.approx(2 * spec.instruments[GC].price + 0.02)
+    after = readings(labs)[:, middle] - exact[middle]
+    assert after.std() == pytest.approx(0.002, rel=0.08)
+
+
+def test_a_trend_goes_on_from_the_last_calibration() -> None:
+    spec = scenario({}, {"trend": 0.001})
+    labs, true = begun(spec), begun(scenario({}))
+    for expected in (0.02, 0.04, 0.02):
+        for one in (labs, true):
+            run(one, "rxn_0")
+        exact = readings(true)[0]
+        middle = int(np.abs(exact - 0.5).argmin())
+        assert readings(labs)[0, middle] - exact[middle] == pytest.approx(expected, abs=1e-9)
+        if expected == 0.04:
+            labs.act(0, labs.members, np.array([labs.actions.encode("calibrate", GC)]))
+    at = [channel.name for channel in labs.channels].index(f"{GC}_calibrated")
+    sizes = [channel.size for channel in labs.channels]
+    seen = labs.observe(0, labs.members)[0, sum(sizes[:at])]
+    assert seen == pytest.approx(20 / spec.limits.ticks)
+
+
+def test_a_calibration_that_is_too_dear_is_masked() -> None:
+    spec = scenario({}, {"price": 0.5})
+    env = laboratory(spec)
+    assert spec.limits.budget == 0.6
+    manager(env, "calibrate", GC)
+    assert not allowed(env, "calibrate", GC)
+
+
+# -- worlds -----------------------------------------------------------------------------------------------------------
+
+DRAWS: dict[str, dict[str, Any]] = {
+    "gain": {
+        "what": "gain",
+        "of": ["rxn_0", "rxn_1", "rxn"],
+        "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0},
+        "test": [[2.0, 5.0]],
+    },
+    "bias": {
+        "what": "bias",
+        "of": [GC],
+        "change": "offset",
+        "distribution": {"kind": "normal", "mean": 0.0, "sd": 0.05},
+    },
+    "trend": {
+        "what": "trend",
+        "of": [GC],
+        "change": "value",
+        "distribution": {"kind": "uniform", "low": 0.0, "high": 1e-4},
+    },
+    **DRAWN_LIFE,
+}
+
+
+def drawing(**wear: Any) -> Scenario:
+    drift = {"walk": 0.002, "error": 0.001, "price": 0.01}
+    return scenario({"drift": 0.02, "repair_ticks": 5, **wear}, drift, world={"draws": DRAWS})
+
+
+def test_worlds_draw_the_condition_of_benches_and_instruments() -> None:
+    spec = drawing(gain=0.5)
+    labs = begun(spec, 50)
+    for member in range(50):
+        drawn = labs.worlds.values(member)
+        for number, experiments in enumerate(labs.experiments):
+            assert experiments.gain[member, 0] == pytest.approx(0.5 * drawn["gain"][f"rxn_{number}"])
+            assert experiments.life[member] == drawn["life"][f"rxn_{number}"]
+        assert labs.state.bias[member] == pytest.approx(drawn["bias"][GC])
+        assert labs.state.trend[member] == pytest.approx(drawn["trend"][GC])
+        assert max(drawn["gain"].values()) < 2.0
+    bench = BenchEnv(spec)
+    bench.reset(seed=3)
+    assert bench.batch.experiments.gain[0, 0] == pytest.approx(0.5 * bench.batch.worlds.values(0)["gain"]["rxn"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"of": ["rxn_2"]}, "'rxn_2' has no gain; what may have: rxn_0, rxn_1, rxn"),
+        ({"of": []}, "name at least one bench or instrument"),
+        ({"change": "offset"}, "must stay above 0"),
+        ({"distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}}, "must stay above 0"),
+        ({"what": "bias", "of": [GC]}, "must be offset or value"),
+        ({"what": "bias", "of": ["balance"], "change": "offset"}, "'balance' has no bias"),
+    ],
+)
+def test_draws_of_what_is_not_there_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        scenario({}, {"walk": 0.1}, world={"draws": {"gain": {**DRAWS["gain"], "test": [], **change}}})
+
+
+def test_draws_of_what_does_not_wear_say_what_to_do() -> None:
+    draws = {"gain": DRAWS["gain"]}
+    with pytest.raises(DataError, match=r"give benches\.rxn one: wear = \{ gain = 1\.0 \}"):
+        scenario(None, None, world={"draws": draws})
+    assert scenario({"gain": 1.0}, None, world={"draws": draws}).errs
+
+
+def test_an_episode_depends_on_its_seed_alone() -> None:
+    """Alone, or as one of several; and without draws, whose worlds still have numbers."""
+    drawn = {name: draw for name, draw in DRAWS.items() if name != "life"}
+    wear, drift = {"spread": 0.3, "drift": 0.05, "life": 1e5}, {"walk": 0.01}
+    for spec in (scenario(wear, drift, world={"draws": drawn}), scenario(wear, drift)):
+        labs = begun(spec, 3, seed=4)
+        single = begun(spec, 1, seed=6)
+        numbers = [labs.worlds.number(member) for member in range(3)]
+        assert len(set(numbers)) == 3
+        assert single.worlds.number(0) == numbers[2]
+        assert run(labs, "rxn_0") == run(single, "rxn_0") == 20
+        assert labs.shelf.vessels[2].tobytes() == single.shelf.vessels[0].tobytes()
+        assert readings(labs)[2].tobytes() == readings(single)[0].tobytes()
+        for experiments, alone in zip(labs.experiments, single.experiments, strict=True):
+            assert experiments.gain[2].tobytes() == alone.gain[0].tobytes()
+
+
+def test_snapshots_copies_and_pickles_go_on_alike() -> None:
+    labs = begun(drawing(), seed=1)
+    run(labs, "rxn_0")
+    readings(labs)
+    saved = labs.snapshot()
+    others = [copy.deepcopy(labs), pickle.loads(pickle.dumps(labs))]
+
+    def go_on(one: Laboratories) -> list[bytes]:
+        one.act(0, one.members, np.full(1, one.actions.encode("repair", "rxn_1")))
+        one.act(0, one.members, np.full(1, one.actions.encode("calibrate", GC)))
+        run(one, "rxn_0")
+        readings(one)
+        return [array.tobytes() for array in one.arrays()]
+
+    first = go_on(labs)
+    labs.restore(saved)
+    assert go_on(labs) == first
+    assert all(go_on(other) == first for other in others)
+
+
+def test_the_state_of_critics_has_it() -> None:
+    env = laboratory(drawing())
+    names = [channel.name for channel in env.state_channels]
+    assert {"rxn_0_gain", "rxn_1_life", "rxn_0_broken", "rxn_1_repair", "bias", "trend", "calibrated"} <= set(names)
+    assert env.state_space.contains(env.state())
+    assert "bias" not in [channel.name for channel in raw_env("campaign").state_channels]
+
+
+@pytest.mark.parametrize("split", ["train", "private:quetzal"])
+def test_records_prove_the_condition_of_benches_and_instruments(tmp_path: Path, split: str) -> None:
+    """Also of a split whose worlds can only be told by their numbers; another number is another course of events."""
+    path, spec = tmp_path / "record.jsonl", drawing()
+    env = raw_env(spec, split=split)
+    policies = make_policies("random", env.laboratories, 2)
+    with Recorder(path, env.laboratories) as recorder:
+        play_episode(env, policies, 2, recorder=recorder)
+    assert env.laboratories.state.ticks[0] > 0
+    assert verify_record(path, spec).status == "ok"
+    header, *lines = path.read_text().splitlines()
+    forged = json.loads(header)
+    forged["hidden"]["world"]["number"] += 4
+    path.write_text("\n".join([json.dumps(forged, separators=(",", ":"), ensure_ascii=False), *lines]) + "\n")
+    assert verify_record(path, spec).status == "tampered"
+
+
+def test_nothing_is_different_where_nothing_is_declared() -> None:
+    """No action, no channel, no array of any size; a declared perfect bench and instrument change no number."""
+    plain, perfect = begun(scenario(), 1, seed=2), begun(scenario({"gain": 1.0}, {"price": 0.0}), 1, seed=2)
+    assert not {"calibrate", "repair"} & {plain.actions.decode(a)[0] for a in range(len(plain.actions))}
+    assert plain.state.ready.size == plain.state.bias.size == plain.state.broken.size == 0
+    assert not plain.worlds.active
+    for one in (plain, perfect):
+        run(one, "rxn_1")
+    assert plain.shelf.vessels.tobytes() == perfect.shelf.vessels.tobytes()
+    assert readings(plain).tobytes() == readings(perfect).tobytes()
+    wait = plain.actions.encode("wait")
+    assert wait == len(plain.actions) - 1
+    assert perfect.actions.encode("wait") == len(perfect.actions) - 1
+    added = len(perfect.channels) - len(plain.channels)
+    assert [channel.name for channel in perfect.channels[-added:]] == [
+        f"{GC}_calibrated", "rxn_0_broken", "rxn_0_repair", "rxn_1_broken", "rxn_1_repair",
+    ]  # fmt: skip
+    assert plain.observe(0, plain.members)[0].tobytes() == perfect.observe(0, perfect.members)[0, :-added].tobytes()
