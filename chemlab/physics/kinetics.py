@@ -61,25 +61,28 @@ def _rates(
     """Concentrations and rates at the given extents; returns the lowest concentration, which an overlong trial step
     makes negative."""
     chemistry = opened(Chemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
+    # Looked up here, once, and not under a condition inside of loops.
+    stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
+    factors, fractions = chemistry.factors, chemistry.fractions
+    n_reactions, n_species = stoichiometry.shape
     for j in range(n_species):
         conc[j] = start[j]
     for r in range(n_reactions):
-        for c in range(chemistry.changes.shape[1]):
-            j = chemistry.changes[r, c]
+        for c in range(changes.shape[1]):
+            j = changes[r, c]
             if j >= 0:
-                conc[j] += chemistry.stoichiometry[r, j] * extent[r]
+                conc[j] += stoichiometry[r, j] * extent[r]
     lowest = 0.0
     for j in range(n_species):
         lowest = min(lowest, conc[j])
     for r in range(n_reactions):
         rate = constants[r]
-        for f in range(chemistry.factors.shape[1]):
-            if chemistry.factors[r, f] >= 0:
-                rate *= _effective(conc[chemistry.factors[r, f]])
-        for j in range(chemistry.fractions.shape[1]):
-            if chemistry.fractions[r, j] > 0.0:
-                rate *= _effective(conc[j]) ** chemistry.fractions[r, j]
+        for f in range(factors.shape[1]):
+            if factors[r, f] >= 0:
+                rate *= _effective(conc[factors[r, f]])
+        for j in range(fractions.shape[1]):
+            if fractions[r, j] > 0.0:
+                rate *= _effective(conc[j]) ** fractions[r, j]
         out[r] = rate
     return lowest
 
@@ -111,7 +114,8 @@ def integrate(
         changed then).
     """
     chemistry = opened(Chemistry, chem)
-    n_reactions, n_species = chemistry.stoichiometry.shape
+    stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
+    n_reactions, n_species = stoichiometry.shape
     if n_reactions == 0 or volume <= 0.0 or dt <= 0.0:
         return 0
     constants, start, extent, trial, conc, now = work[0], work[1], work[2], work[3], work[4], work[5]
@@ -129,7 +133,7 @@ def integrate(
     for r in range(n_reactions):
         running = running or k1[r] > 0.0
         for j in range(n_species):
-            defect[j] += chemistry.stoichiometry[r, j] * k1[r]
+            defect[j] += stoichiometry[r, j] * k1[r]
     if not running:
         return 0
     # A first step that would use up much of a reactant tells nothing about its own error: start well below that.
@@ -166,10 +170,10 @@ def integrate(
             defect[j] = 0.0
         for r in range(n_reactions):
             gap = _E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r]
-            for c in range(chemistry.changes.shape[1]):
-                j = chemistry.changes[r, c]
+            for c in range(changes.shape[1]):
+                j = changes[r, c]
                 if j >= 0:
-                    defect[j] += chemistry.stoichiometry[r, j] * gap
+                    defect[j] += stoichiometry[r, j] * gap
         error, lowest = 0.0, 0.0
         for j in range(n_species):
             ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
@@ -205,7 +209,7 @@ def integrate(
     for j in range(n_species):
         change = 0.0
         for r in range(n_reactions):
-            change += chemistry.stoichiometry[r, j] * extent[r]
+            change += stoichiometry[r, j] * extent[r]
         column = AMOUNTS + chemistry.species[j]
         row[column] = max(row[column] + volume * change, 0.0)
     return steps
