@@ -1,10 +1,9 @@
 """Two commits against each other in one run: their rows of throughput.py in alternation, and the ratio pair by pair.
 
-Each commit is a checkout with a Python of its own in which chemlab and what it needs are installed::
+Each commit is a checkout with a Python in which what chemlab needs is installed::
 
     git worktree add ../before <commit>
-    python -m venv ../before.venv && ../before.venv/bin/pip install -e "../before[test]"
-    python tests/benchmarks/compare_commits.py --before ../before ../before.venv/bin/python
+    python tests/benchmarks/compare_commits.py --before ../before python --least 0.8
 
 A machine's speed drifts, so only the ratios (after / before) mean something: the median of ``--rounds`` pairs, with the
 smallest and the largest. Exits with 1 if a median is below ``--least``.
@@ -14,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -60,6 +60,7 @@ class Worker:
             stdout=subprocess.PIPE,
             text=True,
             cwd=checkout.resolve().parent,
+            env={**os.environ, "PYTHONPATH": str(checkout.resolve())},
         )
 
     def rate(self, row: str, seconds: float) -> float:
