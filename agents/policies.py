@@ -12,11 +12,13 @@ import numpy.typing as npt
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from chemlab.bench.base import Bench
+from chemlab.bench.discrete import Discretised
 from chemlab.jit import kernel
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .discrete import NearestPolicy
 from .heuristics.campaign import CampaignManager, has_unknown_rate
 from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
@@ -307,7 +309,7 @@ def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.Se
     kind = bench.spec.kind
     if is_scripted(bench):
         policy: Policy = _SCRIPTS[bench.scenario.physics][kind](bench, careful)
-        return policy
+        return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)
         warnings.warn(

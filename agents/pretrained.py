@@ -26,16 +26,21 @@ from safetensors.numpy import load_file, save
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
+from chemlab.bench.discrete import discretised_twin
 from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
+from chemlab.laboratory.policy import Policy
 from chemlab.scenario import Scenario, load_scenario, scenario_names
+
+from .discrete import ChoosingPolicy
 
 __all__ = [
     "Card",
     "PretrainedPolicy",
     "Workplace",
     "fingerprint",
+    "fitted",
     "given_as",
     "interface",
     "load_pretrained",
@@ -298,6 +303,22 @@ class PretrainedPolicy:
         if self.card.output == "tanh":
             values = np.float32(0.5) * (np.tanh(values) + np.float32(1.0))
         return np.clip(values, 0.0, 1.0).astype(np.float64)
+
+
+def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
+    """The policy as it plays at a workplace: one that was trained on a discretised bench plays the numbers that its
+    choices stand for, where actions are continuous.
+
+    Raises:
+        ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
+    """
+    if isinstance(workplace, Bench) and policy.card.interface["discrete"]:
+        twin = discretised_twin(workplace)
+        if twin is not None:
+            policy.check(twin)
+            return ChoosingPolicy(policy, twin.action_rows)
+    policy.check(workplace)
+    return policy
 
 
 def _advice(workplace: Workplace) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 from chemlab.laboratory.policy import Policy, as_policy
 
-from .pretrained import Workplace, load_pretrained, pretrained_names
+from .pretrained import Workplace, fitted, load_pretrained, pretrained_names
 from .roles import role_of
 from .runs import Run
 
@@ -32,9 +32,7 @@ class Saved:
 
 def _exported(name_or_path: str | Path) -> Callable[[Workplace], Policy]:
     def load(workplace: Workplace) -> Policy:
-        policy = load_pretrained(name_or_path)
-        policy.check(workplace)
-        return policy
+        return fitted(load_pretrained(name_or_path), workplace)
 
     return load
 

@@ -246,6 +246,17 @@ class ReactionFamily(Grown):
             found |= {*acid.species, PROTON, HYDROXIDE, WATER}
         return found
 
+    def towards(self, goal: str) -> set[str]:
+        """The goal, and every material that its reactions, and those of what they need, begin with."""
+        wanted, seen = {goal}, set[str]()
+        while wanted - seen:
+            name = (wanted - seen).pop()
+            seen.add(name)
+            for step in self.reaction:
+                if name in step.products:
+                    wanted |= set(step.reactants)
+        return seen
+
 
 def equation(step: Reaction | Violent) -> str:
     """A reaction as text: ``A + 2 B -> C``."""

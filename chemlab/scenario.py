@@ -11,7 +11,7 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -161,7 +161,7 @@ class BenchSpec(Grown):
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
-    _later = ("observe", "reward")
+    _later = ("observe", "reward", "actions")
 
     kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
@@ -173,6 +173,8 @@ class BenchSpec(Grown):
     """Observation channels of your own, ``my_parts.py:NAME`` each, after the bench's."""
     reward: Parts = ()
     """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
+    actions: Literal["native", "discrete"] = "native"
+    """``native``: as the bench's kind has them; ``discrete``: where those are continuous, a choice among some."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
@@ -469,6 +471,24 @@ class Scenario(Grown):
             raise ValueError(f"rewards: must be {', '.join(REWARD_MIXES)} or the numbers, given {rewards!r}")
         checked = mix if isinstance(mix, RewardSpec) else validated(RewardSpec, mix, "rewards")
         return self.model_copy(update={"rewards": checked})
+
+    def with_actions(self, actions: str | None) -> Scenario:
+        """The same laboratory with another kind of actions at all its benches.
+
+        Args:
+            actions: ``native``, as the kind of bench has them; ``discrete``, a choice among representative ones where
+                those are continuous (:meth:`chemlab.bench.base.Bench.representative_actions`), for value-based
+                learners; None: as the scenario says.
+
+        Raises:
+            ValueError: it is none of these.
+        """
+        if actions is None:
+            return self
+        if actions not in ("native", "discrete"):
+            raise ValueError(f"actions: must be native or discrete, given {actions!r}")
+        benches = {key: bench.model_copy(update={"actions": actions}) for key, bench in self.benches.items()}
+        return self.model_copy(update={"benches": benches})
 
     def __hash__(self) -> int:
         return hash((self.name, self._origin))

@@ -43,13 +43,7 @@ class ReactionHeuristic:
         self._late = np.zeros_like(self._need, dtype=bool)
         self._hold_until = round(_HOLD_BACK * bench.spec.step_limit)
         for g, goal in enumerate(bench.goals.names):
-            wanted, seen = {goal}, set[str]()
-            while wanted - seen:
-                name = (wanted - seen).pop()
-                seen.add(name)
-                for step in family.reaction:
-                    if name in step.products:
-                        wanted |= set(step.reactants)
+            wanted = family.towards(goal)
             self._need[g] = [name in wanted for name in reagents]
             for step in family.reaction:
                 side = set(step.products) & (penalized - {goal})

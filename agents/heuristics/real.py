@@ -49,13 +49,7 @@ class RealReactionHeuristic:
         dangerous = {n for step in family.violent if step.event != "none" for n in step.reactants} - {"water"}
         self._needed = np.zeros((len(bench.goals.names), len(reagents)), dtype=bool)
         for g, goal in enumerate(bench.goals.names):
-            wanted, seen = {goal}, set[str]()
-            while wanted - seen:
-                name = (wanted - seen).pop()
-                seen.add(name)
-                for step in family.reaction:
-                    if name in step.products:
-                        wanted |= set(step.reactants)
+            wanted = family.towards(goal)
             self._needed[g] = [name in wanted for name in reagents]
         quenching = {n for step in family.reaction if dangerous & set(step.reactants) for n in step.reactants}
         self._quench = np.array([n in quenching - dangerous for n in reagents]) & ~self._needed.any(axis=0)

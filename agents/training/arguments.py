@@ -201,7 +201,9 @@ class Arguments:
     def recorded(self) -> dict[str, Any]:
         """What a run's ``config.json`` says of them: a run may go on in another place."""
         unsaid = [f.name for f in fields(self) if f.metadata.get("place")]
-        unsaid += ["split"] if self.split == "train" else []  # there was no other when the first runs were described
+        # What there was no other of when the first runs were described.
+        unsaid += ["split"] if self.split == "train" else []
+        unsaid += ["actions"] if getattr(self, "actions", None) is None else []
         return {name: value for name, value in asdict(self).items() if name not in unsaid}
 
     @property
@@ -259,6 +261,12 @@ class TrainArguments(Arguments):
         otherwise="heuristic, for the laboratory's views",
     )
     goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option.", otherwise="all")
+    actions: str | None = _argument(
+        None,
+        "Actions of benches: native, or discrete (a choice among some, where they are continuous).",
+        known=("native", "discrete"),
+        otherwise="the scenario's",
+    )
     starts: str = _argument(
         "paper", "Starting states: paper, lab (as vessels reach the bench in a laboratory), or both."
     )
@@ -447,7 +455,7 @@ def help_of(argument: Field[Any]) -> str:
 def _check(argument: Field[Any], value: Any) -> None:
     """Refuse a value that is out of a field's bounds."""
     bounds, name = argument.metadata, argument.name
-    if "known" in bounds and value not in bounds["known"]:
+    if value is not None and "known" in bounds and value not in bounds["known"]:
         raise ValueError(f"{name}: known: {', '.join(bounds['known'])}; given {value!r}")
     if not isinstance(value, (int, float)):
         return

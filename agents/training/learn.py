@@ -164,7 +164,8 @@ def _check_algorithm(algo: str, discrete: bool) -> None:
     if algo in other:
         fitting = ", ".join(name for name in ALGORITHMS if name not in other)
         kind = "discrete" if discrete else "continuous"
-        raise ValueError(f"algo: this bench's actions are {kind}: {fitting}; given {algo!r}")
+        advice = "" if discrete else f", or with --actions discrete {' or '.join(other)}"
+        raise ValueError(f"algo: this bench's actions are {kind}: {fitting}{advice}; given {algo!r}")
 
 
 def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) -> RunResult:

@@ -223,12 +223,12 @@ class LaboratoryTask(Task):
 def task_fingerprint(arguments: TrainArguments) -> str:
     """The fingerprint of what the arguments' environment id stands for; errors as :func:`find_task`."""
     # Whoever asks has hundreds of runs of a few tasks.
-    return _fingerprint(arguments.env_id, arguments.scenario, arguments.bench)
+    return _fingerprint(arguments.env_id, arguments.scenario, arguments.bench, arguments.actions)
 
 
 @cache
-def _fingerprint(env_id: str, scenario: str | None, bench: str | None) -> str:
-    return find_task(TrainArguments(env_id=env_id, scenario=scenario, bench=bench)).fingerprint
+def _fingerprint(env_id: str, scenario: str | None, bench: str | None, actions: str | None) -> str:
+    return find_task(TrainArguments(env_id=env_id, scenario=scenario, bench=bench, actions=actions)).fingerprint
 
 
 def find_task(arguments: TrainArguments) -> Task:
@@ -254,7 +254,8 @@ def find_task(arguments: TrainArguments) -> Task:
             other = "chemlab/LabAgent-v0" if laboratory else "chemlab/Bench-v0"
             raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs {other}, given {value!r}")
     task = {**own, **{name: value for name, value in asked.items() if value is not None}}
-    scenario, splits = task.get("scenario", "wurtz_dodecane"), (arguments.split, arguments.evaluation_split)
+    scenario = load_scenario(task.get("scenario", "wurtz_dodecane")).with_actions(arguments.actions)
+    splits = arguments.split, arguments.evaluation_split
     if not laboratory:
         if arguments.background is not None:
             raise ValueError(f"background: {env_id} is a bench on its own, given {arguments.background!r}")

@@ -431,13 +431,28 @@ class Bench(ABC):
 
     @property
     def end_action(self) -> int:
-        """The discrete action that ends the experiment: the last one, unless a bench says otherwise."""
+        """The discrete action that ends the experiment, or, where none does, leaves everything as it is: the last one,
+        unless a bench says otherwise."""
         return self.action_count - 1
 
     @property
     def action_meanings(self) -> list[str]:
         """What each action (or each number of a continuous action) does."""
         raise NotImplementedError(f"bench {self.key!r} does not describe its actions")
+
+    def representative_actions(self) -> list[tuple[str, FloatArray]]:
+        """What continuous actions are discretised to (``actions = "discrete"``): of each what it does, and its numbers
+        [n]. The last one leaves everything as it is. Unless a bench says otherwise: each number at its low, middle and
+        high end while the others stay in the middle.
+        """
+        middle = np.full(len(self.action_meanings), 0.5)
+        ways = []
+        for i, words in enumerate(self.action_meanings):
+            for level in (0.0, 1.0):
+                row = middle.copy()
+                row[i] = level
+                ways.append((f"{words}: {level:g}", row))
+        return [*ways, ("all in the middle", middle)]
 
     def material(self, name: str, key: str) -> int:
         """Index of a material an option names; a :class:`DataError` names the option if it is unknown."""
@@ -594,6 +609,10 @@ def build_bench(
     """
     cls = load_part(scenario.benches[key].kind, scenario, f"benches.{key}.kind", BENCH_KINDS, Bench)
     bench: Bench = cls(key, scenario, chemistry)
+    if bench.spec.actions == "discrete" and not bench.action_count:
+        from .discrete import discretised
+
+        bench = discretised(cls)(key, scenario, chemistry)
     if reaction_model is not None and hasattr(bench, "reaction_model"):
         bench.reaction_model = reaction_model
     if separation_model is not None and hasattr(bench, "separation_model"):

@@ -337,6 +337,34 @@ class ReactionBench(Bench):
             *(f"add this fraction of the {name} that is left" for name in self.reagent_names),
         ]
 
+    def representative_actions(self) -> list[tuple[str, FloatArray]]:
+        """Each control by itself, and together all that the way to a goal needs, as it is, heating or with more room;
+        see :meth:`Bench.representative_actions`."""
+        t, v, names = self.options.temperature_k.step, self.options.volume_l.step, self.reagent_names
+        rest = np.array([0.5, 0.5, *(0.0 for _ in names)])
+        gauges = {f"{t:g} K down": (0, 0.0), f"{t / 4:g} K down": (0, 0.375), f"{t / 4:g} K up": (0, 0.625)}
+        gauges |= {f"{t:g} K up": (0, 1.0), f"{v:g} L in": (1, 0.0), f"{v:g} L out": (1, 1.0)}
+        moves = {"": rest}
+        for words, (i, number) in gauges.items():
+            moves[words] = rest.copy()
+            moves[words][i] = number
+        ways = [(words, row) for words, row in moves.items() if words]
+        for i, name in enumerate(names):
+            for share, words in ((0.25, f"add a quarter of the {name} that is left"), (1.0, f"add all {name}")):
+                row = rest.copy()
+                row[2 + i] = share
+                ways.append((words, row))
+        family = self.scenario.family
+        needed = [[name in family.towards(goal) for name in names] for goal in self.goals.names]
+        for which in dict.fromkeys(tuple(row) for row in needed):
+            adding = ", ".join(name for name, wanted in zip(names, which, strict=True) if wanted)
+            for words in ("", f"{t:g} K up", f"{v:g} L out"):
+                row = moves[words].copy()
+                row[2:] = which
+                if sum(which) > 1 or (sum(which) == 1 and words):
+                    ways.append((f"add all {adding}{': ' if words else ''}{words}", row))
+        return [*ways, ("hold", rest)]
+
     def state_sizes(self, members: int, positions: int) -> dict[str, int]:
         return {**super().state_sizes(members, positions), "Q": self.reagents, "W": self.layout.width}
 

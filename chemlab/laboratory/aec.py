@@ -39,7 +39,8 @@ its parts (:mod:`chemlab.laboratory.global_state`).
 `scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
 None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
 `reaction_model` and `separation_model` (physics of your own), `split` (which worlds there may be, of scenarios that
-draw some: `train`, `validation`, `test` or `private:SALT`). `reset(seed, options={"goal": name})` asks for a goal
+draw some: `train`, `validation`, `test` or `private:SALT`), `actions` (`discrete`: benches with continuous actions have
+a choice among representative ones instead). `reset(seed, options={"goal": name})` asks for a goal
 instead of drawing it, `{"world": seed or values}` for a world.
 
 ### Version history
@@ -72,9 +73,11 @@ def env(
     reaction_model: ReactionModel | None = None,
     separation_model: SeparationModel | None = None,
     split: str = "train",
+    actions: str | None = None,
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
-    return OrderEnforcedLaboratory(raw_env(scenario, render_mode, rewards, reaction_model, separation_model, split))
+    laboratory = raw_env(scenario, render_mode, rewards, reaction_model, separation_model, split, actions)
+    return OrderEnforcedLaboratory(laboratory)
 
 
 class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
@@ -94,6 +97,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         reaction_model: replaces the kinetics (see :class:`chemlab.bench.models.ReactionModel`).
         separation_model: replaces layers and partition (see :class:`chemlab.bench.models.SeparationModel`).
         split: which worlds there may be (see :mod:`chemlab.world`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
 
     Raises:
         DataError: the scenario is wrong or unknown.

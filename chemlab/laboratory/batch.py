@@ -30,7 +30,7 @@ class BatchedLaboratory:
     """N laboratories with the turns of :class:`~chemlab.laboratory.parallel.parallel_env`, in one set of arrays.
 
     Member i that is reset with seed s + i plays what a single laboratory reset with that seed plays, whatever N is. A
-    laboratory whose episode ends is reset in the same step.
+    laboratory whose episode ends is reset in the same step, unless ``autoreset`` is off.
 
     Args:
         num_envs: N.
@@ -41,6 +41,9 @@ class BatchedLaboratory:
         copy: whether returned arrays are copies; without, the next step overwrites them.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
         split: which worlds there may be (see :mod:`chemlab.world`).
+        autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
+            before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
+        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -57,18 +60,20 @@ class BatchedLaboratory:
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
         split: str = "train",
+        actions: str | None = None,
+        autoreset: bool = True,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
         self.num_envs = num_envs
-        self.scenario = load_scenario(scenario)
+        self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
         self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
         self.possible_agents = list(labs.agents)
         self._whole = GlobalState(labs)
         self.idle_observations = idle_observations
-        self.copy = copy
+        self.copy, self.autoreset = copy, autoreset
         self._random = np.random.default_rng()
         self._begun = False
         self._turns = np.zeros((len(labs.agents), num_envs), dtype=np.bool_)
@@ -100,12 +105,13 @@ class BatchedLaboratory:
         """What :meth:`state` holds, in order; see :mod:`chemlab.laboratory.global_state`."""
         return self._whole.channels
 
-    def state(self) -> ObservationArray:
-        """[N, size] everything there is to know of each laboratory, which no agent sees, for centralised critics.
+    def state(self, members: IntArray | None = None) -> ObservationArray:
+        """[B, size] everything there is to know of laboratories (default: all), which no agent sees, for centralised
+        critics.
 
-        Where an episode has just ended, it is of the one that has begun since.
+        Where an episode has just ended, it is of the one that has begun since (without ``autoreset``: of its end).
         """
-        return self._whole.see(self.laboratories.members)
+        return self._whole.see(self.laboratories.members if members is None else members)
 
     def reset(
         self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -174,6 +180,8 @@ class BatchedLaboratory:
         if not self._begun:
             raise ValueError("step: the episodes have not begun: call reset()")
         labs, members = self.laboratories, self.laboratories.members
+        if not self.autoreset and (labs.state.status != RUNNING).any():
+            raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')
         checked = []
         for number, agent in enumerate(self.possible_agents):
             turn = self._turns[number]
@@ -197,8 +205,12 @@ class BatchedLaboratory:
             scores[over, 0] = labs.result(over)
             for number in range(len(self.possible_agents)):
                 finals.append(labs.observe(number, over))
-            self._restart(over)
+            if self.autoreset:
+                self._restart(over)
         self._look()
+        if not self.autoreset and len(over):
+            for seen, final in zip(self._observations, finals, strict=True):
+                seen[over] = final
         infos = self._infos()
         for number, agent in enumerate(self.possible_agents):
             ended = np.isfinite(scores[:, number])

@@ -17,7 +17,8 @@
 `scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
 `starts` (`paper`, `lab` or `both`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
 `reaction_model` and `separation_model`, `split` (`train`, `validation`, `test` or `private:SALT`: which worlds there
-may be, of scenarios that draw some). Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
+may be, of scenarios that draw some), `actions` (`discrete`: a choice among representative ones, where a bench has
+continuous actions). Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
 ### Episodes
 One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
@@ -49,7 +50,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import Scenario
+from ..scenario import Scenario, load_scenario
 from .batch_env import BatchEnv, BoundedSpec, State
 from .experiments import ExperimentBatch
 from .rendering import RENDER_MODES, Rendered
@@ -84,9 +85,11 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
         split: str = "train",
+        actions: str | None = None,
     ) -> None:
         self._set_render_mode(render_mode)
-        self.batch = ExperimentBatch(scenario, bench, 1, goals, starts, reaction_model, separation_model, split)
+        spec = load_scenario(scenario).with_actions(actions)
+        self.batch = ExperimentBatch(spec, bench, 1, goals, starts, reaction_model, separation_model, split)
         self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
@@ -219,7 +222,7 @@ class BenchVectorEnv(BatchEnv):
 
     Args:
         num_envs: N.
-        scenario, bench, goals, starts, reaction_model, separation_model, split: as for :class:`BenchEnv`.
+        scenario, bench, goals, starts, reaction_model, separation_model, split, actions: as for :class:`BenchEnv`.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
@@ -251,11 +254,13 @@ class BenchVectorEnv(BatchEnv):
         separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
         split: str = "train",
+        actions: str | None = None,
     ) -> None:
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
-        self.batch = ExperimentBatch(scenario, bench, num_envs, goals, starts, reaction_model, separation_model, split)
+        spec = load_scenario(scenario).with_actions(actions)
+        self.batch = ExperimentBatch(spec, bench, num_envs, goals, starts, reaction_model, separation_model, split)
         self.bench = self.batch.bench
         super().__init__(
             num_envs,

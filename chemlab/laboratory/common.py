@@ -56,10 +56,11 @@ class OneLaboratory(Rendered):
         reaction_model: ReactionModel | None = None,
         separation_model: SeparationModel | None = None,
         split: str = "train",
+        actions: str | None = None,
     ) -> None:
         super().__init__()
         self._set_render_mode(render_mode)
-        self.scenario = load_scenario(scenario)
+        self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
         self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model, split)

@@ -77,6 +77,7 @@ class FocalVectorEnv(BatchEnv):
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
         split: which worlds there may be (see :mod:`chemlab.world`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
         max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:
@@ -99,10 +100,11 @@ class FocalVectorEnv(BatchEnv):
         separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
         split: str = "train",
+        actions: str | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
-        self.scenario = load_scenario(scenario)
+        self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
         self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
@@ -259,7 +261,8 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
-        scenario, agent, policies, rewards, reaction_model, separation_model, split: as for :class:`FocalVectorEnv`.
+        scenario, agent, policies, rewards, reaction_model, separation_model, split, actions: as for
+            :class:`FocalVectorEnv`.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 
     Raises:

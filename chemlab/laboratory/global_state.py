@@ -56,18 +56,18 @@ class GlobalState:
             if part.values[0].size
         ]
         size = sum(channel.size for channel in self.channels)
-        self._low = np.concatenate([np.full(channel.size, channel.low) for channel in self.channels])
-        self._per_unit = np.concatenate(
-            [np.full(channel.size, 1.0 / (channel.high - channel.low)) for channel in self.channels]
-        )
         self.space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
 
     def see(self, members: IntArray) -> ObservationArray:
         """[B, size] the state of the laboratories ``members``."""
-        values = np.concatenate([part.values.reshape(len(members), -1) for part in self._parts(members)], axis=1)
-        values -= self._low
-        values *= self._per_unit
-        return np.clip(values, 0.0, 1.0, out=values).astype(np.float32)
+        out = np.empty((len(members), *self.space.shape), dtype=np.float32)
+        at = 0
+        for part in self._parts(members):  # one by one: small enough for the processor's cache
+            values = part.values.reshape(len(members), -1)
+            scaled = (values - part.low) * (1.0 / (part.high - part.low))
+            out[:, at : at + values.shape[1]] = scaled
+            at += values.shape[1]
+        return np.clip(out, 0.0, 1.0, out=out)
 
     def _parts(self, members: IntArray) -> list[_Part]:
         parts = (self._vessel_parts, self._shelf_parts, self._bench_parts, self._order_parts, self._turn_parts)

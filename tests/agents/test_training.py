@@ -23,6 +23,7 @@ pytest.importorskip("stable_baselines3")
 
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
+from chemlab.agents.evaluation.play import BenchTarget
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
@@ -327,7 +328,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     config = run.config()
     assert config is not None
     # The split goes without saying, as it did before there were others.
-    assert {f.name for f in fields(TrainArguments)} - {"split"} <= set(config)
+    assert {f.name for f in fields(TrainArguments)} - {"split", "actions"} <= set(config)
     assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
     assert config["gamma"] == 0.99
     assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])
@@ -563,6 +564,22 @@ def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: st
     with pytest.raises(ValueError, match=message):
         train(TrainArguments.of(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
+    """What DQN has learned of the discretised bench comes to the same where it plays the continuous one."""
+    result = train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run")
+    assert Run(tmp_path / "run").config()["actions"] == "discrete"
+    scenario = load_scenario("fictitious")
+    ours, theirs = (
+        BenchTarget(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
+        for kind in ("native", "discrete")
+    )
+    np.testing.assert_array_equal(ours, theirs)
+    assert set(result.by_goal) == set(scenario.goals)
+    assert train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run") == result
+    with pytest.raises(ValueError, match="or with --actions discrete dqn or maskable-ppo"):
+        train(small("dqn", env_id=RXN), tmp_path / "other")
 
 
 def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

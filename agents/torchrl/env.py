@@ -1,0 +1,233 @@
+"""N laboratories as one TorchRL environment, every role a group of agents, with the true state for a central critic.
+
+>>> from chemlab.agents.torchrl.env import TorchLaboratory
+>>> env = TorchLaboratory(64, "wurtz_dodecane", actions="discrete")                # doctest: +SKIP
+>>> env.rollout(20)["rxn", "observation"].shape                                    # doctest: +SKIP
+torch.Size([64, 20, 1, 214])
+
+A step is one round of :class:`~chemlab.laboratory.batch.BatchedLaboratory`: the manager's action where it has the turn,
+else one tick. Entries, N laboratories, A agents of the group, n actions:
+
+| entry | shape | what |
+|---|---|---|
+| `(group, "observation")` | [N, A, size] | in [0, 1] |
+| `(group, "action_mask")` | [N, A, n] | legal actions (discrete ones); without the turn one alone, which does nothing |
+| `(group, "has_turn")` | [N, A] | whether its action counts in this step |
+| `(group, "reward")` | [N, A, 1] | |
+| `(group, "info", ...)` | [N, A] | `cost`, `score`, `experiment_over`, `illegal_action`, `elapsed_ticks` |
+| `"state"` | [N, S] | everything there is to know (:mod:`chemlab.laboratory.global_state`), in [0, 1] |
+| `"done"`, `"terminated"`, `"truncated"` | [N, 1] | the episode's end, for all agents |
+
+Needs TorchRL, after PyTorch: ``pip install torch``, then ``pip install "chemlab-marl[torchrl]"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.scenario import RewardSpec, Scenario
+
+from ..roles import role_of
+
+try:
+    import torch
+    from tensordict import TensorDict, TensorDictBase
+    from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+    from torchrl.envs import EnvBase
+except ImportError as error:
+    raise ImportError(
+        f'chemlab.agents.torchrl needs TorchRL ({error}): pip install torch, then pip install "chemlab-marl[torchrl]"'
+    ) from error
+
+__all__ = ["TorchLaboratory"]
+
+_INFOS: dict[str, Any] = {
+    "cost": torch.float32,
+    "score": torch.float32,
+    "experiment_over": torch.bool,
+    "illegal_action": torch.bool,
+    "elapsed_ticks": torch.int64,
+}
+
+
+class TorchLaboratory(EnvBase):
+    """N laboratories; see this module's documentation.
+
+    Args:
+        num_envs: N.
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        rewards: replaces the scenario's reward mix.
+        actions: replaces the scenario's kind of actions: ``discrete`` for value-based learners.
+        split: which worlds there may be.
+        groups: agents by group; agents of a group must see and do the same. Default: a group for each role.
+        state: whether steps have the true state.
+        seed: of the first episodes; laboratory i has seed + i.
+        device: of what it returns.
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: ``num_envs`` is not at least 1; or groups that are not of all agents, each once, or of agents with
+            different spaces.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        rewards: str | RewardSpec | None = None,
+        actions: str | None = None,
+        split: str = "train",
+        groups: Mapping[str, Sequence[str]] | None = None,
+        state: bool = True,
+        seed: int | None = None,
+        device: Any = "cpu",
+    ) -> None:
+        self._batch = batch = BatchedLaboratory(
+            num_envs, scenario, rewards, copy=False, split=split, actions=actions, autoreset=False
+        )
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        self.scenario = batch.scenario
+        roles: dict[str, list[str]] = {}
+        for agent in batch.possible_agents:
+            roles.setdefault(role_of(agent), []).append(agent)
+        self.group_map = roles if groups is None else {group: list(agents) for group, agents in groups.items()}
+        self._check_groups()
+        self._state = np.empty((num_envs, *batch.state_space.shape), dtype=np.float32) if state else None
+        self._make_specs()
+        self._first_seed: int | None = None
+        if seed is not None:
+            self.set_seed(seed)
+
+    def _check_groups(self) -> None:
+        batch = self._batch
+        listed = [agent for agents in self.group_map.values() for agent in agents]
+        if sorted(listed) != sorted(batch.possible_agents):
+            raise ValueError(f"groups: must have each of {', '.join(batch.possible_agents)} once; given {listed}")
+        for group, agents in self.group_map.items():
+            spaces = [(batch.observation_space(agent), batch.action_space(agent)) for agent in agents]
+            if any(pair != spaces[0] for pair in spaces):
+                raise ValueError(f"groups: {group}: {', '.join(agents)} do not have the same spaces")
+
+    def _make_specs(self) -> None:
+        n, device = self._batch.num_envs, self.device
+        observations, actions, rewards = (Composite(shape=(n,), device=device) for _ in range(3))
+        for group, agents in self.group_map.items():
+            lead = (n, len(agents))
+            seen, space = self._batch.observation_space(agents[0]), self._batch.action_space(agents[0])
+            entries: dict[str, Any] = {
+                "observation": Bounded(0.0, 1.0, (*lead, *seen.shape), device, torch.float32),
+                "has_turn": Categorical(2, shape=lead, device=device, dtype=torch.bool),
+                "info": Composite(
+                    {name: Unbounded(lead, device=device, dtype=kind) for name, kind in _INFOS.items()},
+                    shape=lead,
+                    device=device,
+                ),
+            }
+            if isinstance(space, gymnasium.spaces.Discrete):
+                count = int(space.n)
+                entries["action_mask"] = Binary(shape=(*lead, count), device=device, dtype=torch.bool)
+                action: Any = Categorical(count, shape=lead, device=device, dtype=torch.int64)
+            else:
+                action = Bounded(0.0, 1.0, (*lead, *(space.shape or ())), device, torch.float32)
+            observations[group] = Composite(entries, shape=lead, device=device)
+            actions[group] = Composite({"action": action}, shape=lead, device=device)
+            rewards[group] = Composite(
+                {"reward": Unbounded((*lead, 1), device=device, dtype=torch.float32)}, shape=lead, device=device
+            )
+        if self._state is not None:
+            size = self._batch.state_space.shape
+            observations["state"] = Bounded(0.0, 1.0, (n, *size), device, torch.float32)
+        ends = ("done", "terminated", "truncated")
+        self.observation_spec, self.action_spec, self.reward_spec = observations, actions, rewards
+        self.done_spec = Composite(
+            {name: Categorical(2, shape=(n, 1), device=device, dtype=torch.bool) for name in ends},
+            shape=(n,),
+            device=device,
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._first_seed = seed
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        """Begin episodes where ``_reset`` says so, everywhere without it or after a seed."""
+        options: dict[str, Any] = {}
+        if tensordict is not None and "_reset" in tensordict and self._first_seed is None:
+            options["reset_mask"] = tensordict["_reset"].reshape(-1).cpu().numpy()
+        observations, infos = self._batch.reset(seed=self._first_seed, options=options)
+        self._first_seed = None
+        begun = np.flatnonzero(options["reset_mask"]) if options else Ellipsis
+        told = {**self._told(observations, infos, begun), **self._ended()}
+        return TensorDict(told, batch_size=self.batch_size, device=self.device)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        given = {
+            agent: actions[:, i]
+            for group, agents in self.group_map.items()
+            for actions in [tensordict[group, "action"].cpu().numpy()]
+            for i, agent in enumerate(agents)
+        }
+        observations, rewards, terminated, truncated, infos = self._batch.step(given)
+        told = self._told(observations, infos)
+        for group, agents in self.group_map.items():
+            earned = np.stack([rewards[agent] for agent in agents], axis=1)[..., None]
+            told[group]["reward"] = self._tensor(earned, torch.float32)
+        ended = self._ended(terminated, truncated)
+        return TensorDict({**told, **ended}, batch_size=self.batch_size, device=self.device)
+
+    def _told(
+        self, observations: Mapping[str, Any], infos: Mapping[str, Mapping[str, Any]], begun: Any = Ellipsis
+    ) -> dict[str, Any]:
+        """What groups and a critic see after a step or a reset (then of the laboratories that have ``begun``)."""
+        told: dict[str, Any] = {}
+        for group, agents in self.group_map.items():
+            entries: dict[str, Any] = {
+                "observation": self._stacked([observations[agent] for agent in agents], torch.float32),
+                "has_turn": self._stacked([infos[agent]["has_turn"] for agent in agents], torch.bool),
+                "info": TensorDict(
+                    {
+                        name: self._stacked([infos[agent][name] for agent in agents], kind)
+                        for name, kind in _INFOS.items()
+                    },
+                    batch_size=(self._batch.num_envs, len(agents)),
+                    device=self.device,
+                ),
+            }
+            if "action_mask" in infos[agents[0]]:
+                entries["action_mask"] = self._stacked([infos[agent]["action_mask"] for agent in agents], torch.bool)
+            told[group] = TensorDict(entries, batch_size=(self._batch.num_envs, len(agents)), device=self.device)
+        if self._state is not None:
+            self._state[begun] = self._batch.state(None if begun is Ellipsis else begun)
+            told["state"] = self._tensor(self._state.copy(), torch.float32)
+        return told
+
+    def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        """Random actions; where ``tensordict`` has masks, legal ones."""
+        drawn: TensorDictBase = super().rand_action(tensordict)
+        for group in self.group_map:
+            mask = None if tensordict is None else tensordict.get((group, "action_mask"), None)
+            if mask is not None:
+                choices = torch.multinomial(mask.flatten(0, -2).to(torch.float32), 1)
+                drawn[group, "action"] = choices.reshape(mask.shape[:-1])
+        return drawn
+
+    def _ended(
+        self, terminated: npt.NDArray[np.bool_] | None = None, truncated: npt.NDArray[np.bool_] | None = None
+    ) -> dict[str, Any]:
+        nobody = np.zeros(self._batch.num_envs, dtype=np.bool_)
+        terminated, truncated = (nobody if which is None else which for which in (terminated, truncated))
+        ends = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
+        return {name: self._tensor(values[:, None], torch.bool) for name, values in ends.items()}
+
+    def _stacked(self, arrays: Sequence[npt.NDArray[Any]], kind: Any) -> Any:
+        """[N, A, ...] of the group's arrays [N, ...], copied: the batch reuses its own."""
+        return self._tensor(np.stack(arrays, axis=1), kind)
+
+    def _tensor(self, values: npt.NDArray[Any], kind: Any) -> Any:
+        return torch.from_numpy(np.ascontiguousarray(values)).to(device=self.device, dtype=kind)

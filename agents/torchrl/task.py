@@ -1,0 +1,123 @@
+"""A laboratory as a task of BenchMARL, whose algorithms (MAPPO, IPPO, IQL, VDN, QMIX, ...) then train every role.
+
+>>> from benchmarl.algorithms import MappoConfig
+>>> from benchmarl.experiment import Experiment, ExperimentConfig
+>>> from benchmarl.models.mlp import MlpConfig
+>>> from chemlab.agents.torchrl.task import laboratory_task
+>>> Experiment(                                                                    # doctest: +SKIP
+...     task=laboratory_task("unlabelled"), algorithm_config=MappoConfig.get_from_yaml(),
+...     model_config=MlpConfig.get_from_yaml(), seed=0, config=ExperimentConfig.get_from_yaml(),
+... ).run()
+
+All actions are discrete (the manager's always are). A centralised critic is given the true state; agents are not.
+BenchMARL makes no difference between turns that an agent has and others: without the turn it is left one legal action,
+which teaches it nothing.
+
+Needs BenchMARL, which asks for an older TorchRL than :mod:`~chemlab.agents.torchrl.env` does:
+``pip install torch``, then ``pip install benchmarl chemlab-marl``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from chemlab.scenario import Scenario, load_scenario
+
+from .env import TorchLaboratory
+
+try:
+    from benchmarl.environments import TaskClass
+except ImportError as error:
+    raise ImportError(f"a task for BenchMARL needs it ({error}): pip install benchmarl") from error
+
+__all__ = ["ChemlabTask", "laboratory_task"]
+
+
+class ChemlabTask(TaskClass):
+    """A laboratory; ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``,
+    ``rewards``, ``split``, ``groups``, and ``state`` (False: a centralised critic sees what its group sees)."""
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
+    ) -> Callable[[], TorchLaboratory]:
+        """A function that makes N laboratories with discrete actions."""
+        return lambda: TorchLaboratory(num_envs, actions="discrete", seed=seed, device=device, **self.config)
+
+    def supports_continuous_actions(self) -> bool:
+        """No: the manager has none."""
+        return False
+
+    def supports_discrete_actions(self) -> bool:
+        """Yes."""
+        return True
+
+    def max_steps(self, env: Any) -> int:
+        """Rounds of the longest episode: every action of the manager and every tick."""
+        limits = load_scenario(self.config["scenario"]).limits
+        return int(limits.manager_actions + limits.ticks)
+
+    def has_render(self, env: Any) -> bool:
+        """No: a batch has no picture."""
+        return False
+
+    def group_map(self, env: Any) -> dict[str, list[str]]:
+        """Agents by role."""
+        return dict(env.group_map)
+
+    def observation_spec(self, env: Any) -> Any:
+        """What agents see."""
+        return self._only(env, "observation")
+
+    def info_spec(self, env: Any) -> Any:
+        """What they are told besides."""
+        return self._only(env, "info")
+
+    def action_mask_spec(self, env: Any) -> Any:
+        """Legal actions."""
+        return self._only(env, "action_mask")
+
+    def state_spec(self, env: Any) -> Any:
+        """What a centralised critic sees, and no agent does."""
+        spec = env.full_observation_spec_unbatched.clone()
+        for key in list(spec.keys()):
+            if key != "state":
+                del spec[key]
+        return spec if len(list(spec.keys())) else None
+
+    def action_spec(self, env: Any) -> Any:
+        """What they may do."""
+        return env.full_action_spec_unbatched
+
+    @staticmethod
+    def env_name() -> str:
+        """What BenchMARL's results call it."""
+        return "chemlab"
+
+    @staticmethod
+    def _only(env: Any, entry: str) -> Any:
+        """Of what each group has, one entry."""
+        spec = env.full_observation_spec_unbatched.clone()
+        for group in list(spec.keys()):
+            if group not in env.group_map:
+                del spec[group]
+                continue
+            for key in list(spec[group].keys()):
+                if key != entry:
+                    del spec[group, key]
+        return spec
+
+
+def laboratory_task(scenario: str | Path | Scenario = "wurtz_dodecane", **config: Any) -> ChemlabTask:
+    """A task of BenchMARL.
+
+    Args:
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        config: more arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`.
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+    """
+    spec = load_scenario(scenario)
+    return ChemlabTask(spec.name, {"scenario": spec, **config})

@@ -1,0 +1,166 @@
+"""TorchRL's environment over the batched laboratory: specs, the same episodes as elsewhere, and BenchMARL's critics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import check_env_specs
+
+from chemlab.agents.torchrl.env import TorchLaboratory
+from chemlab.laboratory import parallel_env
+from chemlab.laboratory.batch import BatchedLaboratory
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [("wurtz_two_lines", {}), ("unlabelled", {"actions": "discrete"}), ("fictitious", {"state": False})],
+)
+def test_specs(name: str, more: dict[str, Any]) -> None:
+    env = TorchLaboratory(3, name, seed=0, **more)
+    check_env_specs(env)
+    assert ("state" in set(env.observation_spec.keys())) == more.get("state", True)
+
+
+def test_agents_of_a_role_are_a_group_and_others_can_be_asked_for() -> None:
+    assert TorchLaboratory(1, "wurtz_two_lines").group_map["rxn"] == ["rxn_0", "rxn_1"]
+    apart = {agent: [agent] for agent in ("manager_0", "rxn_0", "ext_0", "dit_0")}
+    assert TorchLaboratory(1, groups=apart).group_map == apart
+    with pytest.raises(ValueError, match="each of manager_0, rxn_0, ext_0, dit_0 once"):
+        TorchLaboratory(1, groups={"all": ["manager_0"]})
+    with pytest.raises(ValueError, match="do not have the same spaces"):
+        TorchLaboratory(1, groups={"all": ["manager_0", "rxn_0", "ext_0", "dit_0"]})
+
+
+def _row(rollout: TensorDictBase, member: int, step: int) -> Any:
+    return rollout[member, step]
+
+
+def test_its_episodes_are_those_of_single_laboratories() -> None:
+    """Actions of a random rollout, played again in the parallel environment: the same to the last digit, and random
+    ones are all legal. Where an episode ends the last observation is its own, and the next row is of a new one."""
+    torch.manual_seed(0)
+    env = TorchLaboratory(3, "wurtz_dodecane", seed=5)
+    rollout = env.rollout(60, break_when_any_done=False)
+    assert rollout["next", "done"].any()
+    for member in range(3):
+        single = parallel_env("wurtz_dodecane")
+        observations, infos = single.reset(seed=5 + member)
+        for step in range(60):
+            now = _row(rollout, member, step)
+            np.testing.assert_array_equal(now["state"].numpy(), single.state())
+            for agent in single.possible_agents:
+                group = agent.rpartition("_")[0]
+                assert bool(now[group, "has_turn"][0]) == infos[agent]["has_turn"]
+                if infos[agent]["has_turn"]:
+                    np.testing.assert_array_equal(now[group, "observation"][0].numpy(), observations[agent])
+                if "action_mask" in infos[agent]:
+                    np.testing.assert_array_equal(now[group, "action_mask"][0].numpy(), infos[agent]["action_mask"])
+                    assert now[group, "action_mask"][0, now[group, "action"][0]]
+            actions = {agent: now[agent.rpartition("_")[0], "action"][0].numpy() for agent in single.possible_agents}
+            observations, rewards, terminated, truncated, infos = single.step(actions)
+            for agent in single.possible_agents:
+                group = agent.rpartition("_")[0]
+                assert float(now["next", group, "reward"][0, 0]) == pytest.approx(rewards[agent], rel=1e-6, abs=1e-7)
+                assert float(now["next", group, "info", "score"][0]) == pytest.approx(infos[agent]["score"], rel=1e-6)
+            assert bool(now["next", "terminated"]) == terminated["manager_0"]
+            assert bool(now["next", "truncated"]) == truncated["manager_0"]
+            if bool(now["next", "done"]):
+                np.testing.assert_array_equal(now["next", "state"].numpy(), single.state())
+                for agent, seen in observations.items():
+                    np.testing.assert_array_equal(now["next", agent.rpartition("_")[0], "observation"][0].numpy(), seen)
+                break
+
+
+def test_seeds_begin_the_same_episodes_again() -> None:
+    env = TorchLaboratory(2, "unlabelled")
+    first = []
+    for _ in range(2):
+        env.set_seed(3)
+        first.append(env.reset()["state"].clone())
+    assert torch.equal(*first)
+    assert not torch.equal(first[0], env.reset()["state"])
+
+
+def test_without_autoreset_a_batch_waits_for_whoever_steps_it() -> None:
+    waiting = BatchedLaboratory(2, "wurtz_dodecane", autoreset=False)
+    _, infos = waiting.reset(seed=0)
+    submit = [m.startswith("submit") for m in waiting.laboratories.actions.action_meanings].index(True)
+    start = [m.startswith("start rxn") for m in waiting.laboratories.actions.action_meanings].index(True)
+    assert infos["manager_0"]["action_mask"][:, submit].all()
+    observations, _, terminated, _, infos = waiting.step({"manager_0": np.array([submit, start])})
+    assert terminated.tolist() == [True, False]
+    np.testing.assert_array_equal(infos["manager_0"]["final_obs"][0], observations["manager_0"][0])
+    assert not any(infos[agent]["has_turn"][0] for agent in waiting.possible_agents)
+    with pytest.raises(ValueError, match="reset_mask"):
+        waiting.step({"manager_0": np.array([submit, start])})
+    waiting.reset(options={"reset_mask": np.array([True, False])})
+    assert waiting.laboratories.state.actions.tolist() == [0, 1]
+
+
+# -- BenchMARL --------------------------------------------------------------------------------------------------------
+
+
+def _trained(algorithm: str, folder: Path, **config: Any) -> Any:
+    """An experiment of BenchMARL after two updates at toy size."""
+    algorithms = pytest.importorskip(
+        "benchmarl.algorithms", reason="BenchMARL, or the TorchRL it needs, is not installed", exc_type=ImportError
+    )
+    from benchmarl.experiment import Experiment, ExperimentConfig
+    from benchmarl.models.mlp import MlpConfig
+
+    from chemlab.agents.torchrl.task import laboratory_task
+
+    settings = ExperimentConfig.get_from_yaml()
+    settings.on_policy_collected_frames_per_batch = settings.off_policy_collected_frames_per_batch = 64
+    settings.on_policy_n_envs_per_worker = settings.off_policy_n_envs_per_worker = 4
+    settings.on_policy_minibatch_size = settings.off_policy_train_batch_size = 32
+    settings.on_policy_n_minibatch_iters = settings.off_policy_n_optimizer_steps = 2
+    settings.max_n_frames, settings.max_n_iters = 128, 2
+    settings.evaluation, settings.render, settings.loggers, settings.create_json = False, False, [], False
+    settings.save_folder, settings.checkpoint_interval, settings.checkpoint_at_end = str(folder), 0, False
+    model = MlpConfig(num_cells=[16], layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
+    kind = getattr(algorithms, f"{algorithm}Config").get_from_yaml()
+    task = laboratory_task("wurtz_dodecane_direct", rewards="cooperative", **config)
+    experiment = Experiment(task=task, algorithm_config=kind, model_config=model, seed=0, config=settings)
+    experiment.run()
+    return experiment
+
+
+def _critic_inputs(experiment: Any, group: str) -> int:
+    """Numbers that the first layer of a group's critic takes."""
+    critic = experiment.algorithm.get_loss_and_updater(group)[0].critic_network_params
+    weights = [value for key, value in critic.items(True, True) if "weight" in str(key)]
+    return int(weights[0].shape[-1])
+
+
+def test_a_centralised_critic_sees_more_than_its_agents(tmp_path: Path) -> None:
+    """MAPPO on the state, on what a group sees, and IPPO: with one agent a role the last two are the same algorithm."""
+    state = _trained("Mappo", tmp_path)
+    blind = _trained("Mappo", tmp_path, state=False)
+    apart = _trained("Ippo", tmp_path)
+    env = TorchLaboratory(1, "wurtz_dodecane_direct", actions="discrete")
+    for group in env.group_map:
+        seen = env.observation_spec[group, "observation"].shape[-1]
+        assert _critic_inputs(state, group) == env.observation_spec["state"].shape[-1] > seen
+        assert _critic_inputs(blind, group) == _critic_inputs(apart, group) == seen
+    weights = [
+        torch.cat([p.flatten() for p in one.group_policies["manager"].parameters()]) for one in (state, blind, apart)
+    ]
+    assert torch.isfinite(torch.stack(weights)).all()
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_a_value_based_learner_for_every_role(tmp_path: Path) -> None:
+    experiment = _trained("Iql", tmp_path)
+    assert experiment.total_frames == 128
+    assert set(experiment.group_map) == {"manager", "rxn", "dit"}
