@@ -131,8 +131,9 @@ def _play(
     seed: int,
     instruments: bool = True,
     without: str = "",
+    episodes: int | None = None,
 ) -> dict[str, Any]:
-    """Scores of a policy by name, or None where none of this name fits."""
+    """Scores of a policy by name in so many episodes (default: the budget's), or None where none of this name fits."""
     if not instruments:
         limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
         scenario = scenario.model_copy(update={"limits": limits})
@@ -144,25 +145,26 @@ def _play(
         return found
 
     try:
-        return {"scores": _played(scenario, policies, budget.episodes, seed, split).returns.tolist()}
+        count = budget.episodes if episodes is None else episodes
+        return {"scores": _played(scenario, policies, count, seed, split).returns.tolist()}
     except ValueError as error:
         return {"scores": None, "reason": str(error)}
 
 
-def _plan(scenario: Scenario, budget: AuditBudget, without: str = "") -> dict[str, Any]:
+def _plan(scenario: Scenario, budget: AuditBudget, without: str = "", split: str = "test") -> dict[str, Any]:
     """The best constant plan that a search finds in training worlds, and its scores; with all benches, also those with
     the benches' actions repeated."""
     most = budget.fewer if without else budget.plans
     search = search_plan(scenario, budget=most, without=[without] if without else ())
-    found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, "test").tolist()}
+    found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist()}
     if not without:
         found["plans"] = [[list(context), list(plan)] for context, plan in search.plans.items()]
-        found["everybody"] = _replayed(scenario, budget, search)
+        found["everybody"] = _replayed(scenario, budget, search, split)
     return found
 
 
-def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch) -> list[float]:
-    blind = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split="test")
+def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
+    blind = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
     scores: list[float] = blind.scores.tolist()
     return scores
 
@@ -171,13 +173,15 @@ def _replay(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, A
     return {"scores": _replayed(scenario, budget, policy)}
 
 
-def _foresee(scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any]) -> dict[str, Any]:
+def _foresee(
+    scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any], split: str = "test"
+) -> dict[str, Any]:
     """The best that a search finds in each of some episodes, and what it had found by each tenth of its budget."""
     known = {tuple(context): tuple(plan) for context, plan in plans}
     scores, curves = [], []
     for episode in range(first, min(first + _CHUNK, budget.episodes)):
         seed = AUDIT_SEED + episode
-        score, curve = best_in_episode(scenario, seed, "test", budget.planned, known)
+        score, curve = best_in_episode(scenario, seed, split, budget.planned, known)
         reached = [
             max(s for tried, s in curve if tried <= max(part * budget.planned / 10, curve[0][0]))
             for part in range(1, 11)

@@ -27,6 +27,7 @@ __all__ = [
     "mean",
     "number_text",
     "paired_improvement",
+    "performance_profile",
     "probability_of_improvement",
 ]
 
@@ -214,3 +215,37 @@ def probability_of_improvement(
         return sum(wins) / half
 
     return _bootstrap([*ours, *theirs], statistic, "percentile", confidence, resamples, seed)
+
+
+def performance_profile(
+    strata: Strata,
+    thresholds: npt.ArrayLike,
+    confidence: float = CONFIDENCE,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> list[Estimate]:
+    """For each threshold, the share of samples above it, mean over strata, with percentile intervals.
+
+    The definition is that of Agarwal et al. 2021 (run-score distributions); the intervals are of each threshold by
+    itself, from resamples within strata.
+
+    Args:
+        strata: samples of each task.
+        thresholds: [T], in the samples' unit.
+        confidence, resamples, seed: as for :func:`mean`.
+
+    Raises:
+        ValueError: as :func:`mean`.
+    """
+    samples, levels = _checked(strata), np.asarray(thresholds, dtype=np.float64).ravel()
+    above = [stratum[:, None] > levels for stratum in samples]
+    shares = np.mean([each.mean(axis=0) for each in above], axis=0)
+    if all(len(each) < 2 for each in above):
+        return [Estimate(float(share), None, None) for share in shares]
+    draw = np.random.default_rng(seed)
+    drawn = np.zeros((resamples, len(levels)))
+    for each in above:
+        drawn += each[draw.integers(len(each), size=(resamples, len(each)))].mean(axis=1) / len(above)
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(drawn, [tail, 100.0 - tail], axis=0)
+    return [Estimate(*(float(x) for x in row)) for row in zip(shares, low, high, strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import audit, evaluation, laboratory, plan, play, plot, records, training  # noqa: F401 - importing a module adds its commands
+from . import audit, benchmark, evaluation, laboratory, plan, play, plot, records, training  # noqa: F401 - importing a module adds its commands
 from .common import app
 
 __all__ = ["app", "main"]

@@ -1,0 +1,479 @@
+"""The benchmark's protocol: ``chemlab benchmark``. What is played, on which scale, with which statistics.
+
+Every row (a policy) plays the same episodes of each scenario, in worlds of the split ``test``: those of
+:mod:`~chemlab.agents.evaluation.audit`, whose scale it is, too: 0 is random legal play, 1 what a planner comes to that
+knows each episode's world. The episodes are dealt out to replications. A replication has worlds of its own, and a
+training run of its own where a row has several (a folder of runs that differ in their seeds); it is what the
+statistics are of: interquartile mean, performance profile and probability of improvement over the baseline, with
+intervals from resamples of replications within each scenario (Agarwal et al. 2021).
+
+| row | who |
+|---|---|
+| ``random`` | random legal actions of everybody: 0 |
+| ``plan`` | the best constant plan of the manager that a search finds in training worlds, over scripted benches |
+| ``heuristic`` | the scripted agents |
+| ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
+| a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
+checkpoint |
+| ``clairvoyant`` | the planner that knows the world: 1 |
+
+| file | what |
+|---|---|
+| ``parts/SCENARIO/`` | what has been played: the same command goes on from there |
+| ``benchmark.json`` | :func:`benchmark`'s findings |
+| ``marl_eval.json`` | each run's scores on the scale, as marl-eval reads them |
+| ``leaderboard.json`` | a line for each row and scenario, with commit, versions, hardware, hours and records |
+| ``records/`` | episodes of each row that ``chemlab verify`` plays again |
+
+A line of the leaderboard that another command has written stays, unless it is of the same row and scenario.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chemlab.arrays import FloatArray
+from chemlab.datafile import read_json
+from chemlab.files import write_text
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import MANAGER_AGENT
+from chemlab.record import Recorder, scenario_hash
+from chemlab.scenario import Scenario, load_scenario, scenario_names
+
+from ..episodes import play_episode
+from ..plans import ConstantPlan
+from ..policies import make_policies
+from ..runs import Run, differences, find_runs, versions
+from . import statistics
+from .audit import _CHUNK, AUDIT_SEED, BUDGETS, AuditBudget, _Crew, _Job, _Scale, _told
+
+__all__ = [
+    "DEFAULT_ROWS",
+    "REFERENCES",
+    "Row",
+    "benchmark",
+    "find_rows",
+    "part_count",
+    "world_scenarios",
+    "write_benchmark",
+]
+
+DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
+"""Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
+REFERENCES = ("random", "plan", "clairvoyant")
+"""Rows that are there in any case."""
+_THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
+"""Of performance profiles, on the scale."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table.
+
+    Attributes:
+        name: what it is called.
+        policies: a policy's name, or path, for each of its training runs; one where it was not trained here.
+        hours: of training, all runs together; None where it is not known.
+        steps: of a run; None where there is none.
+        curves: for each run (step, mean score) of its evaluations.
+        scenario: what the runs were trained on; None: anything.
+    """
+
+    name: str
+    policies: tuple[str, ...]
+    hours: float | None = None
+    steps: int | None = None
+    curves: tuple[tuple[tuple[int, float], ...], ...] = field(default=())
+    scenario: str | None = None
+
+
+def world_scenarios() -> list[str]:
+    """Shipped scenarios that draw worlds: what is benchmarked where nothing is named."""
+    return [name for name in scenario_names() if load_scenario(name).world.draws]
+
+
+def find_rows(policies: Sequence[str]) -> list[Row]:
+    """The rows that policies by name or path stand for.
+
+    Args:
+        policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`; a folder of runs is one row for
+            their best checkpoints and one for their last ones.
+
+    Raises:
+        ValueError: runs of one folder that differ in more than their seeds, or a run without a checkpoint.
+    """
+    rows: list[Row] = []
+    for name in policies:
+        folder = Path(name)
+        runs = find_runs(folder) if folder.is_dir() and folder.parent.name != "checkpoints" else []
+        rows += _trained_rows(name, runs) if runs else [Row(name, (name,))]
+    doubled = sorted({row.name for row in rows if sum(row.name == other.name for other in rows) > 1})
+    if doubled:
+        raise ValueError(f"policies: {', '.join(doubled)}: given twice")
+    return rows
+
+
+def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
+    configs = [run.config() or {} for run in runs]
+    for run, config in zip(runs, configs, strict=True):
+        other = differences(config, configs[0], {})
+        other.pop("seed", None)
+        if other:
+            raise ValueError(
+                f"policies: {name}: runs of one row differ in their seeds alone; {run.path} has "
+                f"{', '.join(other.values())}; give each of them with a --policy of its own"
+            )
+    seconds = [curve[-1].seconds if (curve := run.curve()) else 0.0 for run in runs]
+    curves = tuple(tuple((one.step, one.mean) for one in run.evaluations()) for run in runs)
+    found = []
+    for kind in ("best", "last"):
+        checkpoints = [run.checkpoint(kind) for run in runs]
+        missing = [str(run.path) for run, folder in zip(runs, checkpoints, strict=True) if folder is None]
+        if missing:
+            raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
+        paths = tuple(str(folder) for folder in checkpoints)
+        steps = int(configs[0].get("steps", 0)) or None
+        own = str(configs[0]["scenario"])
+        found.append(Row(f"{name} ({kind})", paths, sum(seconds) / 3600.0, steps, curves, own))
+    return found
+
+
+# -- what is played ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The episodes of a replication: of the first, how many, and which of a row's runs plays them."""
+
+    number: int
+    first: int
+    count: int
+
+
+def _blocks(episodes: int, replications: int) -> list[_Block]:
+    if not 1 <= replications <= episodes:
+        raise ValueError(f"seeds: from 1 to the {episodes} episodes of the budget, given {replications}")
+    parts = np.array_split(np.arange(episodes), replications)
+    return [_Block(k, int(part[0]), len(part)) for k, part in enumerate(parts)]
+
+
+def _file_name(text: str) -> str:
+    """A row's name as a file's."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)[-120:]
+
+
+def _reference_jobs(spec: Scenario, split: str) -> list[_Job]:
+    test = {"split": split, "seed": AUDIT_SEED}
+    plan = {} if split == "test" else {"split": split}  # as an audit has it, which may have played it already
+    return [_Job("plan", "plan", plan), _Job("random", "play", {"policy": "random", **test})]
+
+
+def _planner_jobs(budget: AuditBudget, split: str, plans: list[Any]) -> list[_Job]:
+    other = {} if split == "test" else {"split": split}
+    firsts = range(0, budget.episodes, _CHUNK)
+    return [_Job(f"foresee-{first}", "foresee", {"first": first, "plans": plans, **other}) for first in firsts]
+
+
+def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[_Job]:
+    jobs = []
+    for row in rows:
+        for block in blocks:
+            policy = row.policies[block.number % len(row.policies)]
+            own = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
+            name = f"row-{_file_name(row.name)}-{block.first}-{block.count}"
+            jobs.append(_Job(name, "play", {**own, "split": split}))
+            if spec.world.draws and split != "train":
+                jobs.append(_Job(f"{name}-train", "play", {**own, "split": "train"}))
+    return jobs
+
+
+def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: AuditBudget, seeds: int, split: str) -> int:
+    """How many parts a benchmark has."""
+    blocks = _blocks(budget.episodes, seeds)
+    return sum(
+        len(_reference_jobs(spec, split))
+        + len(_planner_jobs(budget, split, []))
+        + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
+        for spec in scenarios
+    )
+
+
+def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
+    """Rows that may play a scenario: whoever was trained in one plays that one."""
+    return [row for row in rows if row.scenario is None or row.scenario in (spec.name, spec.origin)]
+
+
+def benchmark(
+    scenarios: Sequence[str | Path | Scenario],
+    rows: Sequence[Row],
+    budget: str | AuditBudget = "small",
+    seeds: int = 5,
+    split: str = "test",
+    baseline: str = "heuristic",
+    keep: Path | None = None,
+    processes: int | None = None,
+    watch: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Play every row in every scenario, and compare.
+
+    Args:
+        scenarios: shipped names, paths, or loaded scenarios.
+        rows: who plays, besides ``random``, ``plan`` and ``clairvoyant``.
+        budget: of the audit: how many episodes, and how long plans are searched for.
+        seeds: replications.
+        split: worlds.
+        baseline: the row that improvement is measured over.
+        keep: folder in which results of finished parts are kept, by scenario.
+        processes: default: as many as there are cores.
+        watch: called with the name of each part that has been played.
+
+    Returns:
+        Plain data: ``scenarios`` (by name: the scale, and for each row its normalised mean with interval, the same of
+        its replications, its generalization gap, or why the cell is empty), ``rows`` (statistics over all scenarios),
+        and how it was made.
+
+    Raises:
+        DataError: no such scenario.
+        ValueError: unknown budget or baseline, or more replications than episodes.
+    """
+    if isinstance(budget, str) and budget not in BUDGETS:
+        raise ValueError(f"budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+    chosen = BUDGETS[budget] if isinstance(budget, str) else budget
+    specs = [load_scenario(scenario) for scenario in scenarios]
+    names = ["random", "plan", *(row.name for row in rows), "clairvoyant"]
+    if baseline not in names:
+        raise ValueError(f"baseline: known: {', '.join(names)}; given {baseline!r}")
+    blocks = _blocks(chosen.episodes, seeds)
+    found = {}
+    for spec in specs:
+        folder = None if keep is None else keep / spec.name
+        crew = _Crew(spec, chosen, folder, processes or os.cpu_count() or 1, watch or (lambda _: None))
+        fitting = _fitting(spec, rows)
+        try:
+            played = crew.run([*_reference_jobs(spec, split), *_row_jobs(spec, fitting, blocks, split)])
+            planned = crew.run(_planner_jobs(chosen, split, played["plan"]["plans"]))
+        finally:
+            crew.close()
+        found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split)
+    return {
+        "kind": "benchmark",
+        "format": 1,
+        "split": split,
+        "seeds": seeds,
+        "budget": budget if isinstance(budget, str) else "own",
+        **{f"budget_{key}": value for key, value in vars(chosen).items()},
+        "seed": AUDIT_SEED,
+        "baseline": baseline,
+        "confidence": statistics.CONFIDENCE,
+        "resamples": statistics.RESAMPLES,
+        "thresholds": _THRESHOLDS.tolist(),
+        "versions": versions(),
+        "commit": _commit(),
+        "hardware": _hardware(),
+        "scenarios": found,
+        "rows": [_summary(name, found, baseline, _row_named(rows, name)) for name in names],
+    }
+
+
+def _row_named(rows: Sequence[Row], name: str) -> Row:
+    return next((row for row in rows if row.name == name), Row(name, ()))
+
+
+def _cells(
+    spec: Scenario,
+    played: Mapping[str, dict[str, Any]],
+    planned: Mapping[str, dict[str, Any]],
+    rows: Sequence[Row],
+    fitting: Sequence[Row],
+    blocks: Sequence[_Block],
+    split: str,
+) -> dict[str, Any]:
+    """What everybody has come to in one scenario."""
+    order = sorted(planned, key=lambda name: int(name.partition("-")[2]))
+    foreseen = np.concatenate([np.array(planned[name]["scores"]) for name in order])
+    scores: dict[str, FloatArray | str] = {
+        "random": np.array(played["random"]["scores"]),
+        "plan": np.array(played["plan"]["scores"]),
+    }
+    gaps: dict[str, FloatArray] = {}
+    for row in rows:
+        if row not in fitting:
+            scores[row.name] = f"was trained in {row.scenario}"
+            continue
+        parts = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}"] for block in blocks]
+        refused = next((part["reason"] for part in parts if part["scores"] is None), None)
+        scores[row.name] = refused if refused is not None else np.concatenate([part["scores"] for part in parts])
+        if refused is None and spec.world.draws and split != "train":
+            train = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}-train"] for block in blocks]
+            gaps[row.name] = np.concatenate([part["scores"] for part in train])
+    # Whoever knows the world can do what the others did there.
+    known = [values for values in scores.values() if not isinstance(values, str)]
+    scores["clairvoyant"] = np.maximum.reduce([foreseen, *known])
+    scale = _Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
+    zero = float(np.mean(scores["random"]))  # type: ignore[arg-type]
+    span = max(float(np.mean(scores["clairvoyant"])) - zero, 1e-9)  # type: ignore[arg-type]
+    cells: dict[str, Any] = {}
+    for name, values in scores.items():
+        if isinstance(values, str):
+            cells[name] = {"value": None, "low": None, "high": None, "reason": values}
+            continue
+        normalised = (values - zero) / span
+        cells[name] = {
+            **_told(scale.mean(values)),
+            "score": float(values.mean()),
+            "replications": [float(normalised[b.first : b.first + b.count].mean()) for b in blocks],
+            "episodes": np.round(normalised, 6).tolist(),
+        }
+        if name in gaps:
+            cells[name]["generalization"] = _told(scale.mean(values) - scale.mean(gaps[name]))
+    return {
+        "scenario_hash": scenario_hash(spec),
+        "random": zero,
+        "clairvoyant": zero + span,
+        "plans": played["plan"]["plans"],
+        "cells": cells,
+    }
+
+
+def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> dict[str, Any]:
+    """A row over all scenarios in which it and the baseline have a cell."""
+    there = [
+        one["cells"]
+        for one in found.values()
+        if one["cells"][name]["value"] is not None and one["cells"][baseline]["value"] is not None
+    ]
+    told: dict[str, Any] = {"policy": name, "scenarios": len(there), "hours": row.hours, "steps": row.steps}
+    if not there:
+        return {**told, "interquartile_mean": None, "mean": None, "improvement": None, "profile": None}
+    own = [cells[name]["replications"] for cells in there]
+    other = [cells[baseline]["replications"] for cells in there]
+    profile = statistics.performance_profile(own, _THRESHOLDS)
+    return {
+        **told,
+        "interquartile_mean": statistics.interquartile_mean(own).as_dict(),
+        "mean": statistics.mean(own).as_dict(),
+        "improvement": None if name == baseline else statistics.probability_of_improvement(own, other).as_dict(),
+        "profile": [estimate.as_dict() for estimate in profile],
+    }
+
+
+def _commit() -> str | None:
+    """The commit of the source tree that plays, with ``+`` where files have been changed since; None elsewhere."""
+    here = Path(__file__).resolve().parent
+    try:
+        commit, changed = (
+            subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True, timeout=10).stdout
+            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return commit.strip() + ("+" if changed.strip() else "")
+
+
+def _hardware() -> dict[str, Any]:
+    return {"machine": platform.machine(), "system": platform.system(), "cores": os.cpu_count()}
+
+
+# -- what is written --------------------------------------------------------------------------------------------------
+
+
+def write_benchmark(
+    folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], records: int = 1
+) -> None:
+    """Write a benchmark's findings into a folder; see this module's documentation for the files.
+
+    Args:
+        folder: where.
+        found: :func:`benchmark`'s findings.
+        scenarios, rows: what they are of.
+        records: episodes of each row that are recorded, in each scenario.
+
+    Raises:
+        DataError: a leaderboard that is there already is none.
+    """
+    write_text(folder / "benchmark.json", json.dumps(found, indent=1) + "\n")
+    write_text(folder / "marl_eval.json", json.dumps(marl_eval(found, rows), indent=1) + "\n")
+    written = _recorded(folder, found, scenarios, rows, records)
+    _write_leaderboard(folder / "leaderboard.json", found, written)
+
+
+def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+    """The findings as marl-eval reads them: {environment: {task: {algorithm: {seed: steps and absolute metrics}}}}.
+
+    ``return`` is on the scale from 0 to 1; of training runs, the steps before the last are their evaluations.
+    """
+    tasks: dict[str, Any] = {}
+    for scenario, one in found["scenarios"].items():
+        zero, span = one["random"], one["clairvoyant"] - one["random"]
+        blocks = _blocks(found["budget_episodes"], found["seeds"])
+        tasks[scenario] = {}
+        for name, cell in one["cells"].items():
+            if cell["value"] is None:
+                continue
+            row = _row_named(rows, name)
+            algorithm = tasks[scenario][name] = {}
+            for block in blocks:
+                returns = cell["episodes"][block.first : block.first + block.count]
+                curve = row.curves[block.number % len(row.curves)] if row.curves else ()
+                steps = {
+                    f"step_{i}": {"step_count": step, "return": [(mean - zero) / span]}
+                    for i, (step, mean) in enumerate(curve)
+                }
+                steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns}
+                absolute = {"return": [float(np.mean(returns))]}
+                algorithm[f"seed_{block.number}"] = {**steps, "absolute_metrics": absolute}
+    return {"chemlab": tasks}
+
+
+def _recorded(
+    folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], count: int
+) -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """Record the first episodes of every row that can be played again, by scenario and row."""
+    written: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for spec in scenarios:
+        cells = found["scenarios"][spec.name]["cells"]
+        for row in (Row("plan", ("heuristic",)), *rows):
+            if cells[row.name]["value"] is None:
+                continue
+            own = written[spec.name, row.name] = []
+            for episode in range(min(count, found["budget_episodes"])):
+                seed = AUDIT_SEED + episode
+                path = folder / "records" / spec.name / _file_name(row.name) / f"{seed}.jsonl"
+                env = raw_env(spec, split=found["split"])
+                labs = env.laboratories
+                policies = make_policies(row.policies[0], labs, seed)
+                if row.name == "plan":
+                    plans = {tuple(c): tuple(p) for c, p in found["scenarios"][spec.name]["plans"]}
+                    policies[MANAGER_AGENT] = ConstantPlan(spec, labs.channels, labs.actions, plans)
+                with Recorder(path, labs, force=True) as recorder:
+                    score = play_episode(env, policies, seed, row.name, recorder=recorder).score
+                own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
+    return written
+
+
+def _write_leaderboard(
+    path: Path, found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict[str, Any]]]
+) -> None:
+    lines = []
+    summaries = {row["policy"]: row for row in found["rows"]}
+    common = {name: found[name] for name in ("split", "seeds", "budget", "commit", "versions", "hardware")}
+    for scenario, one in found["scenarios"].items():
+        for name, cell in one["cells"].items():
+            own = {key: cell.get(key) for key in ("value", "low", "high", "score", "generalization", "reason")}
+            effort = {key: summaries[name][key] for key in ("hours", "steps")}
+            told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
+            lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
+    new = {(line["scenario"], line["policy"], line["split"]) for line in lines}
+    before = read_json(path)["lines"] if path.exists() else []
+    kept = [line for line in before if (line["scenario"], line["policy"], line["split"]) not in new]
+    everything = sorted([*kept, *lines], key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
+    write_text(path, json.dumps({"kind": "leaderboard", "format": 1, "lines": everything}, indent=1) + "\n")

@@ -1,0 +1,104 @@
+"""The command benchmark: everybody on the same worlds, on one scale."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..files import check_folder
+from ..scenario import load_scenario
+from ..world import Split
+from .common import JsonOption, SplitOption, TrustOption, app, out, readable_errors
+from .screen import counting, show_table
+
+__all__: list[str] = []
+
+
+@app.command()
+def benchmark(
+    scenario: Annotated[
+        list[str] | None, typer.Argument(help="Scenarios: shipped names or paths. Default: all that draw worlds.")
+    ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Besides random, plan and clairvoyant: names as for `chemlab run`, a training run, or a folder of "
+            "runs of which only the seed differs; repeat the option. Default: heuristic, pretrained, trained."
+        ),
+    ] = None,
+    split: SplitOption = "test",
+    seeds: Annotated[int, typer.Option(min=1, help="Replications: worlds and, of runs, training seeds.")] = 5,
+    budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
+    baseline: Annotated[str, typer.Option(help="The row that improvement is measured over.")] = "heuristic",
+    records: Annotated[int, typer.Option(min=0, help="Episodes of each row and scenario that are recorded.")] = 1,
+    processes: Annotated[int | None, typer.Option(min=1, help="Default: as many as there are cores.")] = None,
+    output: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder: findings, leaderboard, records, and parts to go on from.")
+    ] = Path("benchmark"),
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Play the benchmark's protocol: everybody in the same worlds, scores from 0 (random) to 1 (knows the world).
+
+    The same command goes on where it was broken off. The folder's leaderboard keeps the lines of other commands.
+    """
+    with readable_errors():
+        from ..agents.evaluation import benchmark as protocol
+        from ..agents.evaluation.audit import BUDGETS
+
+        Split.of(split)
+        specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
+        if budget not in BUDGETS:
+            raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        always = protocol.REFERENCES
+        names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
+        rows = protocol.find_rows([name for name in names if name not in always])
+        check_folder(output)
+        with counting() as progress:
+            total = protocol.part_count(specs, rows, BUDGETS[budget], seeds, split)
+            task = progress.add_task("parts", total=total)
+            parts = output / "parts"
+            found = protocol.benchmark(
+                specs, rows, budget, seeds, split, baseline, parts, processes, lambda _: progress.advance(task)
+            )
+        protocol.write_benchmark(output, found, specs, rows, records)
+    if as_json:
+        typer.echo(json.dumps(found))
+        return
+    _show(found)
+    out.print(f"wrote {output}: benchmark.json, marl_eval.json, leaderboard.json, records", markup=False)
+
+
+def _show(found: dict[str, Any]) -> None:
+    """What people see: a table by scenario, then over all of them, and the empty cells."""
+    from ..agents.evaluation.statistics import interval_text
+
+    names = list(found["scenarios"])
+    cells = {name: found["scenarios"][name]["cells"] for name in names}
+    words = [
+        [
+            row["policy"],
+            *(interval_text(c) if (c := cells[name][row["policy"]])["value"] is not None else "" for name in names),
+        ]
+        for row in found["rows"]
+    ]
+    title = f"{found['budget_episodes']} episodes a scenario, split {found['split']}; 0 random, 1 knows the world"
+    show_table(title, ("policy", *names), words, right=range(1, len(names) + 1))
+    over = [
+        (
+            row["policy"],
+            str(row["scenarios"]),
+            *("" if row[key] is None else interval_text(row[key]) for key in ("interquartile_mean", "mean")),
+            "" if row["improvement"] is None else interval_text(row["improvement"], 2),
+            "" if row["hours"] is None else f"{row['hours']:.2f}",
+        )
+        for row in found["rows"]
+    ]
+    head = ("policy", "scenarios", "interquartile mean", "mean", f"P(better than {found['baseline']})", "hours")
+    show_table(f"{found['seeds']} replications; [{found['confidence']:.0%} intervals]", head, over, right=range(1, 6))
+    reasons = [(n, p, c["reason"]) for n in names for p, c in cells[n].items() if c["value"] is None]
+    if reasons:
+        show_table("not played", ("scenario", "policy", "why"), reasons)

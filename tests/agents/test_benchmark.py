@@ -1,0 +1,175 @@
+"""The benchmark's protocol: its scale and statistics, going on where it was, and what it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents.evaluation import statistics
+from chemlab.agents.evaluation.audit import AUDIT_SEED, AuditBudget
+from chemlab.agents.evaluation.benchmark import Row, benchmark, find_rows, part_count, write_benchmark
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.agents.runs import Run
+from chemlab.cli import app
+from chemlab.laboratory.core import Laboratories
+from chemlab.record import verify_record
+from chemlab.scenario import load_scenario
+
+TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
+ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("pretrained", ("pretrained",))]
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    folder = tmp_path_factory.mktemp("benchmark")
+    return benchmark(["unlabelled"], ROWS, TINY, 2, keep=folder / "parts", processes=1), folder
+
+
+def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any], Path]) -> None:
+    cells = played[0]["scenarios"]["unlabelled"]["cells"]
+    assert [cells[name]["value"] for name in ("random", "clairvoyant")] == pytest.approx([0.0, 1.0], abs=1e-12)
+    assert all(cell["value"] <= 1.0 + 1e-12 for cell in cells.values() if cell["value"] is not None)
+    assert cells["pretrained"]["value"] is None
+    assert "no pretrained policy fits" in cells["pretrained"]["reason"]
+
+
+def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -> None:
+    """Played again by hand: the whole, and each replication's part of it."""
+    one = played[0]["scenarios"]["unlabelled"]
+    labs = Laboratories("unlabelled", 5, split="test")
+    scores = play_laboratory(labs, make_policies("heuristic", labs), None, AUDIT_SEED).returns
+    cell, span = one["cells"]["heuristic"], one["clairvoyant"] - one["random"]
+    assert cell["score"] == pytest.approx(scores.mean(), rel=1e-12)
+    assert cell["value"] == pytest.approx((scores.mean() - one["random"]) / span)
+    expected = [(part.mean() - one["random"]) / span for part in (scores[:3], scores[3:])]
+    assert cell["replications"] == pytest.approx(expected)
+    train = Laboratories("unlabelled", 5, split="train")
+    less = play_laboratory(train, make_policies("heuristic", train), None, AUDIT_SEED).returns
+    assert cell["generalization"]["value"] == pytest.approx((scores.mean() - less.mean()) / span)
+
+
+def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -> None:
+    found = {row["policy"]: row for row in played[0]["rows"]}
+    cells = played[0]["scenarios"]["unlabelled"]["cells"]
+    assert found["heuristic"]["improvement"] is None
+    for name in ("random", "hasty"):
+        ours, theirs = (np.array(cells[row]["replications"]) for row in (name, "heuristic"))
+        wins = np.mean([(x > y) + 0.5 * (x == y) for x in ours for y in theirs])
+        assert found[name]["improvement"]["value"] == pytest.approx(wins)
+        assert found[name]["interquartile_mean"]["value"] == pytest.approx(ours.mean())  # of two: nothing is cut off
+        shares = [estimate["value"] for estimate in found[name]["profile"]]
+        assert shares == [np.mean(ours > level) for level in played[0]["thresholds"]]
+    assert found["pretrained"]["scenarios"] == 0
+
+
+def test_profiles_are_shares_of_samples_with_intervals() -> None:
+    profile = statistics.performance_profile([[0.0, 0.5, 1.0, 1.0], [0.25, 0.75]], [-1.0, 0.5, 2.0])
+    assert [estimate.value for estimate in profile] == [1.0, (0.5 + 0.5) / 2, 0.0]
+    assert profile[0].low == profile[0].high == 1.0
+    assert profile[1].low < profile[1].value < profile[1].high
+    assert statistics.performance_profile([[0.3]], [0.0])[0].low is None
+    # Many samples of a uniform number: the share above t is 1 - t, and its binomial interval is known.
+    draw = np.random.default_rng(0).random(4000)
+    (half,) = statistics.performance_profile([draw], [0.5])
+    assert half.value == pytest.approx(0.5, abs=0.03)
+    assert half.high - half.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 / 4000), rel=0.1)
+
+
+def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[str, Any], Path]) -> None:
+    found, folder = played
+    spec = load_scenario("unlabelled")
+    files = sorted((folder / "parts" / "unlabelled").glob("*.json"))
+    assert len(files) == part_count([spec], ROWS, TINY, 2, "test")
+    (folder / "parts" / "unlabelled" / "random.json").unlink()
+    seen: list[str] = []
+    assert benchmark([spec], ROWS, TINY, 2, keep=folder / "parts", processes=1, watch=seen.append) == found
+    assert len(seen) == len(files)
+    write_benchmark(folder, found, [spec], ROWS)
+    assert json.loads((folder / "benchmark.json").read_text()) == json.loads(json.dumps(found))
+    runs = json.loads((folder / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
+    assert set(runs) == {"random", "plan", "heuristic", "hasty", "clairvoyant"}
+    assert set(runs["hasty"]) == {"seed_0", "seed_1"}
+    last = runs["hasty"]["seed_1"]
+    cell = found["scenarios"]["unlabelled"]["cells"]["hasty"]
+    assert last["absolute_metrics"]["return"] == pytest.approx([cell["replications"][1]], abs=1e-6)
+    assert last["step_0"]["return"] == cell["episodes"][3:]
+
+
+def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any], Path]) -> None:
+    found, folder = played
+    spec = load_scenario("unlabelled")
+    path = folder / "leaderboard.json"
+    other = {"scenario": "other", "policy": "somebody", "split": "test", "value": 0.5}
+    path.write_text(json.dumps({"lines": [other]}))
+    write_benchmark(folder, found, [spec], ROWS)
+    lines = {(line["scenario"], line["policy"]): line for line in json.loads(path.read_text())["lines"]}
+    assert lines["other", "somebody"] == other
+    for name in ("heuristic", "hasty", "plan"):
+        line = lines["unlabelled", name]
+        (record,) = line["records"]
+        assert verify_record(folder / record["file"]).status == "ok"
+        cell, one = found["scenarios"]["unlabelled"]["cells"][name], found["scenarios"]["unlabelled"]
+        first = one["random"] + cell["episodes"][0] * (one["clairvoyant"] - one["random"])
+        assert record["score"] == pytest.approx(first, abs=1e-5)
+        assert line["hardware"]["cores"]
+        assert line["versions"]["chemlab"]
+    assert lines["unlabelled", "pretrained"]["reason"]
+
+
+def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import TrainArguments
+    from chemlab.agents.training.learn import train
+
+    small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
+    for seed in (0, 1):
+        arguments = TrainArguments(
+            "chemlab/LabManager-v0", algo="maskable-ppo", scenario="unlabelled", seed=seed, eval_episodes=1,
+            final_episodes=1, **small,
+        )  # fmt: skip
+        train(arguments, tmp_path / "runs" / f"seed-{seed}")
+    rows = find_rows([str(tmp_path / "runs")])
+    assert [row.name.rpartition(" ")[2] for row in rows] == ["(best)", "(last)"]
+    for seed in (0, 1):
+        assert rows[1].policies[seed] == str(Run(tmp_path / "runs" / f"seed-{seed}").checkpoint("last"))
+    found = benchmark(["unlabelled", "campaign"], rows, TINY, 2, baseline=rows[0].name, processes=1)
+    cells = found["scenarios"]["unlabelled"]["cells"]
+    labs = Laboratories("unlabelled", 5, split="test")
+    scores = [
+        play_laboratory(labs, make_policies(policy, labs), None, AUDIT_SEED).returns for policy in rows[1].policies
+    ]
+    # The first replication is the first run's, the second the second's, each in worlds of its own.
+    assert cells[rows[1].name]["score"] == pytest.approx(np.concatenate([scores[0][:3], scores[1][3:]]).mean())
+    assert found["scenarios"]["campaign"]["cells"][rows[0].name]["reason"] == "was trained in unlabelled"
+    assert found["rows"][2]["hours"] > 0.0
+    assert found["rows"][2]["steps"] == 32
+    with pytest.raises(ValueError, match="given twice"):
+        find_rows(["heuristic", "heuristic"])
+
+
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("chemlab.agents.evaluation.audit", fromlist=["BUDGETS"]).BUDGETS, "small", TINY)
+    words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--processes", "1", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    for name in ("random", "plan", "heuristic", "hasty", "clairvoyant", "2 replications"):
+        assert name in result.output
+    assert (tmp_path / "leaderboard.json").exists()
+    result = CliRunner().invoke(app, [*words, "--json"])
+    assert json.loads(result.output)["kind"] == "benchmark"
+    result = CliRunner().invoke(app, [*words, "--seeds", "6"])
+    assert result.exit_code == 2
+    assert "from 1 to the 5 episodes of the budget, given 6" in " ".join(result.output.split())
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="budget: known"):
+        benchmark(["unlabelled"], [], "huge")
+    with pytest.raises(ValueError, match="baseline: known: random, plan, clairvoyant; given 'heuristic'"):
+        benchmark(["unlabelled"], [], TINY, 2)
