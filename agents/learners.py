@@ -13,7 +13,7 @@ from typing import Any
 from .seals import read_sealed, seal
 
 try:
-    from sb3_contrib import MaskablePPO
+    from sb3_contrib import QRDQN, MaskablePPO, RecurrentPPO
     from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
     from stable_baselines3.common.base_class import BaseAlgorithm
 except ImportError as error:
@@ -21,7 +21,16 @@ except ImportError as error:
 
 __all__ = ["LEARNERS", "load_learner", "load_team", "save_learner", "save_team"]
 
-LEARNERS: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "sac": SAC, "td3": TD3, "maskable-ppo": MaskablePPO}
+LEARNERS: dict[str, Any] = {
+    "ppo": PPO,
+    "a2c": A2C,
+    "dqn": DQN,
+    "qr-dqn": QRDQN,
+    "sac": SAC,
+    "td3": TD3,
+    "maskable-ppo": MaskablePPO,
+    "recurrent-ppo": RecurrentPPO,
+}
 """By the name that ``chemlab train --algo`` has for it."""
 
 
@@ -50,7 +59,7 @@ def load_learner(folder: Path, algo: str, **settings: Any) -> BaseAlgorithm:
     """
     if algo not in LEARNERS:
         raise ValueError(f"{folder}: algo: known: {', '.join(LEARNERS)}; given {algo!r:.100}")
-    small = {"buffer_size": 1} if algo in ("dqn", "sac", "td3") and not settings else {}
+    small = {"buffer_size": 1} if algo in ("dqn", "qr-dqn", "sac", "td3") and not settings else {}
     model: BaseAlgorithm = _load(LEARNERS[algo], folder / "model.zip", **small, **settings)
     return model
 

@@ -23,19 +23,21 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load_file, save
+from scipy.special import expit
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
 from chemlab.bench.discrete import discretised_twin
 from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
-from chemlab.laboratory.policy import Policy
+from chemlab.laboratory.policy import Memory, Policy
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 from .discrete import ChoosingPolicy
 
 __all__ = [
+    "LSTM",
     "Card",
     "PretrainedPolicy",
     "Workplace",
@@ -55,6 +57,9 @@ _EXACT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _MOST_BYTES = 256_000_000
 _MOST_LAYERS = 32
 
+
+LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
+"""Weights of a memory of H numbers that sees O: shape by name."""
 
 Workplace = Bench | ManagerRole
 """What a policy operates: a bench, or a laboratory as its manager has it (:meth:`Laboratories.role`)."""
@@ -123,6 +128,7 @@ class Card:
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
             ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
         background: who played the other roles, where it was trained in a laboratory.
+        memory: how many numbers of each kind its LSTM, which stands before the layers, keeps; 0: it has none.
         masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be
             seen as it learned.
     """
@@ -148,6 +154,7 @@ class Card:
     evaluation: dict[str, Any]
     background: str | None = None
     masked: bool = True
+    memory: int = 0
 
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
@@ -204,17 +211,20 @@ class _CardFile(BaseModel):
     evaluation: dict[str, Any]
     background: str | None = None
     masked: bool = True
+    memory: int = Field(default=0, ge=0, le=65_536)
 
 
 assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
 
 
 class PretrainedPolicy:
-    """A trained network as a :class:`~chemlab.agents.policies.Policy`; deterministic, without memory.
+    """A trained network as a :class:`~chemlab.agents.policies.Policy`; deterministic, with a memory where it has an
+    LSTM.
 
     Args:
         card: its card.
-        weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order.
+        weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order; where it has a memory of H
+            numbers also :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output).
 
     Raises:
         ValueError: weights and card do not agree.
@@ -222,8 +232,10 @@ class PretrainedPolicy:
 
     def __init__(self, card: Card, weights: Weights) -> None:
         self.card, self.weights = card, weights
-        depth = min(len(weights) // 2, _MOST_LAYERS)
-        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")}
+        hidden = card.memory
+        kept = set(LSTM) if hidden else set()
+        depth = min((len(weights) - len(kept)) // 2, _MOST_LAYERS)
+        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | kept
         if set(weights) != expected or not depth:
             raise ValueError(
                 f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ... of {_MOST_LAYERS} layers at most; found "
@@ -231,7 +243,13 @@ class PretrainedPolicy:
             )
         if card.activation not in ("tanh", "relu") or card.output not in ("argmax", "clip", "tanh"):
             raise ValueError(f"{card.name}: unknown activation {card.activation!r} or output {card.output!r}")
-        size = card.observation_size
+        for name, shape in LSTM.items() if hidden else ():
+            wanted = tuple({"O": card.observation_size, "H": hidden, "4H": 4 * hidden}[axis] for axis in shape)
+            if weights[name].shape != wanted or not np.isfinite(weights[name]).all():
+                raise ValueError(f"{card.name}: {name}: {weights[name].shape} does not fit, or is not finite")
+        self._lstm = [weights[name].astype(np.float64) for name in LSTM] if hidden else []
+        self._memory = Memory(hidden, hidden)
+        size = first = hidden or card.observation_size
         for i in range(depth):
             weight, bias = weights[f"{i}.weight"], weights[f"{i}.bias"]
             if weight.ndim != 2 or bias.shape != weight.shape[:1] or (i and weight.shape[1] != size):
@@ -244,9 +262,9 @@ class PretrainedPolicy:
             for i in range(depth)
         ]
         sizes = [self._layers[0][0].shape[0], self._layers[-1][0].shape[1]]
-        if sizes != [card.observation_size, card.action_size]:
+        if sizes != [first, card.action_size]:
             raise ValueError(
-                f"{card.name}: the card says {card.observation_size} observations and {card.action_size} actions, "
+                f"{card.name}: the card says {first} observations and {card.action_size} actions, "
                 f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
             )
 
@@ -270,8 +288,15 @@ class PretrainedPolicy:
                 stacklevel=2,
             )
 
-    def values(self, observation: ObservationArray) -> npt.NDArray[np.float32]:
+    def values(
+        self, observation: ObservationArray, step: IntArray | None = None, members: IntArray | None = None
+    ) -> npt.NDArray[np.float32]:
         """[B, actions] what the network puts out: preferences or Q values of discrete actions, else the action's mean.
+
+        Args:
+            observation: [B, size].
+            step, members: as for :meth:`act`, of a policy with a memory, which then remembers; default: at its
+                beginning.
 
         Raises:
             ValueError: observations of another size.
@@ -285,17 +310,39 @@ class PretrainedPolicy:
         # Sums of products depend on how long the batch is and where it lies in memory, in their last digits. With twice
         # as many digits none of that is left in the result, which chooses among actions that may be worth the same.
         y = x.astype(np.float64)
+        if self._lstm:
+            begun = np.zeros(len(y), dtype=np.int64)
+            y = self._remembered(y, begun if step is None else step, np.arange(len(y)) if members is None else members)
         for i, (weight, bias) in enumerate(self._layers):
             y = y @ weight + bias
             if i < len(self._layers) - 1:
                 y = np.tanh(y) if self.card.activation == "tanh" else np.maximum(y, 0.0)
         return y.astype(np.float32)
 
+    def _remembered(self, seen: FloatArray, step: IntArray, members: IntArray) -> FloatArray:
+        """[B, H] what the LSTM puts out."""
+        hidden, cell = self._memory.recall(step, members)
+        into, over, bias = self._lstm
+        gates = seen @ into.T + hidden @ over.T + bias
+        entering, forgetting, new, leaving = np.split(gates, 4, axis=1)
+        cell = expit(forgetting) * cell + expit(entering) * np.tanh(new)
+        hidden = expit(leaving) * np.tanh(cell)
+        self._memory.keep(members, hidden, cell)
+        return hidden
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return self._memory.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._memory.put_back(memory)
+
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
-        values = self.values(observation)
+        values = self.values(observation, step, members)
         if self.card.output == "argmax":
             if mask is not None and self.card.masked:
                 values = np.where(np.asarray(mask) != 0, values, -np.inf)

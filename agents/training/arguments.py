@@ -39,12 +39,14 @@ __all__ = [
     "resolved",
 ]
 
-ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "sac", "td3", "maskable-ppo")
+ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "qr-dqn", "sac", "td3", "maskable-ppo", "recurrent-ppo")
 """What ``algo`` may be."""
 
-_PPO = ("ppo", "maskable-ppo")
+_PPO = ("ppo", "maskable-ppo", "recurrent-ppo")
 _ON_POLICY = (*_PPO, "a2c")
-_REPLAY = ("dqn", "sac", "td3")
+_IMITATORS = ("ppo", "maskable-ppo", "a2c")
+_VALUES = ("dqn", "qr-dqn")
+_REPLAY = (*_VALUES, "sac", "td3")
 
 _MANAGER: dict[str, Any] = {
     "algo": "maskable-ppo",
@@ -70,8 +72,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 _SHORT = {"manager": "chemlab/LabManager-v0"}
 """What people may call an environment for short."""
 
-_SB3_BATCH = 64
-"""PPO's minibatch in SB3."""
+_SB3_BATCH = {"maskable-ppo": 64, "recurrent-ppo": 128}
+"""Minibatch in SB3 of those that normalize the advantages of a single step."""
 
 _MOST_SEED = 2**32 - 1
 """NumPy's global generator, which SB3 seeds, takes no larger one."""
@@ -312,7 +314,8 @@ class TrainArguments(Arguments):
             raise ValueError("ent_coef_start: is where a learned weight begins; ent_coef fixes it")
         if self.algo in _PPO and self.envs * self.rollout < 2:
             raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
-        if self.algo == "maskable-ppo" and self.envs * self.rollout % (self.batch_size or _SB3_BATCH) == 1:
+        minibatch = self.batch_size or _SB3_BATCH.get(self.algo, 0)
+        if minibatch and self.algo in _SB3_BATCH and self.envs * self.rollout % minibatch == 1:
             raise ValueError(
                 f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
                 "last minibatch, where advantages are normalized; give another, or another rollout"
@@ -426,8 +429,8 @@ class RllibArguments(TeamArguments):
 
 
 _ONLY: dict[str, tuple[str, ...]] = {
-    "imitate": _ON_POLICY,
-    "imitate_steps": _ON_POLICY,
+    "imitate": _IMITATORS,
+    "imitate_steps": _IMITATORS,
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),
     "ent_coef_start": ("sac",),
@@ -437,8 +440,8 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "gradient_steps": _REPLAY,
     "buffer_size": _REPLAY,
     "learning_starts": _REPLAY,
-    "exploration_steps": ("dqn",),
-    "exploration_final": ("dqn",),
+    "exploration_steps": _VALUES,
+    "exploration_final": _VALUES,
     "action_noise": ("td3",),
 }
 """Fields that are some algorithms' own."""
@@ -566,7 +569,7 @@ def resolved(arguments: TrainArguments) -> TrainArguments:
         for f in fields(TrainArguments)
         if type(f.metadata.get("otherwise")) in (int, float)
     }
-    ours["gradient_steps"] = 256 if arguments.algo == "dqn" else 128
+    ours["gradient_steps"] = 256 if arguments.algo in _VALUES else 128
     values = {
         name: value
         for name, value in ours.items()

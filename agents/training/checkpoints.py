@@ -92,6 +92,7 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
     state = {
         "replay_rows": _save_replay(run, model) if _replay(model) is not None else 0,
         "environments": venv.get_state(),
+        "memory": getattr(model, "_last_lstm_states", None),
         "action_space": model.action_space.np_random.bit_generator.state,
         **random_state(),
         "progress": progress,
@@ -197,6 +198,8 @@ def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[
         _load_replay(run, buffer, state["replay_rows"])
     # Making the model has seeded everything anew: the streams come last.
     venv.set_state(state["environments"])
+    if state.get("memory") is not None:
+        model._last_lstm_states = state["memory"]  # type: ignore[attr-defined]
     model.action_space.np_random.bit_generator.state = state["action_space"]
     restore_random_state(state)
     return model, dict(state["progress"])

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import ObservationArray
+from chemlab.laboratory.policy import as_policy
 from chemlab.materials import DataError
 
 from ..policies import RandomPolicy
@@ -43,6 +44,8 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
         seen, _ = model.policy.obs_to_tensor(observation)
         if hasattr(model.policy, "q_net"):
             return np.asarray(model.policy.q_net(seen).numpy())
+        if hasattr(model.policy, "quantile_net"):
+            return np.asarray(model.policy.quantile_net(seen).mean(dim=1).numpy())
         distribution = model.policy.get_distribution(seen).distribution
         discrete = isinstance(model.action_space, gymnasium.spaces.Discrete)
         return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
@@ -68,12 +71,14 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
     Of actions, and of what they are made from where that says more: Q values, log-probabilities, means before they are
     clipped. Infinite if another discrete action is chosen and it is not a tie.
     """
+    if policy.card.memory:
+        return _largest_in_sequence(model, policy, observation)
     theirs, ours = _outputs(model, observation), policy.values(observation)
     nothing = np.zeros(len(observation), dtype=np.int64)
     played = np.asarray(model.predict(observation, deterministic=True)[0])
     actions = policy.act(observation, None, nothing, nothing)
     if policy.card.output == "argmax":
-        if not hasattr(model.policy, "q_net"):
+        if not (hasattr(model.policy, "q_net") or hasattr(model.policy, "quantile_net")):
             highest = ours.max(axis=1, keepdims=True)
             ours = ours - highest - np.log(np.exp(ours - highest).sum(axis=1, keepdims=True))
         rows = np.arange(len(played))
@@ -81,6 +86,17 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
             return float("inf")
         return _relative(ours, theirs)
     return max(_relative(actions, played), _relative(ours, theirs) if policy.card.output == "clip" else 0.0)
+
+
+def _largest_in_sequence(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
+    """The same of policies with a memory, which see one observation after the other."""
+    original, nobody, worst = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
+    for i, seen in enumerate(observation):
+        theirs, ours = (one.act(seen[None], None, nobody + i, nobody) for one in (original, policy))
+        if policy.card.output == "argmax" and (theirs != ours).any():
+            return float("inf")
+        worst = max(worst, _relative(ours, theirs))
+    return worst
 
 
 def _relative(ours: npt.NDArray[Any], theirs: npt.NDArray[Any]) -> float:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.laboratory.core import MANAGER_AGENT
 from chemlab.laboratory.policy import Policy, as_policy
 
 from ..pretrained import load_pretrained
@@ -55,7 +56,7 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
     settings: dict[str, Any] = {"gamma": a.gamma}
     if a.net_arch is not None:
         settings["policy_kwargs"] = {"net_arch": list(a.net_arch)}
-    if a.algo in ("ppo", "a2c", "maskable-ppo"):
+    if a.algo in ("ppo", "a2c", "maskable-ppo", "recurrent-ppo"):
         settings["n_steps"] = a.rollout
         optional["gae_lambda"] = a.gae_lambda
         if a.algo != "a2c":
@@ -63,7 +64,7 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
     else:
         settings |= {"train_freq": a.rollout, "gradient_steps": a.gradient_steps}
         settings |= {"buffer_size": a.buffer_size, "learning_starts": a.learning_starts}
-    if a.algo == "dqn":
+    if a.algo in ("dqn", "qr-dqn"):
         assert a.exploration_steps is not None, "resolved() fills it in"
         settings["exploration_fraction"] = min(1.0, a.exploration_steps / total)
         settings |= {"exploration_initial_eps": 1.0, "exploration_final_eps": a.exploration_final}
@@ -73,7 +74,8 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
         size = venv.batch.single_action_space.shape or ()
         settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, a.action_noise))
     settings |= {name: value for name, value in optional.items() if value is not None}
-    model: BaseAlgorithm = LEARNERS[a.algo]("MlpPolicy", venv, seed=a.seed, device="cpu", **settings)
+    network = "MlpLstmPolicy" if a.algo == "recurrent-ppo" else "MlpPolicy"
+    model: BaseAlgorithm = LEARNERS[a.algo](network, venv, seed=a.seed, device="cpu", **settings)
     return model
 
 
@@ -160,7 +162,7 @@ class _Agent(Trainee):
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:
-    other = ("sac", "td3") if discrete else ("dqn", "maskable-ppo")
+    other = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo")
     if algo in other:
         fitting = ", ".join(name for name in ALGORITHMS if name not in other)
         kind = "discrete" if discrete else "continuous"
@@ -183,6 +185,11 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
     run, command, arguments = Run(out), arguments.command_line(), resolved(arguments)
     task = find_task(arguments)
     _check_algorithm(arguments.algo, discrete=bool(task.workplace.action_count))
+    if arguments.algo == "recurrent-ppo" and task.background is not None and task.agent != MANAGER_AGENT:
+        raise ValueError(
+            f"algo: recurrent-ppo: a laboratory's bench begins anew with each experiment, and {arguments.env_id} has "
+            "several in an episode; train the bench on its own (chemlab/Bench-v0), or the manager"
+        )
     warning = task.warning()
     if warning is not None:
         warnings.warn(warning, stacklevel=2)

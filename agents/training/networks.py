@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..pretrained import Card, PretrainedPolicy, Workplace, save_policy
+from ..pretrained import LSTM, Card, PretrainedPolicy, Workplace, save_policy
 from ..runs import RunConfig
 
 try:
@@ -39,7 +39,9 @@ def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedP
             weights are not finite.
     """
     weights, activation, output = _network_of(model)
-    own = {"activation": activation, "output": output, "masked": isinstance(model, MaskablePPO)}
+    own: dict[str, Any] = {"activation": activation, "output": output, "masked": isinstance(model, MaskablePPO)}
+    if "lstm.bias" in weights:
+        own["memory"] = int(model.policy.lstm_actor.hidden_size)
     return PretrainedPolicy(Card.of(workplace, **own, **card), weights)
 
 
@@ -67,6 +69,8 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     policy = model.policy
     if hasattr(policy, "q_net"):  # DQN
         parts, output = [policy.q_net.q_net], "argmax"
+    elif hasattr(policy, "quantile_net"):  # QR-DQN
+        parts, output = [policy.quantile_net.quantile_net], "argmax"
     elif hasattr(policy, "actor"):  # SAC has the mean in a layer of its own; TD3's network ends with it
         actor = policy.actor
         parts, output = [actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else [actor.mu], "tanh"
@@ -83,4 +87,12 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     for i, layer in enumerate(linear):
         weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
         weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
+    if hasattr(policy, "lstm_actor"):
+        ih, hh, *biases = (p.detach().numpy() for p in policy.lstm_actor.parameters())
+        weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))
+    if hasattr(policy, "quantile_net"):  # it plays the action with the best mean of its quantiles: a linear layer, too
+        last, actions = len(linear) - 1, int(model.action_space.n)
+        for part in ("weight", "bias"):
+            values = weights[f"{last}.{part}"]
+            weights[f"{last}.{part}"] = values.reshape(-1, actions, *values.shape[1:]).mean(axis=0)
     return weights, _ACTIVATIONS[activation], output

@@ -14,7 +14,7 @@ from .batch_env import checked_actions
 from .core import Laboratories
 from .state import RUNNING
 
-__all__ = ["Players", "Policy", "as_policy"]
+__all__ = ["Memory", "Players", "Policy", "as_policy"]
 
 _MOST_TRIES = 1000
 
@@ -61,6 +61,67 @@ class _Called:
             return np.asarray(actions, dtype=object)
 
 
+class Memory:
+    """What a policy keeps of each member of a batch: some arrays, zeros when an experiment (or episode) begins.
+
+    Args:
+        sizes: length of each array.
+    """
+
+    def __init__(self, *sizes: int) -> None:
+        self._arrays = [np.zeros((0, size)) for size in sizes]
+
+    def recall(self, step: IntArray, members: IntArray) -> list[npt.NDArray[np.float64]]:
+        """[B, size] each array of the members; see :meth:`Policy.act`."""
+        lacking = int(members.max()) + 1 - len(self._arrays[0])
+        if lacking > 0:
+            self._arrays = [np.concatenate([a, np.zeros((lacking, a.shape[1]))]) for a in self._arrays]
+        return [np.where(step[:, None] == 0, 0.0, array[members]) for array in self._arrays]
+
+    def keep(self, members: IntArray, *values: npt.NDArray[Any]) -> None:
+        """Remember values [B, size] of the members."""
+        for array, own in zip(self._arrays, values, strict=True):
+            array[members] = own
+
+    def copy(self) -> list[npt.NDArray[np.float64]]:
+        """Everything, for :meth:`put_back`."""
+        return [array.copy() for array in self._arrays]
+
+    def put_back(self, arrays: Sequence[npt.NDArray[np.float64]]) -> None:
+        """Remember what was there at a :meth:`copy`."""
+        self._arrays = [array.copy() for array in arrays]
+
+
+class _RecurrentModel:
+    """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action."""
+
+    def __init__(self, model: Any) -> None:
+        self._model, lstm = model, model.policy.lstm_actor
+        self._shape = (lstm.num_layers, lstm.hidden_size)
+        self._memory = Memory(*2 * [lstm.num_layers * lstm.hidden_size])
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`; it knows no masks."""
+        layers, hidden = self._shape
+        kept = [
+            array.reshape(-1, layers, hidden).swapaxes(0, 1).astype(np.float32)
+            for array in self._memory.recall(step, members)
+        ]
+        actions, state = self._model.predict(observation, tuple(kept), step == 0, deterministic=True)
+        self._memory.keep(members, *(np.swapaxes(array, 0, 1).reshape(len(members), -1) for array in state))
+        return np.asarray(actions)
+
+    def get_memory(self) -> Any:
+        """See :class:`Policy`."""
+        return self._memory.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`Policy`."""
+        self._memory.put_back(memory)
+
+
 class _Model:
     """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them."""
 
@@ -92,7 +153,8 @@ def as_policy(given: Any, agent: str = "") -> Policy:
         policy: Policy = given
         return policy
     if hasattr(given, "predict"):
-        return _Model(given)
+        recurrent = hasattr(getattr(given, "policy", None), "lstm_actor")
+        return _RecurrentModel(given) if recurrent else _Model(given)
     if callable(given):
         return _Called(given)
     raise TypeError(

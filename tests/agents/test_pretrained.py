@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.policies import make_policies
+from chemlab.agents.policies import as_policy, make_policies
 from chemlab.agents.pretrained import (
     Card,
     PretrainedPolicy,
@@ -39,7 +39,7 @@ from chemlab.scenario import load_scenario
 
 RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 CASES = [("ppo", RXN), ("a2c", RXN), ("sac", RXN), ("td3", RXN)]
-CASES += [("ppo", DIT), ("a2c", DIT), ("dqn", DIT), ("maskable-ppo", DIT)]
+CASES += [("ppo", DIT), ("a2c", DIT), ("dqn", DIT), ("qr-dqn", DIT), ("maskable-ppo", DIT)]
 
 
 def bench_of(env_id: str) -> Any:
@@ -109,6 +109,46 @@ def test_card_says_the_preset() -> None:
     )
 
 
+@pytest.mark.parametrize("env_id", [RXN, DIT])
+def test_recurrent_exports_remember_as_the_learner_does(env_id: str, tmp_path: Path) -> None:
+    """The same actions over experiments that begin and end at different times, in members that are not all there."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.learners import load_learner
+    from chemlab.agents.runs import Run
+    from chemlab.agents.training.arguments import TrainArguments
+    from chemlab.agents.training.export import export_run
+    from chemlab.agents.training.learn import train
+
+    values: dict[str, Any] = {"env_id": env_id, "algo": "recurrent-ppo", "envs": 2, "rollout": 16, "steps": 64}
+    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
+    run = Run(tmp_path / "run")
+    train(TrainArguments.of(values), run.path)
+    card = export_run(run.path, tmp_path / "mine")
+    assert card.memory == 256
+    policy, folder = load_pretrained(tmp_path / "mine"), run.checkpoint("best")
+    assert folder is not None
+    original: Any = as_policy(load_learner(folder, "recurrent-ppo"))
+    draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
+    kept, sees = None, policy.card.observation_size
+    for turn in range(30):
+        members = np.flatnonzero(draw.random(4) < 0.7) if turn else np.arange(4)
+        if not len(members):
+            continue
+        seen = draw.random((len(members), sees), dtype=np.float32)
+        ours, theirs = (one.act(seen, None, steps[members], members) for one in (policy, original))
+        np.testing.assert_allclose(ours, theirs, atol=1e-5)
+        steps[members] = np.where(draw.random(len(members)) < 0.1, 0, steps[members] + 1)
+        if turn == 20:
+            kept, after = policy.get_memory(), steps.copy()
+    seen = draw.random((4, sees), dtype=np.float32)
+    policy.set_memory(kept)
+    first = policy.values(seen, after, np.arange(4))
+    policy.values(seen, after + 1, np.arange(4))
+    policy.set_memory(kept)
+    np.testing.assert_array_equal(policy.values(seen, after, np.arange(4)), first)
+    assert not np.array_equal(policy.values(seen, after * 0, np.arange(4)), first), "at 0 it forgets"
+
+
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
 def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
@@ -120,7 +160,7 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
 
     values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
-    if algo in ("dqn", "sac", "td3"):
+    if algo in ("dqn", "qr-dqn", "sac", "td3"):
         values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
     run = Run(tmp_path / "run")
     train(TrainArguments.of(values), run.path)

@@ -60,8 +60,8 @@ RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 
 def small(algo: str, **more: Any) -> TrainArguments:
     """Arguments of a run of a second."""
-    values = {"env_id": DIT if algo in ("dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
-    if algo in ("dqn", "sac", "td3"):
+    values = {"env_id": DIT if algo in ("dqn", "qr-dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
+    if algo in ("dqn", "qr-dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
     return TrainArguments.of(values)
@@ -425,7 +425,7 @@ def test_flags_say_the_same_as_arguments() -> None:
         ({"steps": True}, "needs int, given True"),
         ({"steps": 0}, "at least 1, given 0"),
         ({"goals": [1]}, "list of str"),
-        ({"buffer_size": 10}, "is for dqn, sac, td3, not for ppo"),
+        ({"buffer_size": 10}, "is for dqn, qr-dqn, sac, td3, not for ppo"),
         ({"learning_rate": -1.0}, "above 0"),
     ],
 )
@@ -578,8 +578,15 @@ def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(
     np.testing.assert_array_equal(ours, theirs)
     assert set(result.by_goal) == set(scenario.goals)
     assert train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run") == result
-    with pytest.raises(ValueError, match="or with --actions discrete dqn or maskable-ppo"):
+    with pytest.raises(ValueError, match="or with --actions discrete dqn or qr-dqn or maskable-ppo"):
         train(small("dqn", env_id=RXN), tmp_path / "other")
+
+
+def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tmp_path: Path) -> None:
+    values = {"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0", "algo": "recurrent-ppo"}
+    with pytest.raises(ValueError, match="begins anew with each experiment"):
+        train(TrainArguments.of(values), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
