@@ -158,6 +158,19 @@ class _Block:
     first: int
     count: int
 
+    def of(self, scores: Any) -> FloatArray:
+        """Those of everybody's that are its own."""
+        return np.asarray(scores)[self.first : self.first + self.count]
+
+
+def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
+    """The scores of each replication's episodes on its own scale."""
+    return [
+        (np.asarray(scores)[one["first"] : one["first"] + one["count"]] - one["random"])
+        / max(one["clairvoyant"] - one["random"], 1e-9)
+        for one in scales
+    ]
+
 
 def _blocks(episodes: int, replications: int) -> list[_Block]:
     if not 1 <= replications <= episodes:
@@ -319,26 +332,28 @@ def _cells(
     known = [values for values in scores.values() if not isinstance(values, str)]
     scores["clairvoyant"] = np.maximum.reduce([foreseen, *known])
     scale = _Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
-    zero = float(np.mean(scores["random"]))  # type: ignore[arg-type]
-    span = max(float(np.mean(scores["clairvoyant"])) - zero, 1e-9)  # type: ignore[arg-type]
+    # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
+    scales = [
+        {"first": b.first, "count": b.count}
+        | {name: float(np.mean(b.of(scores[name]))) for name in ("random", "clairvoyant")}
+        for b in blocks
+    ]
     cells: dict[str, Any] = {}
     for name, values in scores.items():
         if isinstance(values, str):
             cells[name] = {"value": None, "low": None, "high": None, "reason": values}
             continue
-        normalised = (values - zero) / span
         cells[name] = {
             **_told(scale.mean(values)),
             "score": float(values.mean()),
-            "replications": [float(normalised[b.first : b.first + b.count].mean()) for b in blocks],
-            "episodes": np.round(normalised, 6).tolist(),
+            "replications": [float(part.mean()) for part in _scaled(values, scales)],
+            "scores": values.tolist(),
         }
         if name in gaps:
             cells[name]["generalization"] = _told(scale.mean(values) - scale.mean(gaps[name]))
     return {
         "scenario_hash": scenario_hash(spec),
-        "random": zero,
-        "clairvoyant": zero + span,
+        "replications": scales,
         "plans": played["plan"]["plans"],
         "cells": cells,
     }
@@ -413,24 +428,22 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     """
     tasks: dict[str, Any] = {}
     for scenario, one in found["scenarios"].items():
-        zero, span = one["random"], one["clairvoyant"] - one["random"]
-        blocks = _blocks(found["budget_episodes"], found["seeds"])
         tasks[scenario] = {}
         for name, cell in one["cells"].items():
             if cell["value"] is None:
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
-            for block in blocks:
-                returns = cell["episodes"][block.first : block.first + block.count]
-                curve = row.curves[block.number % len(row.curves)] if row.curves else ()
-                steps = {
-                    f"step_{i}": {"step_count": step, "return": [(mean - zero) / span]}
-                    for i, (step, mean) in enumerate(curve)
-                }
-                steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns}
-                absolute = {"return": [float(np.mean(returns))]}
-                algorithm[f"seed_{block.number}"] = {**steps, "absolute_metrics": absolute}
+            for k, (scale, returns) in enumerate(
+                zip(one["replications"], _scaled(cell["scores"], one["replications"]), strict=True)
+            ):
+                curve = row.curves[k % len(row.curves)] if row.curves else ()
+                steps = {}
+                for i, (step, mean) in enumerate(curve):
+                    reached = (mean - scale["random"]) / max(scale["clairvoyant"] - scale["random"], 1e-9)
+                    steps[f"step_{i}"] = {"step_count": step, "return": [reached]}
+                steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns.tolist()}
+                algorithm[f"seed_{k}"] = {**steps, "absolute_metrics": {"return": [float(returns.mean())]}}
     return {"chemlab": tasks}
 
 
