@@ -54,6 +54,9 @@ autodoc_mock_imports = [
     "PIL",
     "pygame",
     "ray",
+    "torchrl",
+    "tensordict",
+    "benchmarl",
 ]
 
 # References that lead nowhere are errors where they are ours; there are no other projects' indexes without a network.

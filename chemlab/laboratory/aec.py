@@ -97,7 +97,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         reaction_model: replaces the kinetics (see :class:`chemlab.bench.models.ReactionModel`).
         separation_model: replaces layers and partition (see :class:`chemlab.bench.models.SeparationModel`).
         split: which worlds there may be (see :mod:`chemlab.world`).
-        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (:meth:`~chemlab.scenario.Scenario.with_actions`).
 
     Raises:
         DataError: the scenario is wrong or unknown.

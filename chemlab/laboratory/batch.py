@@ -43,7 +43,7 @@ class BatchedLaboratory:
         split: which worlds there may be (see :mod:`chemlab.world`).
         autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
             before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
-        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (:meth:`~chemlab.scenario.Scenario.with_actions`).
 
     Raises:
         DataError: the scenario is wrong or unknown.

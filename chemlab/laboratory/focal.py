@@ -77,7 +77,7 @@ class FocalVectorEnv(BatchEnv):
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
         split: which worlds there may be (see :mod:`chemlab.world`).
-        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (:meth:`~chemlab.scenario.Scenario.with_actions`).
         max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:

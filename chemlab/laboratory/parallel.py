@@ -46,7 +46,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         reaction_model, separation_model: physics of your own (see :mod:`chemlab.bench.models`).
         split: which worlds there may be (see :mod:`chemlab.world`).
-        actions: replaces the scenario's: ``native`` or ``discrete`` (see :meth:`Scenario.with_actions`).
+        actions: replaces the scenario's: ``native`` or ``discrete`` (:meth:`~chemlab.scenario.Scenario.with_actions`).
 
     Raises:
         DataError: the scenario is wrong or unknown.

@@ -1,0 +1,66 @@
+"""Put the table of the committed audits into README.md and docs/worlds.md: ``python docs/audits.py``.
+
+One is made by ``chemlab audit SCENARIO --budget small --out docs/results/audits/SCENARIO.json``; with ``--all`` this
+makes all of them that are missing, or were made of a scenario that has changed since.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from chemlab.files import replace_between
+from chemlab.scenario import load_scenario, scenario_names
+
+__all__ = ["FOLDER", "PAGES", "audits", "table"]
+
+ROOT = Path(__file__).parent.parent
+FOLDER = ROOT / "docs" / "results" / "audits"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "worlds.md")
+_NUMBERS = ("blind", "reference", "worth_of_measuring", "headroom", "noise")
+
+
+def audits() -> list[dict[str, Any]]:
+    """The committed audits, by name of scenario; those of worlds first."""
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))]
+    return sorted(found, key=lambda audit: not load_scenario(audit["scenario"]).world.draws)
+
+
+def _cells(audit: dict[str, Any]) -> list[str]:
+    numbers = [audit[name]["value"] for name in _NUMBERS]
+    worths = [bench["value"] for bench in audit["worth_of_bench"].values()]
+    numbers.insert(3, min(worths, default=None))
+    missed = [gate for gate, met in audit["gates"].items() if met is False]
+    return [
+        f"`{audit['scenario']}`",
+        *("" if number is None else f"{number:.2f}" for number in numbers),
+        ", ".join(missed) or "none",
+    ]
+
+
+def table() -> list[str]:
+    """The committed audits as a Markdown table."""
+    heads = ["scenario", "blind", "scripted", "measuring", "least bench", "headroom", "noise", "gates not met"]
+    rows = [heads, ["---"] + ["--:"] * 6 + ["---"], *(_cells(audit) for audit in audits())]
+    return [f"| {' | '.join(row)} |" for row in rows]
+
+
+def stale() -> list[str]:
+    """Shipped scenarios without an audit of what they are now."""
+    hashes = {audit["scenario"]: audit["scenario_hash"] for audit in audits()}
+    return [name for name in scenario_names() if hashes.get(name) != load_scenario(name).hash]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--all", action="store_true", help="make what is missing or out of date first")
+    for name in stale() if parser.parse_args().all else ():
+        print(f"audit of {name}", flush=True)
+        target = str(FOLDER / f"{name}.json")
+        subprocess.run([sys.executable, "-m", "chemlab", "audit", name, "--out", target], check=True)
+    for page in PAGES:
+        replace_between(page, "audits", table())
