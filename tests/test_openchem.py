@@ -335,6 +335,18 @@ def test_three_commands_make_a_laboratory_that_scripted_agents_play(acetate: Pat
     assert played["score"] > random["score"] + 0.2
 
 
+def test_what_stays_solid_is_left_behind(tmp_path: Path) -> None:
+    # Sodium must not meet water, so nothing is washed: the salt stays in the pot, and the goal is taken over.
+    family, lab = tmp_path / "coupling.toml", tmp_path / "lab.toml"
+    run("reactions", "--smarts", WURTZ, "--reactants", "1-chlorohexane", "Na", "-o", family)
+    run("new", "coupling_lab", "--reactions", family, "-o", lab)
+    assert list(load_scenario(lab).benches) == ["rxn", "dit"]
+    played = json.loads(run("run", lab, "--json").stdout)
+    assert played["submitted_mol"] > 0.2
+    assert played["purity"] > 0.97
+    assert played["safety_events"].get("metal_in_water_mol", 0.0) == 0.0
+
+
 def test_what_is_fed_follows_from_the_reactions_backwards() -> None:
     steps = [
         ({"a": 2, "b": 1}, {"m": 1}),

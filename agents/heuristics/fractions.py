@@ -26,8 +26,8 @@ STRIP, SWAP, COLLECT = range(3)
 
 class FractionHeuristic(RealDistillationHeuristic):
     """Boils off what boils below the goal; where a column can part it from something heavier that may be there, changes
-    the receiver and takes the goal over, up to halfway to what boils next. Which liquids there may be, and where they
-    boil, is public.
+    the receiver and takes the goal over, up to halfway to what boils next. So it does with solids that nobody washes
+    out. What there may be, and where it boils, is public.
 
     Args:
         bench: the bench it is for.
@@ -38,10 +38,14 @@ class FractionHeuristic(RealDistillationHeuristic):
         super().__init__(bench, careful)
         materials = bench.scenario.materials
         liquids = [m.boiling_point_k for m in materials.values() if m.role == "solvent"]
+        washed = any(other.kind == "extraction" for other in bench.scenario.benches.values())
+        solids = not washed and any(m.role == "solid" for m in materials.values())
         self._until_k: list[float | None] = []
         for goal in bench.goals.names:
             boils = materials[goal].boiling_point_k
             heavier = min((t for t in liquids if t > boils + _HEAVIER_K), default=None)
+            if heavier is None and solids:
+                heavier = boils + 2.0 * _HEAVIER_K
             over = bench.options.stages > 1 and heavier is not None and boils < bench.options.hottest_k
             self._until_k.append(0.5 * (boils + heavier) if over and heavier is not None else None)
         processes = bench.options.process

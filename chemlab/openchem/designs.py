@@ -37,6 +37,8 @@ _LIFETIMES = (8.0, 40.0)
 order, and of higher orders, which slow down as they go."""
 _STEPS = 60
 _CLOCK_S = 60.0
+_CALM_W = 150.0
+"""Heat of reaction that a flask of this size gets rid of, if it comes within half an experiment."""
 _PARTED = 30.0
 """Ratio of two materials above and below a cut that a column is to reach."""
 _MOST_STAGES = 15
@@ -121,7 +123,8 @@ def _liquid(material: Material) -> bool:
 
 
 def _crystallizes(material: Material) -> bool:
-    return material.role == "solute" and material.real is not None and material.real.fusion_enthalpy_j_mol is not None
+    solid = (material.melting_point_k or 0.0) > ROOM_K and material.role == "solute"
+    return solid and material.real is not None and material.real.fusion_enthalpy_j_mol is not None
 
 
 def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Material]) -> str:
@@ -221,8 +224,8 @@ def design(
     crystallizing = _crystallizes(materials[goal])
     liquids = [materials[k].boiling_point_k for k in (*fed, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
-    tick = _tick(goal, family, warm, litre, fed)
     heat = sum(abs(_heat(step, materials)) for step in _steps_to(goal, family).values()) * mol
+    tick = max(_tick(goal, family, warm, litre, fed), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
     charge = _Charge(goal, solvent, fed, in_solvent, tick, warm, heat, washing, crystallizing, present)
     benches = _benches(charge, materials)
