@@ -235,6 +235,7 @@ BONDING = {
     "benzoic_acid",
     "salicylic_acid",
     "acetylsalicylic_acid",
+    "pyrrolidine",
 }
 
 

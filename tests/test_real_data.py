@@ -40,6 +40,7 @@ MATERIALS = shipped_materials()
 KNOWN = {name: material for name, material in MATERIALS.items() if material.real is not None}
 VOLATILE = sorted(name for name, material in KNOWN.items() if real(material).vapor_pressure)
 NEW = {name: table for file in ("organics", "acids") for name, table in read_toml(DATA / f"{file}.toml").items()}
+NEW |= {name: table for name, table in read_toml(DATA / "snar.toml").items() if "cas" in table}
 FICTITIOUS = set(read_toml(DATA / "fictitious.toml"))
 
 
@@ -73,8 +74,10 @@ REFERENCES: dict[str, tuple[str, float, str]] = {
     "benzoic_acid": ("ANTOINE_WEBBOOK", 0.04, "a solid; the compilations disagree on its boiling point by 1.4 K"),
     "2-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
     "3-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
+    "pyrrolidine": ("LANDOLT", 0.03, ""),
 }
 ESTIMATED = {"4-ethyldecane", "5,6-dimethyldecane", "4-ethyl-5-methylnonane", "4,5-diethyloctane"}
+ESTIMATED |= {"2,4-difluoronitrobenzene", "ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"}
 ONE_SOURCE = {"5-methylundecane"}
 
 
@@ -242,7 +245,9 @@ def test_critical_temperatures_agree_with_a_second_source(name: str) -> None:
         for m in package.Tc_methods(cas)
         if f"[{m}]" not in material.source["critical_temperature_k"]
     ]
-    assert material.critical_temperature_k == pytest.approx(min(others, key=lambda t: abs(t - material.critical_temperature_k)), rel=0.02)  # type: ignore[operator]  # fmt: skip  # noqa: E501
+    # Of the nitro compound there are only estimates, by groups and by atoms, which differ by 7 %.
+    tolerance = 0.08 if name == "2,4-difluoronitrobenzene" else 0.02
+    assert material.critical_temperature_k == pytest.approx(min(others, key=lambda t: abs(t - material.critical_temperature_k)), rel=tolerance)  # type: ignore[operator]  # fmt: skip  # noqa: E501
 
 
 PROPERTIES = (
@@ -339,6 +344,17 @@ def test_all_ions_have_one_polarity() -> None:
     assert {m.polarity for m in MATERIALS.values() if m.role == "ion"} == {1.3}
 
 
+@pytest.mark.parametrize(
+    ("reaction", "rate", "activation"), [(0, 0.579, 33.3), (1, 0.027, 35.3), (2, 0.00865, 38.9), (3, 0.0163, 44.8)]
+)
+def test_the_substitution_has_its_published_rates_at_90_degrees(reaction: int, rate: float, activation: float) -> None:
+    """L/mol/s and kJ/mol of Hone et al. (2017), as the Summit benchmark has them."""
+    step = load_reactions("snar", MATERIALS).reaction[reaction]
+    energy = step.activation_energy_j_mol
+    assert energy == pytest.approx(1000.0 * activation)
+    assert step.pre_exponential * math.exp(-energy / (GAS_CONSTANT * 363.15)) == pytest.approx(rate, rel=1e-4)
+
+
 # Form ---------------------------------------------------------------------------------------------------------------
 
 
@@ -362,6 +378,14 @@ FLASKS = {
     "aspirin": ["salicylic_acid", "acetic_anhydride", "acetylsalicylic_acid", "acetic_acid", "water", "ethanol"],
     "acid-base": ["benzoic_acid", "naphthalene", "benzoate", "Na+", "OH-", "H+", "Cl-", "water", "diethyl_ether"],
     "recrystallization": ["acetanilide", "benzoic_acid", "naphthalene", "ethanol", "water", "hexane"],
+    "substitution": [
+        "2,4-difluoronitrobenzene",
+        "pyrrolidine",
+        "ethanol",
+        "ortho_pyrrolidinyl",
+        "para_pyrrolidinyl",
+        "bis_pyrrolidinyl",
+    ],
     "wurtz with olefins": ["1-chlorohexane", "dodecane", "hexane", "1-hexene", "trans-2-hexene", "NaCl", "Na"],
 }
 

@@ -40,6 +40,8 @@ World = int | Mapping[str, Any]
 
 _SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point"})
 """Parameters that may not be drawn: they hang together, or order materials."""
+_SIGNED = frozenset({"formation", "equilibrium_heat", "acid_heat", "acid_pk"})
+"""Parameters that may be of either sign."""
 
 _APART = 0xD1B54A32D192ED03
 """Between the counters of two devices' streams: odd, and no small multiple of what a stream advances by."""
@@ -178,7 +180,10 @@ class Worlds:
         ends = {"factor": (base * low, base * high), "offset": (base + low, base + high)}.get(draw.change, (low, high))
         # What is above 0 in the files has to stay so: nothing has no heat capacity.
         least = np.broadcast_to(np.minimum(*ends), np.shape(base))
-        if not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
+        if draw.what in _SIGNED:
+            if not np.isfinite([*np.ravel(ends[0]), *np.ravel(ends[1])]).all():
+                raise DataError(f"{where}: {draw.what} has no bounds; give low and high")
+        elif not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
             raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
         return _Parameter(draw.what, entries if axis else None, columns if axis else np.array([first]), draw.change)
 

@@ -79,6 +79,11 @@ GROUPS: dict[str, dict[str, int]] = {
     # Groups of an isomer, for molecules that neither form of UNIFAC can build.
     "acetanilide": {"ACH": 5, "AC": 1, "CONHCH3": 1},  # N-methylbenzamide
     "acetic_anhydride": {"CH3CO": 1, "CH3COO": 1},  # the halves as a ketone and an ester
+    "2,4-difluoronitrobenzene": {"ACH": 3, "ACF": 2, "ACNO2": 1},
+    # A nitrogen between a ring and two CH2 as that of a tertiary aliphatic amine; isomers of place are alike.
+    "ortho_pyrrolidinyl": {"ACH": 3, "AC": 1, "ACF": 1, "ACNO2": 1, "CY-CH2": 3, "CH2N": 1},
+    "para_pyrrolidinyl": {"ACH": 3, "AC": 1, "ACF": 1, "ACNO2": 1, "CY-CH2": 3, "CH2N": 1},
+    "bis_pyrrolidinyl": {"ACH": 3, "AC": 2, "ACNO2": 1, "CY-CH2": 6, "CH2N": 2},
 }
 
 APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "AC", "ACCH3", "ACCH2", "ACCH"} | {

@@ -19,6 +19,7 @@ from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.materials import DataError
 from chemlab.record import Recorder, verify_record
 from chemlab.scenario import Scenario, load_scenario
 
@@ -424,3 +425,31 @@ def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path
         env.step(action)
         recorder.turn([Play(0, seen, mask[0], action)])
     assert verify_record(path, spec).status == "ok"
+
+
+# -- numbers of either sign -------------------------------------------------------------------------------------------
+
+
+def estimated(distribution: dict[str, Any]) -> Scenario:
+    """The coupling with real physics, and salt of which the formation enthalpy is not known well."""
+    draw = {"what": "formation", "of": ["NaCl"], "change": "offset", "distribution": distribution}
+    head = {"base": "wurtz_real", "name": "warm", "title": "warm", "summary": "warm"}
+    return load_scenario({**head, "world": {"draws": {"heat": draw}}})
+
+
+def test_a_formation_enthalpy_may_be_drawn_though_it_is_below_0() -> None:
+    labs = Laboratories(estimated({"kind": "uniform", "low": -5000.0, "high": 5000.0}), 3)
+    for member in range(3):
+        labs.seed(member, np.random.SeedSequence(member))
+    labs.reset(labs.members)
+    formation = labs.shelf.chemistry.parameters["formation"]
+    salt = labs.shelf.layout.index("NaCl")
+    assert formation[0, salt] == pytest.approx(-411_200.0, abs=1000.0)
+    drawn = [labs.worlds.values(member)["heat"]["NaCl"] for member in range(3)]
+    assert formation[1:, salt] == pytest.approx(formation[0, salt] + np.array(drawn), rel=1e-12)
+    assert len(set(drawn)) == 3
+
+
+def test_what_may_be_of_either_sign_needs_bounds() -> None:
+    with pytest.raises(DataError, match=r"world\.draws\.heat: formation has no bounds; give low and high"):
+        Laboratories(estimated({"kind": "normal", "mean": 0.0, "sd": 1000.0}))
