@@ -315,6 +315,7 @@ class Laboratories:
             *calls,
             lambda: manager_act(none, none, *handles),
             lambda: self._measure(none, none),
+            lambda: wear.wear_out(self.benches[0], self.experiments[0], none),
             lambda: manager_observe(none, *handles, np.empty((0, self.observation_sizes[0]), dtype=np.float32)),
             lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
             lambda: self.mask(0, none),
