@@ -847,6 +847,7 @@ SHIPPED = {
     "fictitious": "e4e595031b3892f0",
     "recrystallization": "cea8bddcbb6fadde",
     "salt_from_oil": "54ffe9afe9e10370",
+    "selectivity": "5c0f85d5551c3a8b",
     "unlabelled": "9b4b93351e0fa3b3",
     "wurtz_any": "fa70cae24b53b146",
     "wurtz_dodecane": "ecbc7ee1323dedc8",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import mapping
 
-from chemlab.agents.heuristics.foresee import ForeseeingManager, _foreseen, _public, _stages, foresees
+from chemlab.agents.heuristics.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies, manager_heuristic
 from chemlab.laboratory.core import Laboratories
@@ -49,6 +49,10 @@ def test_what_vessels_share_is_weighed_as_the_sum_over_all_worlds_has_it() -> No
 def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
     assert foresees(load_scenario("crude"))
     assert isinstance(manager_heuristic(Laboratories("crude")), ForeseeingManager)
+    assert foresees(load_scenario("selectivity"))
+    # Six vessels have nothing in common; rate constants are the same in all three solutions, strengths are not.
+    assert _sizes(load_scenario("crude")) == (1, 512)
+    assert _sizes(load_scenario("selectivity")) == (12, 32)
     values = mapping("crude")
     values["shelf"]["vessel"][0]["contents"]["NaCl"] = 0.2
     assert not foresees(load_scenario(values))
