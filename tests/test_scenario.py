@@ -846,6 +846,8 @@ SHIPPED = {
     "failing": "51e92bbf5a909764",
     "fictitious": "e4e595031b3892f0",
     "recrystallization": "cea8bddcbb6fadde",
+    "relay": "fe0ad2502f9d2816",
+    "rush": "3e6b88a30ed35ecc",
     "salt_from_oil": "54ffe9afe9e10370",
     "unlabelled": "9b4b93351e0fa3b3",
     "wurtz_any": "fa70cae24b53b146",
