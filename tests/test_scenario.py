@@ -846,7 +846,7 @@ SHIPPED = {
     "failing": "51e92bbf5a909764",
     "fictitious": "e4e595031b3892f0",
     "recrystallization": "cea8bddcbb6fadde",
-    "relay": "fe0ad2502f9d2816",
+    "relay": "71aa038f2f5788a1",
     "rush": "3e6b88a30ed35ecc",
     "salt_from_oil": "54ffe9afe9e10370",
     "unlabelled": "9b4b93351e0fa3b3",
