@@ -146,11 +146,13 @@ class ConstantPlan(Playback):
         slices = channel_slices(channels)
         self._goals = [slices[name] for name, _ in order_channels(scenario)]
         self._known = {context: number for number, context in enumerate(contexts)}
-        self._names = scenario.goals
+        self._names = scenario.lab_goals
+        self._asked = [scenario.goals.index(goal) for goal in scenario.lab_goals]
 
     def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
-        """[B] number of the context that each observation [B, size] shows."""
-        goals = np.stack([observation[:, part].argmax(axis=1) for part in self._goals], axis=1)
+        """[B] number of the context that each observation [B, size] shows; of orders that have not come, the first goal
+        that they may be for."""
+        goals = np.stack([observation[:, part][:, self._asked].argmax(axis=1) for part in self._goals], axis=1)
         return np.array([self._known[tuple(self._names[g] for g in row)] for row in goals], dtype=np.int64)
 
 

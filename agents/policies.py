@@ -29,6 +29,7 @@ from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
 from .heuristics.real import RealExtractionHeuristic, RealReactionHeuristic
+from .heuristics.schedule import SchedulingManager, has_orders_to_schedule
 from .heuristics.upkeep import UpkeepManager, has_wearing_lines
 from .plans import plan_for
 from .pretrained import pretrained_for
@@ -188,7 +189,7 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "direct", "forgetful", "random", "pretrained", "trained", "plan")
+    return ("heuristic", "hasty", "direct", "forgetful", "serial", "random", "pretrained", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -197,7 +198,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
-            (scripted, but the manager forgets what it has found out when a batch is over), ``random``,
+            (scripted, but the manager forgets what it has found out when a batch is over), ``serial`` (scripted, but
+            the manager takes one order at a time, as they come), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
             policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
             or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
@@ -293,7 +295,7 @@ def agent_policy(
         return bench_heuristic(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
-    return manager_heuristic(laboratories, careful, washing, own != "forgetful")
+    return manager_heuristic(laboratories, careful, washing, own != "forgetful", own != "serial")
 
 
 def is_scripted(bench: Bench) -> bool:
@@ -324,7 +326,11 @@ def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.Se
 
 
 def manager_heuristic(
-    laboratories: Laboratories, careful: bool = True, skip: Collection[str] = (), remember: bool = True
+    laboratories: Laboratories,
+    careful: bool = True,
+    skip: Collection[str] = (),
+    remember: bool = True,
+    schedule: bool = True,
 ) -> Policy:
     """The scripted manager for some laboratories.
 
@@ -333,13 +339,18 @@ def manager_heuristic(
         careful: False leaves out what only safety and measuring are for.
         skip: benches it does without.
         remember: False forgets what it has found out when a batch is over.
+        schedule: False takes one order at a time, as they come.
 
     Raises:
-        ValueError: it is to forget, and has nothing to.
+        ValueError: it is to forget, and has nothing to; or to take orders one at a time, and knows no other way.
     """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
     given = labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip
+    if has_orders_to_schedule(labs.scenario) and remember:
+        return SchedulingManager(*given, schedule=schedule)
+    if not schedule:
+        raise ValueError(f"serial: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(*given, remember=remember)
     if foresees(labs.scenario) and (remember or labs.scenario.orders > 1):

@@ -70,7 +70,10 @@ def record_starts(
         {bench key, or ``submit``: starting states}.
     """
     every_goal = scenario.model_copy(
-        update={"lab_goals": scenario.goals, "theoretical_maximum_mol": dict.fromkeys(scenario.goals, 1.0)}
+        update={
+            "lab_goals": scenario.goals,
+            "theoretical_maximum_mol": {g: scenario.theoretical_maximum_mol.get(g, 1.0) for g in scenario.goals},
+        }
     )
     env = raw_env(every_goal)
     labs, manager = env.laboratories, env.possible_agents[0]

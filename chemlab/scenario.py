@@ -38,7 +38,15 @@ from .reactions import (
     check_without_real,
     load_reactions,
 )
-from .world import DEVICE_QUANTITIES, VESSEL_QUANTITIES, Draw, WorldSpec, draw_limits
+from .world import (
+    DEVICE_QUANTITIES,
+    ORDER_QUANTITIES,
+    VESSEL_QUANTITIES,
+    Draw,
+    WorldSpec,
+    changed_limits,
+    draw_limits,
+)
 
 __all__ = [
     "PHYSICS_TIERS",
@@ -47,11 +55,14 @@ __all__ = [
     "BenchSpec",
     "Companion",
     "CostSpec",
+    "DemandSpec",
     "DriftSpec",
+    "GradeSpec",
     "InstrumentSpec",
     "LimitSpec",
     "ManagerSpec",
     "OrderSpec",
+    "OrderTerms",
     "RealSpec",
     "RewardSpec",
     "SafetySpec",
@@ -106,7 +117,7 @@ class ShelfSpec(Grown):
     """The shared shelf: a number of slots and what stands in the first of them."""
 
     model_config = _FROZEN
-    _later = ("gauge",)
+    _later = ("gauge", "tick")
 
     slots: int = Field(ge=1, le=64)
     """Places for vessels."""
@@ -115,6 +126,9 @@ class ShelfSpec(Grown):
     vessels."""
     gauge: float = Field(default=0.0, ge=0.0, le=0.5)
     """Step of the marks that the manager reads a vessel's fill level by, as a share of its capacity; 0: exactly."""
+    tick: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Reaction time of a tick for vessels at rest, in the unit of the rate constants: what they hold goes on reacting
+    at the temperature of the room (physics ``paper``; with ``real`` it always does). 0: nothing reacts on the shelf."""
 
     @model_validator(mode="after")
     def _fits(self) -> ShelfSpec:
@@ -186,7 +200,7 @@ class BenchSpec(Grown):
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
-    _later = ("observe", "reward", "actions", "wear")
+    _later = ("observe", "reward", "actions", "wear", "report")
 
     kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
@@ -202,6 +216,9 @@ class BenchSpec(Grown):
     """``native``: as the bench's kind has them; ``discrete``: where those are continuous, a choice among some."""
     wear: WearSpec | None = None
     """How its apparatus errs, drifts and breaks; none: it does as it is told. The manager may have it repaired."""
+    report: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard deviation of what the bench's own sensors say of an experiment when it ends, on the scale from 0 to 1:
+    mol of the goal, its purity, ticks taken. The manager sees it without paying; left out: nothing is said."""
     start: StartSpec = StartSpec()
     """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
 
@@ -349,6 +366,41 @@ class OrderSpec(Grown):
     salt; the score counts that purity, too. Empty: everything in the vessel."""
 
 
+class OrderTerms(OrderSpec):
+    """When an order comes, what it asks for, and what it pays."""
+
+    arrives: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Tick at which the manager hears of it; before that nothing can be submitted for it."""
+    within: float | None = Field(default=None, ge=0.0, le=1e6)
+    """Ticks from then on in which a submission is in time; left out: as long as the episode lasts."""
+    price: float = Field(default=1.0, ge=0.0, le=1e3)
+    """What it pays when it is met, in shares of the score that are the same for every order."""
+
+
+class GradeSpec(OrderSpec):
+    """What the manager may ask of an experiment besides its goal. Its agent sees it, and earns nothing for what falls
+    short of it."""
+
+    ticks: int | None = Field(default=None, ge=1, le=10_000)
+    """Ticks that the experiment may take; left out: the bench's step limit."""
+
+
+class DemandSpec(BaseModel):
+    """Orders that come over time, each with terms of its own. An order pays its price for a submission that is in time
+    and as it was asked for, whatever is above that; the score is the mean over the orders, less all costs."""
+
+    model_config = _FROZEN
+
+    order: tuple[OrderTerms, ...] = Field(default=(), max_length=16)
+    """Terms of every order; nothing: all orders are there from the beginning, and are paid by amount and purity."""
+    late: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of its price that an order pays for a submission that is late. Where that is nothing, the episode is over
+    once no order can pay any more."""
+    short: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of its price that an order pays for a submission that has less of the goal, or less pure, than was asked
+    for; nothing where it has none of it."""
+
+
 class ManagerSpec(BaseModel):
     """What the manager sees and earns beyond what every manager does."""
 
@@ -382,7 +434,7 @@ class Scenario(Grown):
     """
 
     model_config = _FROZEN
-    _later = ("physics", "manager", "real", "pair_files", "world", "specifications")
+    _later = ("physics", "manager", "real", "pair_files", "world", "specifications", "demand", "grades")
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
@@ -432,6 +484,10 @@ class Scenario(Grown):
     """How rewards are shared; numbers, or a mix's name."""
     specifications: dict[Key, OrderSpec] = Field(default={}, max_length=64)
     """What submissions for a laboratory goal have to be at least."""
+    grades: dict[Key, GradeSpec] = Field(default={}, max_length=16)
+    """What the manager may ask of an experiment besides its goal, by name: it starts one for a goal and a grade."""
+    demand: DemandSpec = DemandSpec()
+    """Orders that come over time, with deadlines, prices and terms of their own."""
     world: WorldSpec = WorldSpec()
     """What is drawn for an episode and not told."""
 
@@ -452,9 +508,11 @@ class Scenario(Grown):
         for key in self.benches:
             if not re.fullmatch("[a-z]+", key) or key == "manager":
                 raise ValueError(f"benches.{key}: a bench's key is lower-case letters, and manager is taken")
-        starts = len(self.bench_agents()) * self.shelf.slots * len(self.goals)
+        starts = len(self.bench_agents()) * self.shelf.slots * len(self.goals) * max(len(self.grades), 1)
         if starts > _MOST_STARTS:
-            raise ValueError(f"benches x slots x goals: the manager could start {starts}; at most {_MOST_STARTS}")
+            raise ValueError(
+                f"benches x slots x goals x grades: the manager could start {starts}; at most {_MOST_STARTS}"
+            )
         for name, goals in (("goals", self.goals), ("lab_goals", self.lab_goals)):
             if len(set(goals)) != len(goals):
                 raise ValueError(f"{name}: a goal is listed twice")
@@ -466,6 +524,18 @@ class Scenario(Grown):
         for goal, wanted in self.specifications.items():
             if wanted.purity_among and goal not in wanted.purity_among:
                 raise ValueError(f"specifications.{goal}.purity_among: {goal!r} itself must be one of them")
+        for name, draw in self.world.draws.items():
+            unknown = [key for key in draw.told if key not in self.benches]
+            if unknown:
+                raise ValueError(
+                    f"world.draws.{name}.told: {unknown[0]!r} is not one of benches ({', '.join(self.benches)})"
+                )
+        if self.demand.order and len(self.demand.order) != self.orders:
+            raise ValueError(
+                f"demand.order: give one for each of orders = {self.orders}, given {len(self.demand.order)}"
+            )
+        if self.shelf.tick and self.physics != "paper":
+            raise ValueError(f"shelf.tick: vessels age by themselves with physics = {self.physics!r}; leave it out")
         for goal in self.lab_goals:
             if goal not in self.theoretical_maximum_mol:
                 raise ValueError(f"theoretical_maximum_mol.{goal}: must be given and above 0")
@@ -606,6 +676,8 @@ def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> N
         here = f"{where}: world.draws.{key}"
         if draw.what in DEVICE_QUANTITIES:
             _check_devices(spec, draw, here)
+        if draw.what in ORDER_QUANTITIES:
+            _check_terms(spec, draw, here)
         if draw.what not in VESSEL_QUANTITIES:
             continue
         for name in draw.of:
@@ -645,6 +717,21 @@ def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
         raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
 
 
+def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of orders that are not there, or of terms that no order may have."""
+    terms = {f"order_{o}": order for o, order in enumerate(spec.demand.order)}
+    for name in draw.of:
+        if name not in terms:
+            raise DataError(
+                f"{where}.of: unknown order {name!r}; known: {', '.join(terms) or 'none: give demand.order'}"
+            )
+        given = getattr(terms[name], draw.what)
+        if given is None and draw.change != "value":
+            raise DataError(f"{where}.change: {name} has no {draw.what} to change; give it one, or change = 'value'")
+        for number in changed_limits(draw, 0.0 if given is None else given):
+            validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
+
+
 def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
     low, high = draw_limits(draw)
     if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
@@ -652,7 +739,7 @@ def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str,
     if draw.what != "amount":
         return  # litre for litre
     mol = start.contents[str(draw.material)]
-    least, most = {"factor": (low * mol, high * mol), "offset": (low + mol, high + mol)}.get(draw.change, (low, high))
+    least, most = changed_limits(draw, mol)
     material = known[str(draw.material)]
     litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
     litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l

@@ -31,6 +31,7 @@ from .tables import Table
 
 __all__ = [
     "DEVICE_QUANTITIES",
+    "ORDER_QUANTITIES",
     "SPLITS",
     "VESSEL_QUANTITIES",
     "Choice",
@@ -44,6 +45,7 @@ __all__ = [
     "Variables",
     "WorldDraws",
     "WorldSpec",
+    "changed_limits",
     "compile_draws",
     "draw_limits",
     "draw_worlds",
@@ -75,6 +77,9 @@ VESSEL_QUANTITIES = ("identity", "amount", "titre")
 
 DEVICE_QUANTITIES = ("gain", "life", "bias", "trend")
 """What may be drawn of benches that wear (gain, life) and of instruments that drift (bias, trend)."""
+
+ORDER_QUANTITIES = ("arrives", "within", "price", "amount_at_least_mol", "purity_at_least")
+"""What may be drawn of the terms of an order."""
 
 
 # -- what a file says -------------------------------------------------------------------------------------------------
@@ -156,21 +161,23 @@ class Permutation(BaseModel):
 Distribution = Annotated[Uniform | Normal | Lognormal | Choice | Permutation, Bound(discriminator="kind")]
 
 
-class Draw(BaseModel):
+class Draw(Grown):
     """A declared draw: one or several numbers of one kind."""
 
     model_config = _FROZEN
+    _later = ("told",)
 
     what: Name
     """``identity`` (which material a vessel really holds where the file says ``material``, litre for litre), ``amount``
     (how much of ``material`` it holds) or ``titre`` (which share of ``material`` is that; the rest is ``inert``, litre
     for litre) of the vessels ``of``; ``gain`` or ``life`` of benches that wear, ``bias`` or ``trend`` of instruments
-    that drift, as an episode begins; or a parameter of the chemistry, as ``pre_exponential`` and
+    that drift, as an episode begins; ``arrives``, ``within``, ``price``, ``amount_at_least_mol`` or
+    ``purity_at_least`` of the orders ``of``; or a parameter of the chemistry, as ``pre_exponential`` and
     ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``, ``ambient_temperature``."""
     of: tuple[Name, ...] = Bound(default=(), max_length=_MOST_TARGETS)
     """Whose: slots of the shelf (``slot_0``) and benches whose own starting vessel is meant (``rxn``), benches of a
-    laboratory (``rxn_0``; ``rxn``: on its own), instruments, reactions as equations (``A + D -> F``), materials;
-    nothing for a number that is not anybody's."""
+    laboratory (``rxn_0``; ``rxn``: on its own), instruments, orders (``order_0``), reactions as equations
+    (``A + D -> F``), materials; nothing for a number that is not anybody's."""
     material: Name | None = None
     """Of vessels: the material that the file says is in them."""
     inert: Name | None = None
@@ -185,6 +192,8 @@ class Draw(BaseModel):
     """Draws of a group rise and fall together."""
     correlation: float = Bound(default=1.0, ge=0.0, le=1.0)
     """Of normal scores: the square of what a number has in common with its group."""
+    told: tuple[Name, ...] = Bound(default=(), max_length=16)
+    """Benches, by key, whose agents see what has been drawn; nobody else does."""
     test: tuple[tuple[Number, Number] | Name, ...] = Bound(default=(), max_length=16)
     """Regions [low, high] of the number (options by name) that training and validation never draw from; a world of the
     test split may be anywhere."""
@@ -202,6 +211,8 @@ class Draw(BaseModel):
             raise ValueError("of: name at least one vessel, as slot_0")
         if self.what in DEVICE_QUANTITIES and not self.of:
             raise ValueError("of: name at least one bench or instrument")
+        if self.what in ORDER_QUANTITIES and not self.of:
+            raise ValueError("of: name at least one order, as order_0")
         if len(set(self.of)) != len(self.of):
             raise ValueError("of: somebody is named twice")
         self._check_options()
@@ -409,6 +420,12 @@ def draw_limits(draw: Draw) -> tuple[float, float]:
     """Lowest and highest number that a draw can come to; of materials, nothing is said."""
     numbers = [option for option in _options(draw) if not isinstance(option, str)]
     return (min(numbers), max(numbers)) if numbers else _numbers(draw)[3:]
+
+
+def changed_limits(draw: Draw, given: float) -> tuple[float, float]:
+    """Lowest and highest that a draw can make of a number that the files give (0 at least, or else a value)."""
+    low, high = draw_limits(draw)
+    return {"factor": (low * given, high * given), "offset": (low + given, high + given)}.get(draw.change, (low, high))
 
 
 def _options(draw: Draw) -> tuple[Option, ...]:

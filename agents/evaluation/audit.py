@@ -13,14 +13,19 @@ best policy, the best plan, the best donor) is chosen on others.
 | ``worth_of_measuring`` | reference less the best without instruments |
 | ``worth_of_bench`` | by key, reference less the best that never uses it |
 | ``worth_of_memory`` | reference less the same policy without what it remembers of earlier batches |
-| ``coordination`` | the team's result less that of its orders one at a time, each in a laboratory of its own |
-| ``contention`` | moments at which an agent is kept waiting by another |
+| ``worth_of_reports`` | reference less the same policy where benches say nothing of what they have made |
+| ``coordination`` | the team's result less that of its orders run apart |
+| ``contention`` | moments at which an order is kept waiting by another, in an episode, by what for |
 | ``headroom`` | 1 less the reference |
 | ``generalization`` | reference in test less in train |
 | ``noise`` | standard deviation of one constant plan's score over episodes |
 
 Blind play is a donor's actions played again by everybody; a constant plan of the manager, found by a search, over
 benches that see; and that plan with the benches' actions of a donor's episode played again, too.
+
+Orders that are all there from the beginning are run apart each in a laboratory of its own. Orders that come over time
+contend for one laboratory: apart means that each is worked on by itself, in the order in which they come, and none is
+let go for another. Who also hears from benches what they have made is told from who does not: ``worth_of_reports``.
 
 Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % bootstrap interval over episodes; what cannot be said
 is null, with a ``reason``.
@@ -50,6 +55,7 @@ from ..player import play_laboratory
 from ..policies import make_policies, manager_heuristic
 from ..runs import versions
 from . import statistics
+from .contention import CONTENDED, Contention
 from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
 
 __all__ = ["BUDGETS", "GATES", "AuditBudget", "audit", "job_count", "measure_rows", "verdict"]
@@ -132,8 +138,13 @@ def _play(
     instruments: bool = True,
     without: str = "",
     episodes: int | None = None,
+    contended: bool = False,
+    reports: bool = True,
 ) -> dict[str, Any]:
     """Scores of a policy by name in so many episodes (default: the budget's), or None where none of this name fits."""
+    if not reports:
+        mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
+        scenario = scenario.model_copy(update={"benches": mute})
     if not instruments:
         limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
         scenario = scenario.model_copy(update={"limits": limits})
@@ -142,11 +153,16 @@ def _play(
         found = make_policies(policy, labs, seed)
         if without:
             found[MANAGER_AGENT] = manager_heuristic(labs, policy != "hasty", [without])
+        if contended:
+            found[MANAGER_AGENT] = counter = Contention(found[MANAGER_AGENT], labs)
+            counters.append(counter)
         return found
 
+    counters: list[Contention] = []
     try:
         count = budget.episodes if episodes is None else episodes
-        return {"scores": _played(scenario, policies, count, seed, split).returns.tolist()}
+        scores = _played(scenario, policies, count, seed, split).returns.tolist()
+        return {"scores": scores, **({"contention": counters[0].events().tolist()} if contended else {})}
     except ValueError as error:
         return {"scores": None, "reason": str(error)}
 
@@ -379,7 +395,10 @@ def _second_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: lis
     ]
     jobs.append(_Job("replay", "replay", {"policy": reference}))
     test = {"split": "test", "seed": AUDIT_SEED}
-    jobs += [_Job("random", "play", {"policy": "random", **test}), _Job("test", "play", {"policy": reference, **test})]
+    jobs += [
+        _Job("random", "play", {"policy": "random", **test}),
+        _Job("test", "play", {"policy": reference, "contended": True, **test}),
+    ]
     jobs.append(_Job("forgetful", "play", {"policy": "forgetful", **test}))
     jobs.append(_Job("train", "play", {"policy": reference, "split": "train", "seed": AUDIT_SEED}))
     for policy in ("heuristic", "hasty"):
@@ -387,7 +406,11 @@ def _second_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: lis
         jobs += [
             _Job(f"without-{key}-{policy}", "play", {"policy": policy, "without": key, **test}) for key in spec.benches
         ]
-    if spec.orders > 1:
+    if any(bench.report is not None for bench in spec.benches.values()):
+        jobs.append(_Job("mute", "play", {"policy": reference, "reports": False, **test}))
+    if spec.demand.order:
+        jobs.append(_Job("apart", "play", {"policy": "serial", **test}))
+    elif spec.orders > 1:
         jobs.append(_Job("apart", "apart", {"policy": reference}))
     return jobs
 
@@ -489,7 +512,8 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
         },
         "worth_of_memory": _untold("the scripted manager carries nothing from batch to batch"),
         "coordination": _untold("there is one order"),
-        "contention": _untold("is not counted yet"),
+        "worth_of_reports": _untold("benches report nothing"),
+        "contention": _contention(found),
         "headroom": _told(1.0 - reference),
         "generalization": _told(reference - scale.mean(np.array(found["train"]["scores"])))
         if spec.world.draws
@@ -499,9 +523,23 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
     forgetful = _scores(found, "forgetful")
     if forgetful is not None:
         measures["worth_of_memory"] = _told(reference - scale.mean(forgetful))
-    if spec.orders > 1:
-        measures["coordination"] = _told(reference - scale.mean(np.array(found["apart"]["scores"])))
+    mute, apart = _scores(found, "mute"), _scores(found, "apart")
+    if mute is not None:
+        measures["worth_of_reports"] = _told(reference - scale.mean(mute))
+    if apart is not None:
+        measures["coordination"] = _told(reference - scale.mean(apart))
+    elif spec.orders > 1:
+        measures["coordination"] = _untold("nobody that comes along takes one order at a time")
     return {**measures, "gates": _gates(spec, measures)}
+
+
+def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """What was contended for in an episode of the reference: all kinds together, and by kind."""
+    counts = np.array(found["test"]["contention"])
+    draw = np.random.default_rng(0).integers(len(counts), size=(statistics.RESAMPLES, len(counts)))
+    means = counts.sum(axis=1)[draw].mean(axis=1)
+    told = _told(np.concatenate([[counts.sum(axis=1).mean()], means]))
+    return {**told, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
 
 
 def _worth(reference: FloatArray, scale: _Scale, others: Mapping[str, FloatArray | None]) -> dict[str, Any]:
@@ -513,12 +551,13 @@ def _worth(reference: FloatArray, scale: _Scale, others: Mapping[str, FloatArray
 def _gates(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None]:
     """Which of :data:`GATES` are met; None where one does not apply."""
     measuring, noise = measures["worth_of_measuring"], measures["noise"]["value"]
+    coordination = measures["coordination"]["value"]
     met = measuring["value"] is not None and measuring["value"] >= 0.1 and measuring["low"] > 0.0
     return {
         "blind": bool(measures["blind"]["value"] <= 0.5 * measures["reference"]["value"]),
         "measuring": bool(met),
         "benches": all(worth["value"] >= 0.1 for worth in measures["worth_of_bench"].values()),
-        "coordination": bool(measures["coordination"]["value"] >= 0.1) if spec.orders > 1 else None,
+        "coordination": None if coordination is None else bool(coordination >= 0.1),
         "headroom": bool(measures["headroom"]["value"] >= 0.15),
         "noise": bool(noise > 0.1),
     }

@@ -517,7 +517,7 @@ def _translated(scenario: Scenario, plan: Plan, source: Context, target: Context
     for action in plan:
         kind, *arguments = actions.decode(action)
         if kind == "start":
-            arguments[-1] = goals.get(str(arguments[-1]), arguments[-1])
+            arguments[2] = goals.get(str(arguments[2]), arguments[2])
         translated.append(actions.encode(str(kind), *arguments))
     return tuple(translated)
 

@@ -22,7 +22,7 @@ from chemlab.world import quantiles
 
 from .reaction import ReactionHeuristic
 
-__all__ = ["CampaignManager", "foreseen", "has_unknown_rate"]
+__all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
 
 _GRID = 48
 """Rates that are told apart: the middle of each part of the prior, all as likely."""
@@ -247,17 +247,18 @@ def foreseen(
             start, stop = labs.instruments.start[number : number + 2]
             readings[:, run] = labs.state.reading[:, 0, start:stop]
         if run < runs:
-            ticks[run + 1] = ticks[run] + (0 if agent is None else _run_once(labs, agent, name))
+            ticks[run + 1] = ticks[run] + (0 if agent is None else run_once(labs, agent, name))
     return readings, worth, ticks
 
 
-def _run_once(labs: Laboratories, agent: str, goal: str) -> int:
-    """One experiment of the scripted bench on the first slot of every laboratory; its ticks."""
+def run_once(labs: Laboratories, agent: str, goal: str, slot: int = 0) -> int:
+    """One experiment of the scripted bench on a slot of every laboratory; its ticks."""
     number, members, ticks = labs.agents.index(agent), labs.members, 0
     bench = labs.benches[number - 1]
     assert isinstance(bench, ReactionBench), "the manager starts reactions only"
     policy = ReactionHeuristic(bench)
-    for action in (labs.actions.encode("start", agent, 0, goal), labs.actions.encode("wait")):
+    grade = list(labs.scenario.grades)[-1:]
+    for action in (labs.actions.encode("start", agent, slot, goal, *grade), labs.actions.encode("wait")):
         labs.act(0, members, np.full(len(members), action))
     while labs.busy[number - 1, 0]:
         seen, step = labs.observe(number, members), labs.turns_had(number)[members]

@@ -35,6 +35,7 @@ from ..physics.transfer import place
 from ..scenario import BenchSpec, Scenario, WearSpec
 from ..shelf import Shelf, ShelfArrays
 from ..tables import Table
+from .grades import Grades, GradeState, best_vessel, noisy
 
 if TYPE_CHECKING:
     from .models import ReactionModel, SeparationModel
@@ -378,6 +379,9 @@ class Bench(ABC):
         self.channels: tuple[Channel, ...] = ()
         self.action_space: gymnasium.Space[Any]
         self.observation_space: gymnasium.spaces.Box
+        self.grades = Grades(scenario, key)
+        self.told = [name for name, draw in scenario.world.draws.items() if key in draw.told]
+        self._told_numbers = sum(scenario.world.draws[name].variables for name in self.told)
         self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
         self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
 
@@ -394,11 +398,13 @@ class Bench(ABC):
     @property
     def state_declaration(self) -> Any:
         """Declaration of the arrays of its experiments."""
-        return merged(ExperimentState, *self.own_state)
+        graded = (GradeState,) if self.grades.names or self.told else ()
+        return merged(ExperimentState, *self.own_state, *graded)
 
     def state_sizes(self, members: int, positions: int) -> dict[str, int]:
         """Length of every axis of the experiments' arrays, by name."""
-        return {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1, "2": 2}
+        sizes = {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1, "2": 2}
+        return {**sizes, "T": self._told_numbers}
 
     def rules_values(self) -> dict[str, Any]:
         """Values of the bench's own rules, by field."""
@@ -429,8 +435,14 @@ class Bench(ABC):
         """Declare the observation channels (the goal's one-hot is added, and then what the scenario's ``observe`` adds)
         and the action space."""
         goal = Channel("goal", len(self.goals.names), "one-hot", 0.0, 1.0, "goal: " + ", ".join(self.goals.names))
-        self._added_from = sum(channel.size for channel in (*channels, goal))
-        self.channels = (*channels, goal, *(part.declared(name, self) for name, part in self._added.items()))
+        most = f"least mol (1: {self.grades.largest:g}), least purity, ticks allowed (1: {self.step_limit})"
+        graded = [Channel("grade", 3, "fraction", 0.0, 1.0, most)] if self.grades.names else []
+        if self.told:
+            words = "which part of what may be drawn is below: " + ", ".join(self.told)
+            graded.append(Channel("told", self._told_numbers, "fraction", 0.0, 1.0, words))
+        self._graded_from = sum(channel.size for channel in (*channels, goal))
+        self._added_from = self._graded_from + sum(channel.size for channel in graded)
+        self.channels = (*channels, goal, *graded, *(part.declared(name, self) for name, part in self._added.items()))
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
@@ -492,9 +504,23 @@ class Bench(ABC):
     def finish(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         """End experiments and return their scores [B]."""
         score: FloatArray = self.measure(shelf, experiments, members) - experiments.baseline[members]
+        if self.grades.names:
+            score = score * self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
         experiments.busy[members] = False
         self.release(shelf, experiments, members)
         return score
+
+    def best(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """[B, 2] mol of the goal and its purity (everything counts) in the vessel that has most of it."""
+        rows, goal = shelf.rows[experiments.places[members]], experiments.goal[members]
+        return best_vessel(rows, self.goals.parts[goal], self.goals.absolute_counts[goal])
+
+    def reported(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """[B, 3] what the bench's sensors say of experiments that end, from 0 to 1: see :data:`.grades.REPORT`."""
+        said = self.best(shelf, experiments, members)
+        said[:, 0] /= self.grades.largest
+        noisy(members, self.spec.report or 0.0, experiments.stream, said)
+        return np.column_stack([said, experiments.steps[members] / self.step_limit])
 
     def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
         """Bench-specific part of :meth:`finish`: leave the vessels as the shelf may have them."""
@@ -514,8 +540,18 @@ class Bench(ABC):
     def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
         self.see(shelf, experiments, members, out)
+        if self._added_from > self._graded_from:
+            self._observe_graded(experiments, members, out)
         if self._added:
             self._observe_added(shelf, experiments, members, out)
+
+    def _observe_graded(self, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        busy, at = experiments.busy[members][:, None], self._graded_from
+        if self.grades.names:
+            out[:, at : at + 3] = self.grades.shown[experiments.grade[members]] * busy
+            at += 3
+        if self.told:
+            out[:, at : self._added_from] = experiments.told[members] * busy
 
     def _observe_added(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         busy, at = experiments.busy[members], self._added_from
@@ -544,10 +580,14 @@ class Bench(ABC):
         begun: bool = False,
     ) -> None:
         """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
-        a lost turn take off, and the scenario's own terms. ``begun``: the experiments have only begun, no action has
-        been taken yet, and so there are no terms."""
+        a lost turn take off, and the scenario's own terms. An experiment whose grade allows no more ticks is at its
+        end. ``begun``: the experiments have only begun, no action has been taken yet, and so there are no terms."""
         _consequences(members, experiments.handle, self.rules.handle, cost, reward)
         if not begun:
+            if self.grades.names:
+                experiments.ended[members] |= (
+                    experiments.steps[members] >= self.grades.ticks[experiments.grade[members]]
+                )
             for name, term in self._terms.items():
                 with blamed(name):
                     earned = term(self, shelf, experiments, members)
@@ -568,6 +608,7 @@ class Bench(ABC):
             lambda: self.see(shelf, experiments, none, seen),
             lambda: self.mask(shelf, experiments, none, legal),
             lambda: self.finish(shelf, experiments, none),
+            *([lambda: self.reported(shelf, experiments, none)] if self.spec.report is not None else []),
         ]
 
     def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:

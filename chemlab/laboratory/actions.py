@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,8 +33,9 @@ class ManagerActions:
     """The manager's actions, enumerated from the scenario: every legal move has one number.
 
     Attributes:
-        table: [A, 4] kind, then its arguments (start: bench, slot, goal; measure: slot, instrument; submit: slot,
-            order; discard: slot; recall, repair: bench; calibrate: instrument; wait: none), -1 where there is none.
+        table: [A, 5] kind, then its arguments (start: bench, slot, goal, and grade if there are any; measure: slot,
+            instrument; submit: slot, order; discard: slot; recall, repair: bench; calibrate: instrument; wait: none),
+            -1 where there is none.
         drifting: instruments that can be calibrated.
         wearing: benches that can be repaired.
     """
@@ -43,6 +45,7 @@ class ManagerActions:
     orders: int
     goals: tuple[str, ...]
     instruments: tuple[str, ...]
+    grades: tuple[str, ...]
     table: IntArray
     drifting: tuple[str, ...] = ()
     wearing: tuple[str, ...] = ()
@@ -51,22 +54,23 @@ class ManagerActions:
     def of(cls, scenario: Scenario) -> ManagerActions:
         """The table for a scenario."""
         bench_agents, slots = scenario.bench_agents(), scenario.shelf.slots
-        rows = [
-            (START, b, s, g) for b in range(len(bench_agents)) for s in range(slots) for g in range(len(scenario.goals))
-        ]
-        rows += [(MEASURE, s, i, -1) for s in range(slots) for i in range(len(scenario.instruments))]
-        rows += [(DISCARD, s, -1, -1) for s in range(slots)]
-        rows += [(SUBMIT, s, o, -1) for s in range(slots) for o in range(scenario.orders)]
-        rows += [(RECALL, b, -1, -1) for b in range(len(bench_agents))]
+        grades = range(len(scenario.grades)) if scenario.grades else (-1,)
+        asked = list(itertools.product(range(len(scenario.goals)), grades))
+        rows = [(START, b, s, *goal) for b in range(len(bench_agents)) for s in range(slots) for goal in asked]
+        rows += [(MEASURE, s, i, -1, -1) for s in range(slots) for i in range(len(scenario.instruments))]
+        rows += [(DISCARD, s, -1, -1, -1) for s in range(slots)]
+        rows += [(SUBMIT, s, o, -1, -1) for s in range(slots) for o in range(scenario.orders)]
+        rows += [(RECALL, b, -1, -1, -1) for b in range(len(bench_agents))]
         instruments = tuple(scenario.instruments)
         drifting = tuple(name for name, spec in scenario.instruments.items() if spec.drift is not None)
         kinds = [bench for bench in scenario.benches.values() for _ in range(bench.count)]
         wearing = tuple(agent for agent, bench in zip(bench_agents, kinds, strict=True) if bench.wear is not None)
-        rows += [(CALIBRATE, instruments.index(name), -1, -1) for name in drifting]
-        rows += [(REPAIR, bench_agents.index(agent), -1, -1) for agent in wearing]
-        rows += [(WAIT, -1, -1, -1)]
+        rows += [(CALIBRATE, instruments.index(name), -1, -1, -1) for name in drifting]
+        rows += [(REPAIR, bench_agents.index(agent), -1, -1, -1) for agent in wearing]
+        rows += [(WAIT, -1, -1, -1, -1)]
         table = np.array(rows, dtype=np.int64)
-        return cls(tuple(bench_agents), slots, scenario.orders, scenario.goals, instruments, table, drifting, wearing)
+        named = scenario.goals, instruments, tuple(scenario.grades)
+        return cls(tuple(bench_agents), slots, scenario.orders, *named, table, drifting, wearing)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -75,16 +79,17 @@ class ManagerActions:
         """Number of an action.
 
         Args:
-            kind: ``start`` (bench agent, slot, goal), ``measure`` (slot, instrument), ``discard`` (slot), ``submit``
-                (slot, and the order where there are several), ``recall`` (bench agent), ``wait``; where instruments
-                drift or benches wear ``calibrate`` (instrument) and ``repair`` (bench agent).
-            arguments: bench agents, goals and instruments by name, slots and orders by number.
+            kind: ``start`` (bench agent, slot, goal, and the grade where there are any), ``measure`` (slot,
+                instrument), ``discard`` (slot), ``submit`` (slot, and the order where there are several), ``recall``
+                (bench agent), ``wait``; where instruments drift or benches wear ``calibrate`` (instrument) and
+                ``repair`` (bench agent).
+            arguments: bench agents, goals, grades and instruments by name, slots and orders by number.
 
         Raises:
             ValueError: no such action; the message names what there is.
         """
         spaces = {
-            "start": (self.bench_agents, range(self.slots), self.goals),
+            "start": (self.bench_agents, range(self.slots), self.goals, self.grades)[: 3 + bool(self.grades)],
             "measure": (range(self.slots), self.instruments),
             "discard": (range(self.slots),),
             "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
@@ -98,7 +103,7 @@ class ManagerActions:
         expected: tuple[Any, ...] = spaces[kind]
         if len(arguments) != len(expected):
             raise ValueError(f"manager action {kind!r}: takes {len(expected)} arguments, given {arguments!r}")
-        row = [KINDS.index(kind), -1, -1, -1]
+        row = [KINDS.index(kind), -1, -1, -1, -1]
         for i, (argument, values) in enumerate(zip(arguments, expected, strict=True)):
             if argument not in values:
                 raise ValueError(f"manager action {kind!r}: argument {argument!r} is not one of {list(values)}")
@@ -112,7 +117,8 @@ class ManagerActions:
         """(kind, arguments...) of an action: the inverse of :meth:`encode`."""
         kind, *arguments = (int(value) for value in self.table[action])
         if kind == START:
-            return "start", self.bench_agents[arguments[0]], arguments[1], self.goals[arguments[2]]
+            grade = (self.grades[arguments[3]],) if self.grades else ()
+            return "start", self.bench_agents[arguments[0]], arguments[1], self.goals[arguments[2]], *grade
         if kind == MEASURE:
             return "measure", arguments[0], self.instruments[arguments[1]]
         if kind in (RECALL, REPAIR):
@@ -130,7 +136,7 @@ class ManagerActions:
         for action in range(len(self)):
             kind, *arguments = self.decode(action)
             words = {
-                "start": "start {} on slot {}, goal {}",
+                "start": "start {} on slot {}, goal {}" + (", grade {}" if self.grades else ""),
                 "measure": "measure slot {} with {}",
                 "discard": "discard slot {}",
                 "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",

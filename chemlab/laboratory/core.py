@@ -44,6 +44,7 @@ from .manager import (
     RECALLED,
     REPAIRED,
     advance,
+    age_on_shelf,
     charge_events,
     itemize,
     manager_act,
@@ -56,7 +57,7 @@ from .manager import (
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 from .state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
 from .upkeep import begin_drift, drift_numbers, equip, go_astray, repair_numbers
-from .view import manager_channels, manager_observe
+from .view import manager_channels, manager_observe, report_channels
 from .worlds import World, Worlds, world_chemistry
 
 __all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
@@ -152,7 +153,19 @@ class Laboratories:
         numbers_read = int(self.instruments.rules.arrays.start[-1])
         self.table: Table[ManagerState] = Table.empty(
             ManagerState,
-            **{"N": n, "S": slots, "B": len(self.benches), "G": len(self.agents), "O": spec.orders, "1": 1, "2": 2},
+            **{
+                "N": n,
+                "S": slots,
+                "B": len(self.benches),
+                "G": len(self.agents),
+                "O": spec.orders,
+                "1": 1,
+                "2": 2,
+                "3": 3,
+                "5": 5,
+            },
+            F=len(self.benches) if any(bench.report is not None for bench in spec.benches.values()) else 0,
+            K=len(spec.demand.order),
             I=len(self.instruments.names),
             R=numbers_read,
             W=wearing,
@@ -171,9 +184,10 @@ class Laboratories:
         self.rules = Table(self._build_rules(positions, first))
         self._terms = load_terms(spec.manager.reward, spec, "manager.reward")
         self._added = load_observations(spec.manager.observe, spec, "manager.observe")
-        self.channels: list[Channel] = manager_channels(
-            spec, self.instruments, int(positions.max()), self.rules.arrays.largest_capacity
-        )
+        self._reporting = [b for b, bench in enumerate(self.benches) if bench.spec.report is not None]
+        self.channels: list[Channel] = manager_channels(spec, self.instruments, self.rules.arrays)
+        self._reports_from = sum(channel.size for channel in self.channels)
+        self.channels += report_channels(spec)
         self._own_channels = sum(channel.size for channel in self.channels)
         self.channels += [part.declared(name, self) for name, part in self._added.items()]
         size = sum(channel.size for channel in self.channels)
@@ -274,6 +288,9 @@ class Laboratories:
             wearing=np.array([self.bench_agents.index(agent) for agent in self.actions.wearing], dtype=np.int64),
             least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
             least_amount=np.array([wanted.get(goal, OrderSpec()).amount_at_least_mol for goal in spec.goals]),
+            late=spec.demand.late,
+            short=spec.demand.short,
+            most_terms=self.worlds.most_terms(),
             gauge=spec.shelf.gauge,
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
@@ -321,6 +338,7 @@ class Laboratories:
             lambda: self.mask(0, none),
             lambda: self._charge(0, none, begun=True),
             lambda: advance(none, *handles),
+            lambda: self._age(none, none),
             lambda: self.charges(none),
             lambda: self.turns(none),
         ]
@@ -357,11 +375,14 @@ class Laboratories:
             self.worlds.rest(members, len(self.scenario.shelf.vessel))
         state = self.state
         self.table.reset(members)
+        state.terms[members] = self.worlds.terms(members)
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
-        for experiments in self.experiments:
+        for bench, experiments in zip(self.benches, self.experiments, strict=True):
             experiments.table.reset(members)
+            if bench.told:
+                experiments.told[members] = self.worlds.told(members, bench.key)
         if self.scenario.errs:
             self.equip(members)
         open_turn(members, self.table.handle)
@@ -495,7 +516,9 @@ class Laboratories:
 
     def _act_manager(self, members: IntArray, actions: IntArray) -> None:
         state, shelf, handles = self.state, self.shelf, self._handles()
+        since = state.ticks[members]
         flags = manager_act(members, actions, *handles)
+        self._age(members, since)
         if flags & MEASURED:
             self._measure(members, actions)
         if flags & REPAIRED:
@@ -505,7 +528,10 @@ class Laboratories:
             for b, experiments in enumerate(self.experiments):
                 some = members[begun == b]
                 if len(some):
-                    experiments.goal[some] = self.rules.arrays.table[actions[begun == b], 3]
+                    asked = self.rules.arrays.table[actions[begun == b]]
+                    experiments.goal[some] = asked[:, 3]
+                    if self.scenario.grades:
+                        experiments.grade[some] = asked[:, 4]
                     self.benches[b].begin(shelf, experiments, some)
                     self._charge(b, some, begun=True)
         if flags & RECALLED:
@@ -550,8 +576,24 @@ class Laboratories:
         ended = self._charge(b, members)
         if ended:
             self._end(b, self._ended[:ended].copy())
-        if advance(members, *self._handles()) & OVER:
+        since = self.state.ticks[members]
+        flags = advance(members, *self._handles())
+        self._age(members, since)
+        if flags & OVER:
             self._settle_accounts(members)
+
+    def _age(self, members: IntArray, since: IntArray) -> None:
+        """Let vessels on the shelf react in the ticks that have passed ``since`` [B], where the scenario says so.
+
+        Raises:
+            ArithmeticError: the reactions are too stiff.
+        """
+        tick = self.scenario.shelf.tick
+        if tick and age_on_shelf(members, since, tick, *self._handles()) >= 0:
+            raise ArithmeticError(
+                f"{self.scenario.name}: the reactions of a vessel on the shelf are too stiff: more than 1,000,000 "
+                "steps. Nothing has reacted in it; give the scenario a shorter shelf.tick, or smaller rate constants"
+            )
 
     def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:
         """Charge what the bench's last action (or the beginning) cost: safety events and lost turns; returns how many
@@ -563,6 +605,8 @@ class Laboratories:
     def _end(self, b: int, members: IntArray) -> None:
         """End the experiment of bench ``b``: its reward, and its vessels back to the shelf."""
         experiments, shelf = self.experiments[b], self.shelf
+        if b in self._reporting:
+            self.state.report[members, b] = self.benches[b].reported(shelf, experiments, members)
         score = self.benches[b].finish(shelf, experiments, members)
         self.state.scores[b + 1, members] = score
         self.experiment_ended = True
@@ -579,8 +623,11 @@ class Laboratories:
         self.state.rewards[1:, over] += mix.bench_team * self.result(over)
 
     def result(self, members: IntArray) -> FloatArray:
-        """[B] the manager's score: each order's product by amount and purity, minus costs; an order without a
-        submission, or with one that falls short of its specification, is worth nothing."""
+        """[B] the manager's score: what orders with terms have paid, else each order's product by amount and purity,
+        minus costs; an order without a submission, or with one that falls short of its specification, is worth nothing.
+        """
+        if self.scenario.demand.order:
+            return np.asarray(self.state.paid[members].mean(axis=1) - self.charges(members).sum(axis=1))
         rules, goals = self.rules.arrays, self.state.goal[members]
         amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
         shares = amount * purity / rules.maximum[goals]
@@ -627,6 +674,9 @@ class Laboratories:
             self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, out)
             return out
         manager_observe(members, *self._handles(), out)
+        if self._reporting:
+            seen = self.state.report[members][:, self._reporting]
+            out[:, self._reports_from : self._own_channels] = seen.reshape(len(members), -1)
         at = self._own_channels
         channels = self.channels[len(self.channels) - len(self._added) :]
         for (name, part), channel in zip(self._added.items(), channels, strict=True):

@@ -57,6 +57,13 @@ def _draw_starts(
             arrays.waste[m, i] = 0.0
 
 
+@kernel
+def _draw_grades(members: IntArray, grades: int, stream: StreamArray, out: IntArray) -> None:
+    """Draw one of so many grades for every member."""
+    for b in range(members.shape[0]):
+        out[members[b]] = int(uniform(stream[members[b]]) * grades)
+
+
 def _rehearsal_of(scenario: Scenario, bench: str) -> Rehearsal:
     with strangers_code(False):  # may not do in a child what it may here
         return ExperimentBatch(scenario, bench).rehearsal()
@@ -181,6 +188,10 @@ class ExperimentBatch:
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments
         _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
+        if self.bench.grades.names:
+            _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
+        if self.bench.told:
+            experiments.told[members] = self.worlds.told(members, self.bench.key)
         if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
             self.worlds.fill(members, shelf.vessels, self.bench.key)
         equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)

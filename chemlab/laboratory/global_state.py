@@ -21,8 +21,9 @@ from ..bench.wear import MOST_GAIN
 from ..chemistry import AIR, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
 from ..physics.constants import GAS_CONSTANT
 from ..shelf import CLOCK_SETTLED, T_MIX
+from ..world import ORDER_QUANTITIES
 from .core import Laboratories
-from .state import INSTRUMENTS, RUNNING
+from .state import INSTRUMENTS, PRICE, RUNNING
 
 __all__ = ["GlobalState"]
 
@@ -172,7 +173,27 @@ class GlobalState:
             _Part("filled", "0 or 1", 0.0, 1.0, "by order", state.filled[members]),
             _Part("submitted", "fraction", 0.0, 1.0, "mol of the theoretical maximum, by order", worth),
             _Part("purity", "fraction", 0.0, 1.0, "of what has been submitted, by order", submitted[..., 1]),
+            *self._terms_parts(members),
         ]
+
+    def _terms_parts(self, members: IntArray) -> list[_Part]:
+        labs, state = self._laboratories, self._laboratories.state
+        most = labs.rules.arrays.most_terms
+        terms = ("tick it arrives", "ticks it is to be met within", "price", "least mol", "least purity")
+        parts = []
+        if labs.scenario.demand.order:
+            parts = [
+                _Part(what, "scaled", 0.0, float(most[k]), f"{words}, by order", state.terms[members, :, k])
+                for k, (what, words) in enumerate(zip(ORDER_QUANTITIES, terms, strict=True))
+            ]
+            parts.append(_Part("paid", "scaled", 0.0, float(most[PRICE]), "so far, by order", state.paid[members]))
+        if state.report.shape[1]:
+            parts.append(_Part("report", "fraction", 0.0, 1.0, "by bench: mol, purity, ticks", state.report[members]))
+        if labs.scenario.grades:
+            grades = [experiments.grade[members] for experiments in labs.experiments]
+            hot = _hot(np.stack(grades, axis=1), len(labs.scenario.grades))
+            parts.append(_Part("grade", "one-hot", 0.0, 1.0, "of the last experiment, by bench", hot))
+        return parts
 
     def _turn_parts(self, members: IntArray) -> list[_Part]:
         labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.state

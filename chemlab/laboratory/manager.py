@@ -8,14 +8,18 @@ from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray
 from ..bench.base import ExperimentState, goal_amount, weighted_amount
 from ..chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from ..jit import helper, inner, kernel, opened
-from ..physics.laws import elapse, partition, settle_phases
+from ..physics.laws import elapse, partition, react, settle_phases
 from ..physics.transfer import clear, move, remove_fraction, volume
 from ..shelf import CLOCK_SETTLED, ShelfArrays
 from .actions import CALIBRATE, DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT
 from .state import (
+    ARRIVES,
     ILLEGAL,
     INSTRUMENTS,
+    LEAST_AMOUNT,
+    LEAST_PURITY,
     MANAGER,
+    PRICE,
     RUNNING,
     SAFETY,
     STOCK,
@@ -23,6 +27,7 @@ from .state import (
     TIME,
     TRUNCATED,
     WASTE,
+    WITHIN,
     ManagerState,
     Rules,
 )
@@ -35,6 +40,7 @@ __all__ = [
     "RECALLED",
     "REPAIRED",
     "advance",
+    "age_on_shelf",
     "charge_events",
     "itemize",
     "manager_act",
@@ -51,6 +57,9 @@ BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
 
 _CALIBRATION = 3
 """Column of ``Rules.drift`` with the price."""
+
+_RTOL, _ATOL = 1e-3, 1e-6
+"""Error tolerances of reactions on the shelf: those that a reaction bench has by default (relative; mol/L)."""
 
 
 @inner
@@ -86,14 +95,42 @@ def _allowed(
     if kind == DISCARD:  # the last vessel stays: without one there would be nothing left to do
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y])
+        return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y] and _has_come(n, y, state))
     if kind == RECALL:
         return bool(state.busy[x, n])
     if kind == CALIBRATE:
         return bool(state.charges[n, INSTRUMENTS] + rules.drift[x, _CALIBRATION] <= rules.budget + 1e-12)
     if kind == REPAIR:
         return not state.busy[x, n] and bool(state.ready[n, x] <= state.ticks[n])
-    return any_busy or under_repair(n, state)
+    return any_busy or under_repair(n, state) or _expects(n, state)
+
+
+@helper
+def _has_come(n: int, o: int, state: ManagerState) -> bool:
+    """Whether the manager knows of an order."""
+    return bool(state.terms.shape[1] == 0 or state.ticks[n] >= state.terms[n, o, ARRIVES])
+
+
+@inner
+def _expects(n: int, state: ManagerState) -> bool:
+    """Whether an order is still to come, or a deadline is."""
+    ahead = False
+    for o in range(state.terms.shape[1]):
+        due = state.terms[n, o, ARRIVES] + state.terms[n, o, WITHIN]
+        ahead = ahead or (not state.filled[n, o] and state.ticks[n] <= due)
+    return ahead
+
+
+@inner
+def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
+    """Whether no order can be met any more: each is filled, or late where that pays nothing."""
+    closed = True
+    for o in range(state.filled.shape[1]):
+        lapsed = False
+        if state.terms.shape[1] > 0 and rules.late == 0.0:
+            lapsed = state.ticks[n] > state.terms[n, o, ARRIVES] + state.terms[n, o, WITHIN]
+        closed = closed and (state.filled[n, o] or lapsed)
+    return closed
 
 
 @helper
@@ -159,11 +196,25 @@ def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, 
 
 
 @inner
+def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
+    """What an order with terms pays for what has been submitted for it."""
+    terms, goal = state.terms[n, o], state.goal[n, o]
+    amount, purity = state.submitted[n, o, 0], state.submitted[n, o, 1]
+    paid = terms[PRICE] if amount > 0.0 else 0.0
+    if state.ticks[n] > terms[ARRIVES] + terms[WITHIN]:
+        paid *= rules.late
+    least_amount = max(terms[LEAST_AMOUNT], rules.least_amount[goal])
+    if amount < least_amount or purity < max(terms[LEAST_PURITY], rules.least_purity[goal]):
+        paid *= rules.short
+    return float(paid)
+
+
+@inner
 def _submit(
     n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle, last: bool
 ) -> None:
-    """Fill order ``y`` with the vessel of slot ``x``; the episode is over with the last order, or where nothing is left
-    to fill another one with (``last``)."""
+    """Fill order ``y`` with the vessel of slot ``x``; the episode is over once no other order can be met, or where
+    nothing is left to meet one with (``last``)."""
     row, goal = shelf.rows[_first_row(n, shelf) + x], state.goal[n, y]
     amount = goal_amount(row, rules.parts[goal])
     total = weighted_amount(row, rules.counts[goal])
@@ -171,12 +222,12 @@ def _submit(
     state.submitted[n, y, 0] = amount
     state.submitted[n, y, 1] = purity
     state.filled[n, y] = True
-    if amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
+    if state.terms.shape[1] > 0:
+        state.paid[n, y] = _payment(n, y, state, rules)
+        state.rewards[0, n] += rules.share * state.paid[n, y] / state.goal.shape[1]
+    elif amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
         state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
-    open_orders = 0
-    for o in range(state.goal.shape[1]):
-        open_orders += not state.filled[n, o]
-    if open_orders == 0 or last:
+    if last or _is_closed(n, state, rules):
         state.status[n] = TERMINATED
     else:
         _remove(n, x, state, chem, row, state.delivered[n])
@@ -194,7 +245,8 @@ def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
 
 @inner
 def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
-    """A tick of laboratory time is over; returns whether a repair is."""
+    """A tick of laboratory time is over: time is charged, vessels and readings age, and the episode may be at an end.
+    Returns whether the manager has to hear of it: a repair is over, or an order has come."""
     state.ticks[n] += 1
     state.charges[n, TIME] += rules.tick_price
     _age_shelf(n, state, rules, shelf, chem)
@@ -202,10 +254,30 @@ def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
         for k in range(state.age.shape[2]):
             if state.age[n, s, k] >= 0:
                 state.age[n, s, k] += 1
-    repaired = False
+    news = False
     for b in range(state.ready.shape[1]):
-        repaired = repaired or state.ready[n, b] == state.ticks[n]
-    return repaired
+        news = news or state.ready[n, b] == state.ticks[n]
+    for o in range(state.terms.shape[1]):
+        arrives = state.terms[n, o, ARRIVES]
+        news = news or state.ticks[n] - 1 < arrives <= state.ticks[n]
+    if state.ticks[n] >= rules.tick_limit:
+        state.status[n] = TRUNCATED
+    elif state.terms.shape[1] > 0 and _is_closed(n, state, rules):
+        state.status[n] = TERMINATED
+    return news
+
+
+@inner
+def _idle(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
+    """The manager waits with every bench idle: until a bench is repaired, an order comes, or one
+    that it knows of is late."""
+    waiting = True
+    while waiting:
+        news = _pass_tick(n, state, rules, shelf, chem)
+        for o in range(state.terms.shape[1]):
+            due = state.terms[n, o, ARRIVES] + state.terms[n, o, WITHIN]
+            news = news or (not state.filled[n, o] and state.ticks[n] - 1 <= due < state.ticks[n])
+        waiting = not news and state.status[n] == RUNNING
 
 
 @kernel
@@ -251,10 +323,7 @@ def manager_act(
             send_fitter(n, x, state, rules)
             flags |= REPAIRED
         elif not any_busy:
-            while not _pass_tick(n, state, rules, arrays, chem) and state.ticks[n] < rules.tick_limit:
-                pass
-            if state.ticks[n] >= rules.tick_limit:
-                state.status[n] = TRUNCATED
+            _idle(n, state, rules, arrays, chem)
         else:
             first = 0
             while not state.busy[first, n]:
@@ -350,7 +419,7 @@ def charge_events(
 @kernel
 def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle) -> int:
     """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
-    an experiment has ended or a repair. Returns OVER if an episode has been truncated by it."""
+    an experiment has ended, a repair is over or an order has come. Returns OVER if an episode is over by it."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
     for i in range(members.shape[0]):
@@ -361,12 +430,11 @@ def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle,
         if b < state.busy.shape[0]:
             state.cursor[n] = b
             continue
-        repaired = _pass_tick(n, state, rules, arrays, chemistry[arrays.variant[n]])
-        if state.ticks[n] >= rules.tick_limit:
-            state.status[n] = TRUNCATED
+        news = _pass_tick(n, state, rules, arrays, chemistry[arrays.variant[n]])
+        if state.status[n] != RUNNING:
             state.cursor[n] = MANAGER
             flags |= OVER
-        elif state.finished[n] or repaired or not _any_busy(n, state.busy):
+        elif state.finished[n] or news or not _any_busy(n, state.busy):
             state.cursor[n] = MANAGER
         else:
             b = 0
@@ -374,6 +442,28 @@ def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle,
                 b += 1
             state.cursor[n] = b
     return flags
+
+
+@kernel
+def age_on_shelf(
+    members: IntArray, since: IntArray, dt: float, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle
+) -> int:
+    """Let vessels on the shelf go on reacting at their temperature, for ``dt`` each tick that has passed ``since`` [B].
+    Returns a laboratory in which the reactions were too stiff, -1 if there is none."""
+    state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
+    stiff = -1
+    for i in range(members.shape[0]):
+        n = members[i]
+        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
+        time = dt * (state.ticks[n] - since[i])
+        for s in range(rules.slots):
+            row = arrays.rows[base + s]
+            if time > 0.0 and row[PRESENT] > 0.0:
+                if react(row, chem, time, row[TEMPERATURE], -1.0, _RTOL, _ATOL, rules.work) < 0:
+                    stiff = n
+                settle_phases(row, chem, arrays.waste[n], state.safety_totals[n], rules.work)
+                partition(row, chem, rules.work)
+    return stiff
 
 
 @kernel

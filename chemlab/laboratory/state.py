@@ -7,10 +7,14 @@ from typing import Annotated, NamedTuple
 from ..arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 
 __all__ = [
+    "ARRIVES",
     "COST_ITEMS",
     "ILLEGAL",
     "INSTRUMENTS",
+    "LEAST_AMOUNT",
+    "LEAST_PURITY",
     "MANAGER",
+    "PRICE",
     "RUNNING",
     "SAFETY",
     "STOCK",
@@ -18,6 +22,7 @@ __all__ = [
     "TIME",
     "TRUNCATED",
     "WASTE",
+    "WITHIN",
     "ManagerState",
     "Rules",
 ]
@@ -31,11 +36,15 @@ RUNNING, TERMINATED, TRUNCATED = range(3)
 MANAGER = -1
 """Cursor value while the manager has the turn."""
 
+ARRIVES, WITHIN, PRICE, LEAST_AMOUNT, LEAST_PURITY = range(5)
+"""Terms of an order, in the order of :data:`chemlab.world.ORDER_QUANTITIES`."""
+
 
 class ManagerState(NamedTuple):
     """A laboratory's arrays but for vessels and experiments. N laboratories, S slots, B benches, G agents, O orders,
-    I instruments, R numbers of all readings, M materials, E kinds of safety event, items of the costs. Where benches
-    wear there are W = B of them, else none; where instruments drift, D = I with Z = R numbers, else none."""
+    K orders with terms (all or none), F benches (all or none) that report 3 numbers, I instruments, R numbers of all
+    readings, M materials, E kinds of safety event, items of the costs. Where benches wear there are W = B of them, else
+    none; where instruments drift, D = I with Z = R numbers, else none."""
 
     reserved: Annotated[IntArray, Field("N S", first=-1)]
     """[N, S] bench a slot is reserved for, -1 if none"""
@@ -53,6 +62,12 @@ class ManagerState(NamedTuple):
     """[N, O] what each order asks for, an index into the scenario's goals"""
     filled: Annotated[BoolArray, Field("N O")]
     """[N, O] whether a vessel has been submitted for the order"""
+    terms: Annotated[FloatArray, Field("N K 5", first=None)]
+    """[N, K, 5] ARRIVES (tick), WITHIN (ticks from then), PRICE, LEAST_AMOUNT (mol) and LEAST_PURITY of each order"""
+    paid: Annotated[FloatArray, Field("N K")]
+    """[N, K] what the submission for it has earned, of its price"""
+    report: Annotated[FloatArray, Field("N F 3")]
+    """[N, F, 3] what each bench has last reported, each from 0 to 1 (see :data:`chemlab.bench.grades.REPORT`)"""
     actions: Annotated[IntArray, Field("N")]
     """[N] manager actions so far"""
     ticks: Annotated[IntArray, Field("N")]
@@ -113,8 +128,8 @@ class Rules(NamedTuple):
     """The scenario's numbers that the manager's kernels need. A actions, B benches, G goals, M materials, I
     instruments."""
 
-    table: Annotated[IntArray, Field("A 4")]
-    """[A, 4] the manager's actions"""
+    table: Annotated[IntArray, Field("A 5")]
+    """[A, 5] the manager's actions"""
     slots: Annotated[int, Field("")]
     first: Annotated[IntArray, Field("B")]
     """[B] first vessel position of each bench"""
@@ -166,6 +181,12 @@ class Rules(NamedTuple):
     """[G] what a submission must be, to be worth anything"""
     least_amount: Annotated[FloatArray, Field("G")]
     """[G] mol, the same"""
+    late: Annotated[float, Field("")]
+    """share of its price that an order with terms pays for what is late"""
+    short: Annotated[float, Field("")]
+    """the same for what falls short of its terms"""
+    most_terms: Annotated[FloatArray, Field("5")]
+    """[5] the highest that any order's terms can be"""
     gauge: Annotated[float, Field("")]
     """step of the fill level's marks, as a share of the capacity; 0: none"""
     work: Annotated[FloatArray, Field("a b")]

@@ -16,24 +16,23 @@ from ..physics.transfer import volume
 from ..scenario import Scenario
 from ..shelf import ShelfArrays
 from .actions import ManagerActions
-from .state import INSTRUMENTS, ManagerState, Rules
+from .state import ARRIVES, INSTRUMENTS, LEAST_AMOUNT, LEAST_PURITY, PRICE, WITHIN, ManagerState, Rules
 
-__all__ = ["manager_channels", "manager_observe", "order_channels"]
+__all__ = ["manager_channels", "manager_observe", "order_channels", "report_channels", "terms_channels"]
 
 _COLDEST_K, _HOTTEST_K = 200.0, 800.0
 
 
-def manager_channels(
-    scenario: Scenario, instruments: InstrumentTable, positions: int, largest_capacity: float
-) -> list[Channel]:
+def manager_channels(scenario: Scenario, instruments: InstrumentTable, rules: Rules) -> list[Channel]:
     """What the manager sees, in order."""
+    positions, largest_capacity = rules.most_positions, rules.largest_capacity
     channels = []
     for slot in range(scenario.shelf.slots):
         channels += _vessel_channels(f"slot_{slot}", scenario, positions, largest_capacity)
         channels += _reading_channels(f"slot_{slot}", scenario, instruments)
     for agent in scenario.bench_agents():
         channels += _bench_channels(agent, scenario)
-    channels += [*_stock_channels(scenario), *_order_channels(scenario), *_limit_channels()]
+    channels += [*_stock_channels(scenario), *_order_channels(scenario, rules), *_limit_channels()]
     channels += _upkeep_channels(scenario)
     return [channel for channel in channels if channel.size > 0]
 
@@ -128,23 +127,69 @@ def order_channels(scenario: Scenario) -> list[tuple[str, str]]:
     """(channel name, meaning) of each order's goal; a filled order shows zeros."""
     if scenario.orders == 1:
         return [("goal", "laboratory goal")]
-    return [(f"goal_{o}", f"goal of order {o}, zeros once it is filled") for o in range(scenario.orders)]
+    shown = "zeros until it comes, and once it is filled" if scenario.demand.order else "zeros once it is filled"
+    return [(f"goal_{o}", f"goal of order {o}, {shown}") for o in range(scenario.orders)]
 
 
-def _order_channels(scenario: Scenario) -> list[Channel]:
+def terms_channels(order: str) -> tuple[str, str, str, str]:
+    """Channels of what an order with terms asks for, by the name of its goal's (:func:`order_channels`): ticks left,
+    price, least amount, least purity."""
+    return f"{order}_ticks_left", f"{order}_price", f"{order}_amount_at_least", f"{order}_purity_at_least"
+
+
+def _order_channels(scenario: Scenario, rules: Rules) -> list[Channel]:
     goals = ", ".join(scenario.goals)
-    return [
-        Channel(name, len(scenario.goals), "one-hot", 0.0, 1.0, f"{meaning}: {goals}")
-        for name, meaning in order_channels(scenario)
+    most = rules.most_terms.tolist()
+    kinds = [
+        ("ticks", most[WITHIN], "until it is late"),
+        ("price", most[PRICE], "what it pays"),
+        ("mol", most[LEAST_AMOUNT], "least that it takes of its goal"),
+        ("mole fraction", most[LEAST_PURITY], "least pure that it takes it"),
     ]
+    channels = []
+    for name, meaning in order_channels(scenario):
+        channels.append(Channel(name, len(scenario.goals), "one-hot", 0.0, 1.0, f"{meaning}: {goals}"))
+        if scenario.demand.order:
+            pairs = zip(terms_channels(name), kinds, strict=True)
+            channels += [Channel(own, 1, unit, 0.0, high, words) for own, (unit, high, words) in pairs]
+    return channels
 
 
 @inner
 def _write_orders(out: ObservationArray, at: int, n: int, state: ManagerState, rules: Rules) -> int:
     for o in range(state.goal.shape[1]):
-        out[at + state.goal[n, o]] = 0.0 if state.filled[n, o] else 1.0
-        at += rules.parts.shape[0]
+        if state.terms.shape[1] == 0:
+            out[at + state.goal[n, o]] = 0.0 if state.filled[n, o] else 1.0
+            at += rules.parts.shape[0]
+            continue
+        terms, most = state.terms[n, o], rules.most_terms
+        after = at + rules.parts.shape[0]
+        if state.ticks[n] >= terms[ARRIVES] and not state.filled[n, o]:
+            out[at + state.goal[n, o]] = 1.0
+            left = terms[ARRIVES] + terms[WITHIN] - state.ticks[n]
+            out[after] = min(max(left / most[WITHIN], 0.0), 1.0)
+            out[after + 1] = min(terms[PRICE] / most[PRICE], 1.0)
+            out[after + 2] = min(terms[LEAST_AMOUNT] / most[LEAST_AMOUNT], 1.0)
+            out[after + 3] = min(terms[LEAST_PURITY] / most[LEAST_PURITY], 1.0)
+        at = after + 4
     return at
+
+
+def report_channels(scenario: Scenario) -> list[Channel]:
+    """What benches with sensors of their own have said of their last experiments."""
+    most = max(scenario.theoretical_maximum_mol.values())
+    channels = []
+    for agent in scenario.bench_agents():
+        key = agent.rpartition("_")[0]
+        if scenario.benches[key].report is not None:
+            channels += [
+                Channel(f"{agent}_reported_amount", 1, "mol", 0.0, most, "what it says it has made; 0 before"),
+                Channel(f"{agent}_reported_purity", 1, "mole fraction", 0.0, 1.0, "the purity it says that has"),
+                Channel(
+                    f"{agent}_reported_ticks", 1, "ticks", 0.0, scenario.benches[key].step_limit, "what it took for it"
+                ),
+            ]
+    return channels
 
 
 def _limit_channels() -> list[Channel]:

@@ -19,9 +19,11 @@ from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
 from ..world import (
     DEVICE_QUANTITIES,
+    ORDER_QUANTITIES,
     VESSEL_QUANTITIES,
     Draw,
     Split,
+    changed_limits,
     compile_draws,
     draw_limits,
     draw_worlds,
@@ -50,7 +52,8 @@ _APART = 0xD1B54A32D192ED03
 def _parameters(scenario: Scenario) -> list[str]:
     """Parameters of the chemistry that a scenario draws."""
     whats = [draw.what for draw in scenario.world.draws.values()]
-    return [what for what in dict.fromkeys(whats) if what not in (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES)]
+    drawn_elsewhere = (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *ORDER_QUANTITIES)
+    return [what for what in dict.fromkeys(whats) if what not in drawn_elsewhere]
 
 
 def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
@@ -132,6 +135,9 @@ class Worlds:
         self._contents: dict[str, list[_Content]] = {}
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
         """By quantity and bench or instrument: column of the number, and what it changes how."""
+        self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
+        self._terms: list[tuple[int, int, int, str]] = []
+        """What is drawn of which order: number of the quantity, of the order, column, change."""
         column = 0
         for name, draw in self._spec.draws.items():
             where = f"{scenario.origin}: world.draws.{name}"
@@ -143,9 +149,17 @@ class Worlds:
             elif draw.what in DEVICE_QUANTITIES:
                 for target, own in zip(draw.of, columns.tolist(), strict=True):
                     self._devices.setdefault((draw.what, target), []).append((own, draw.change))
+            elif draw.what in ORDER_QUANTITIES:
+                which = ORDER_QUANTITIES.index(draw.what)
+                self._terms += [
+                    (which, int(o[6:]), k, draw.change) for o, k in zip(draw.of, columns.tolist(), strict=True)
+                ]
             else:
                 self._parameters.append(self._parameter(scenario, draw, columns, column, where))
             column += draw.variables
+        self._base_terms = np.array(
+            [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
+        ).reshape(-1, len(ORDER_QUANTITIES))
         if self._parameters:
             shelf.table.arrays.variant[:] = 1 + np.arange(n)
         self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
@@ -305,6 +319,33 @@ class Worlds:
         """[B] beginnings of the random streams of a bench or instrument in the worlds of ``members`` [B]."""
         apart = np.uint64((_APART * (1 + device)) % 2**64)
         return np.asarray(self.table.arrays.number[members, 0] + apart)
+
+    def _default(self, given: float | None) -> float:
+        return self._ticks if given is None else float(given)
+
+    def terms(self, members: IntArray) -> FloatArray:
+        """[B, orders, quantities] terms of each order, in the order of :data:`~chemlab.world.ORDER_QUANTITIES`; no
+        orders where the scenario gives none."""
+        terms = np.repeat(self._base_terms[None], len(members), axis=0)
+        for which, order, column, change in self._terms:
+            drawn, given = self.table.arrays.values[members, column], terms[:, order, which]
+            terms[:, order, which] = {"factor": given * drawn, "offset": given + drawn}.get(change, drawn)
+        return terms
+
+    def told(self, members: IntArray, bench: str) -> FloatArray:
+        """[B, T] what a bench is told of what has been drawn, each as :meth:`positions` has it."""
+        told = np.array([bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)])
+        return self.positions(members)[:, told]
+
+    def most_terms(self) -> FloatArray:
+        """[quantities] the highest that the terms of any order can be; at least a little above 0."""
+        most = self._base_terms.max(axis=0, initial=0.0)
+        for draw in self._spec.draws.values():
+            if draw.what in ORDER_QUANTITIES:
+                which = ORDER_QUANTITIES.index(draw.what)
+                given = [self._base_terms[int(name[6:]), which] for name in draw.of]
+                most[which] = max(most[which], *(changed_limits(draw, one)[1] for one in given))
+        return np.asarray(np.maximum(most, 1e-9))
 
     def rest(self, members: IntArray, slots: int) -> None:
         """Let the first ``slots`` vessels come to rest, each in its own world."""

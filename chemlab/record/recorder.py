@@ -150,7 +150,7 @@ class Witness:
         if ended:
             line["scores"] = ended
         if plays[0].agent == 0 and not lost:
-            kind, slot, instrument, _ = labs.actions.table[int(plays[0].action)].tolist()
+            kind, slot, instrument, *_ = labs.actions.table[int(plays[0].action)].tolist()
             if kind == MEASURE:
                 start, stop = labs.instruments.start[instrument : instrument + 2]
                 values = labs.state.reading[m, slot, start:stop].tolist()

@@ -20,6 +20,7 @@ from chemlab.scenario import load_scenario, scenario_names
 TINY = AuditBudget(episodes=12, plans=60, fewer=20, donors=3, planned=20)
 MEASURES = (
     "random reference blind clairvoyant worth_of_measuring worth_of_bench worth_of_memory coordination contention "
+    "worth_of_reports "
     "headroom generalization noise gates"
 )
 

@@ -135,7 +135,9 @@ def test_every_shipped_scenario_has_been_played(name: str) -> None:
         found = {start.goal for start in lab_starts(scenario, stage)}
         # The salt is what washing takes away: nobody washes for it.
         washing = stage in scenario.benches and scenario.benches[stage].kind == "extraction"
-        assert found >= set(scenario.lab_goals) - ({"NaCl"} if washing else set())
+        # The first of two ovens in a row is asked for what the second one needs.
+        wanted = {"F"} if (name, stage) == ("relay", "rxn") else set(scenario.lab_goals)
+        assert found >= wanted - ({"NaCl"} if washing else set())
 
 
 def test_recording_is_repeatable_and_keeps_what_a_vessel_was() -> None:

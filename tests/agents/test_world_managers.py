@@ -12,9 +12,12 @@ from helpers import mapping
 from chemlab.agents.heuristics.campaign import CampaignManager, _foreseen, has_unknown_rate
 from chemlab.agents.heuristics.foresee import foresees
 from chemlab.agents.heuristics.identify import IdentifyingManager, has_unlabelled_vessels
+from chemlab.agents.heuristics.reaction import ReactionHeuristic
+from chemlab.agents.heuristics.schedule import SchedulingManager, has_orders_to_schedule
 from chemlab.agents.heuristics.upkeep import UpkeepManager, has_wearing_lines
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies, manager_heuristic
+from chemlab.chemistry import TEMPERATURE
 from chemlab.laboratory.actions import MEASURE, SUBMIT
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Players
@@ -54,6 +57,8 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         assert isinstance(manager, IdentifyingManager) == has_unlabelled_vessels(scenario) == (name == "unlabelled")
         assert isinstance(manager, CampaignManager) == (has_unknown_rate(scenario) is not None) == (name == "campaign")
         assert isinstance(manager, UpkeepManager) == has_wearing_lines(scenario) == (name == "failing")
+        scheduled = name in ("rush", "relay")
+        assert isinstance(manager, SchedulingManager) == has_orders_to_schedule(scenario) == scheduled
 
 
 # -- vessels without a label ------------------------------------------------------------------------------------------
@@ -155,7 +160,7 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
 
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
-    for name in ("campaign", "unlabelled", "failing"):
+    for name in ("campaign", "unlabelled", "failing", "rush", "relay"):
         labs = Laboratories(name, 2, split="test")
         players = Players(labs, list(make_policies("heuristic", labs, 0).values()))
         for member in range(2):
@@ -240,6 +245,74 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
     for case in ("no repair", "no calibration"):
         gained = scores["as it is"] - scores[case]
         assert gained.mean() > 2.0 * gained.std() / 40**0.5 > 0.0, case
+
+
+def test_nobody_takes_orders_in_turn_who_has_no_choice() -> None:
+    with pytest.raises(ValueError, match="serial: the scripted manager of campaign has no orders to choose from"):
+        make_policies("serial", Laboratories("campaign"))
+
+
+# -- orders over time -------------------------------------------------------------------------------------------------
+
+
+def known_shop(name: str, orders: int, **terms: list[float]) -> dict[str, Any]:
+    """A scenario with orders of which everything is known at once, and full vessels."""
+    values = mapping(name)
+    values["orders"] = orders
+    values["demand"]["order"] = [{key: given[o] for key, given in terms.items()} for o in range(orders)]
+    titre = {"of": ["slot_0", "slot_1", "slot_2", "slot_3"], "test": []}
+    values["world"]["draws"] = {
+        key: draw | (titre if key == "titre" else {})
+        for key, draw in values["world"]["draws"].items()
+        if key in ("titre", "first_limit", "second_limit")
+    }
+    values["world"]["draws"]["titre"]["distribution"] = {"kind": "uniform", "low": 0.9, "high": 1.0}
+    return values
+
+
+def test_where_reagent_is_short_the_orders_that_pay_best_are_met() -> None:
+    """Three runs for five orders: the three dearest; who takes them as they come takes the first three."""
+    prices = [0.5, 1.0, 0.25, 3.0, 2.0]
+    values = known_shop("rush", 5, price=prices, amount_at_least_mol=[1.0] * 5)
+    for policy, dearest in (("heuristic", [1, 3, 4]), ("serial", [0, 1, 2])):
+        labs, _ = played("rush", policy, 3, values)
+        for member in range(3):
+            assert np.flatnonzero(labs.state.paid[member]).tolist() == dearest
+            assert labs.state.paid[member].sum() == sum(prices[o] for o in dearest)
+
+
+def test_an_order_that_cannot_be_met_in_time_is_let_go() -> None:
+    values = known_shop("rush", 3, within=[19.0, 30.0, 30.0], price=[5.0, 1.0, 1.0])
+    labs, _ = played("rush", "heuristic", 2, values)
+    assert (labs.state.paid > 0.0).tolist() == [[False, True, True]] * 2
+
+
+def test_a_near_deadline_gets_the_quick_grade() -> None:
+    values = known_shop("relay", 1, within=[25.0])
+    labs, watched = played("relay", "heuristic", 2, values)
+    for actions in watched.played:
+        starts = [labs.actions.decode(a) for a in actions if labs.actions.decode(a)[0] == "start"]
+        slot = starts[0][2]
+        assert [start[1:] for start in starts] == [("rxn_0", slot, "F", "quick"), ("fin_0", slot, "E", "quick")]
+
+
+def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost() -> None:
+    """The temperature at which a run takes a tenth of a time constant of the loss, by the law of Arrhenius."""
+    labs = Laboratories("relay")
+    step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
+    for factor in (0.1, 1.0, 10.0):
+        labs.seed(0, np.random.SeedSequence(0))
+        labs.reset(labs.members, world={"first_limit": factor})
+        agent: Any = ReactionHeuristic(labs.benches[0])  # type: ignore[arg-type]
+        for action in (labs.actions.encode("start", "rxn_0", 0, "F", "full"), labs.actions.encode("wait")):
+            labs.act(0, labs.members, np.array([action]))
+        row, hottest = labs.experiments[0].places[0, 0], 0.0
+        for turn in range(12):
+            actions = agent.act(labs.observe(1, labs.members), None, np.array([turn]), labs.members)
+            labs.act(1, labs.members, actions)
+            hottest = max(hottest, float(labs.shelf.rows[row, TEMPERATURE]))
+        limit = step.activation_energy_j_mol / (GAS * math.log(factor * step.pre_exponential * 20 * 0.05 / 0.1))
+        assert hottest == pytest.approx(min(limit, 348.15), abs=0.2)
 
 
 # -- specifications ---------------------------------------------------------------------------------------------------

@@ -53,7 +53,8 @@ def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     assert [actions.encode(*action) for action in decoded] == list(range(len(actions)))  # type: ignore[arg-type]
     assert len(set(actions.action_meanings)) == len(actions)
     slots = range(scenario.shelf.slots)
-    expected = {("start", b, s, g) for b in scenario.bench_agents() for s in slots for g in scenario.goals}
+    asked = [(g, k) for g in scenario.goals for k in scenario.grades] or [(g,) for g in scenario.goals]
+    expected = {("start", b, s, *goal) for b in scenario.bench_agents() for s in slots for goal in asked}
     expected |= {("measure", s, i) for s in slots for i in scenario.instruments}
     expected |= {("discard", s) for s in slots}
     orders = [(o,) for o in range(scenario.orders)] if scenario.orders > 1 else [()]

@@ -1,0 +1,171 @@
+"""Orders that come over time: when they are seen, what they pay, when an episode is over; shelves that react.
+
+What is in a vessel is put there by hand, so that what a submission is worth, and what decays, has a closed form.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import allowed, laboratory, manager, mapping
+
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.state import RUNNING, TERMINATED
+from chemlab.laboratory.view import terms_channels
+from chemlab.materials import DataError
+from chemlab.scenario import load_scenario
+
+GAS = 8.314462618
+
+
+def shop(*orders: dict[str, float], **demand: Any) -> dict[str, Any]:
+    """A campaign's laboratory with orders over time: three moles of four in the first vessels, nothing drawn."""
+    values = mapping("campaign")
+    values |= {"orders": len(orders), "specifications": {}, "demand": {"order": list(orders), **demand}}
+    values["world"] = {}
+    values["limits"]["ticks"] = 100
+    for vessel in values["shelf"]["vessel"]:
+        vessel["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0}
+    return values
+
+
+def seen(env: raw_env, order: int) -> list[float]:
+    """What the manager sees of an order: whether it is open, then its terms."""
+    slices, shown = channel_slices(env.laboratories.channels), env.observe("manager_0")
+    names = [f"goal_{order}", *terms_channels(f"goal_{order}")]
+    return [float(shown[slices[name]][0]) for name in names]
+
+
+def test_an_order_is_seen_once_it_has_come() -> None:
+    env = laboratory(shop({"arrives": 0, "within": 40, "price": 1}, {"arrives": 7, "within": 20, "price": 3}))
+    assert seen(env, 0) == pytest.approx([1.0, 1.0, 1 / 3, 0.0, 0.0])
+    assert seen(env, 1) == [0.0] * 5
+    assert allowed(env, "submit", 0, 0)
+    assert not allowed(env, "submit", 0, 1)
+    manager(env, "wait")  # nobody is busy: until the order comes
+    assert env.laboratories.state.ticks[0] == 7
+    assert seen(env, 0) == pytest.approx([1.0, 33 / 40, 1 / 3, 0.0, 0.0])
+    assert seen(env, 1) == pytest.approx([1.0, 0.5, 1.0, 0.0, 0.0])
+    assert allowed(env, "submit", 0, 1)
+
+
+def test_an_order_that_comes_gives_the_manager_the_turn_while_benches_work() -> None:
+    env = laboratory(shop({}, {"arrives": 3}))
+    manager(env, "start", "rxn_0", 0, "2-chlorohexane")
+    manager(env, "wait")
+    while env.agent_selection != "manager_0":
+        env.step(np.full(3, 0.5, dtype=np.float32))
+    assert env.laboratories.state.ticks[0] == 3
+    assert env.laboratories.busy[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("terms", "demand", "wait", "paid"),
+    [
+        ({"within": 5, "price": 3}, {}, False, 3.0),
+        ({"within": 5, "price": 3}, {"late": 0.4}, True, 1.2),
+        ({"amount_at_least_mol": 2.999, "price": 3}, {}, False, 3.0),
+        ({"amount_at_least_mol": 3.001, "price": 3}, {}, False, 0.0),
+        ({"purity_at_least": 0.751, "price": 3}, {"short": 0.25}, False, 0.75),
+        ({"within": 5, "purity_at_least": 0.751}, {"late": 0.5, "short": 0.5}, True, 0.25),
+    ],
+)
+def test_what_an_order_pays(terms: dict[str, float], demand: dict[str, float], wait: bool, paid: float) -> None:
+    """The price, or the share of it that the file says; a third of the score for one of three orders."""
+    env = laboratory(shop(terms, {"arrives": 50}, {"arrives": 60}, **demand))
+    if wait:
+        manager(env, "wait")  # until it is late
+        assert env.laboratories.state.ticks[0] == 6
+    labs = env.laboratories
+    manager(env, "submit", 0, 0)
+    assert labs.rewards[0, 0] == pytest.approx(paid / 3.0, rel=1e-12)
+    costs = labs.charges(labs.members).sum()
+    assert labs.result(labs.members)[0] == pytest.approx(paid / 3.0 - costs, rel=1e-12)
+
+
+def test_a_vessel_without_the_goal_pays_nothing_whatever_the_file_says() -> None:
+    values = shop({"amount_at_least_mol": 1.0}, {"arrives": 50}, late=1.0, short=1.0)
+    values["shelf"]["vessel"][0]["contents"] = {"1-chlorohexane": 1.0}
+    env = laboratory(values)
+    manager(env, "submit", 0, 0)
+    assert env.laboratories.state.paid[0, 0] == 0.0
+
+
+def test_an_episode_is_over_when_no_order_can_be_met() -> None:
+    env = laboratory(shop({"within": 5}, {"arrives": 10, "within": 5}))
+    labs = env.laboratories
+    manager(env, "wait")  # the first is late
+    assert (labs.state.ticks[0], labs.state.status[0]) == (6, RUNNING)
+    manager(env, "wait")  # the second comes
+    manager(env, "wait")
+    assert (labs.state.ticks[0], labs.state.status[0]) == (16, TERMINATED)
+
+
+def test_where_late_pays_the_episode_goes_on_and_nobody_waits_for_nothing() -> None:
+    env = laboratory(shop({"within": 5}, late=0.5))
+    manager(env, "wait")
+    assert not allowed(env, "wait")
+    assert allowed(env, "submit", 0)
+
+
+def test_vessels_on_the_shelf_go_on_reacting_where_the_scenario_says_so() -> None:
+    """A first-order decay at the temperature of the room, for as long as the manager waits."""
+    values = shop({}, {"arrives": 30}, {"arrives": 60})
+    values["shelf"]["tick"] = 40.0
+    env = laboratory(values)
+    labs = env.laboratories
+    at = labs.shelf.layout.index("3-chlorohexane")
+    rate = 4.86e11 * math.exp(-85000.0 / (GAS * 298.15)) * 40.0
+    for vessel in range(4):
+        labs.shelf.vessels[0, vessel, :] = labs.shelf.vessels[0, 0, :]
+    first, second = (4.86e12 * math.exp(-85000.0 / (GAS * 298.15)) * 40.0), rate
+    for ticks in (30, 60):
+        manager(env, "wait")
+        left, kept = math.exp(-first * ticks), math.exp(-second * ticks)
+        middle = 3.0 * kept + first / (second - first) * (left - kept)
+        assert labs.shelf.amounts[0, 0, at] == pytest.approx(4.0 - left - middle, rel=5e-3)
+
+
+def test_terms_are_drawn_and_carried_in_snapshots_and_pickles() -> None:
+    values = mapping("rush")
+    labs = Laboratories(load_scenario(values), 3, split="test")
+    play_laboratory(labs, make_policies("random", labs, 0), None, 5)
+    drawn = [labs.worlds.values(member) for member in range(3)]
+    for member in range(3):
+        for which, key in enumerate(("arrives", "within", "price", "amount")):
+            own = [drawn[member][key][f"order_{o}"] for o in range(labs.scenario.orders)]
+            assert labs.state.terms[member, :, which].tolist() == own
+    saved, again = labs.snapshot(), pickle.loads(pickle.dumps(labs))
+    assert (again.state.terms == labs.state.terms).all()
+    play_laboratory(labs, make_policies("random", labs, 0), None, 50)
+    assert (again.state.terms != labs.state.terms).any()
+    labs.restore(saved)
+    assert (again.state.terms == labs.state.terms).all()
+    assert (again.result(again.members) == labs.result(labs.members)).all()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("orders", 2, "demand.order: give one for each of orders = 2, given"),
+        ("draw", {"of": ["order_9"]}, "world.draws.within.of: unknown order 'order_9'"),
+        ("draw", {"distribution": {"kind": "normal", "mean": 0.0, "sd": 1.0}}, "within: Input should be"),
+        ("draw", {"of": []}, "name at least one order"),
+    ],
+)
+def test_orders_that_cannot_be_are_refused(key: str, value: Any, message: str) -> None:
+    values = mapping("rush")
+    if key == "draw":
+        values["world"]["draws"]["within"] |= value
+    else:
+        values[key] = value
+    with pytest.raises(DataError, match=message):
+        load_scenario(values)

@@ -1,0 +1,140 @@
+"""What a manager asks of an experiment besides its goal, what a bench is told of the world, and what it reports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from helpers import laboratory, manager, mapping
+
+from chemlab.bench.base import channel_slices
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import DataError
+from chemlab.scenario import load_scenario
+
+HOLD = np.array([0.5, 0.5, 0.0], dtype=np.float32)
+
+
+def graded(report: float | None = 0.0, **grade: float) -> dict[str, Any]:
+    """A campaign's laboratory with two grades, whose bench is told the rate that is drawn; three moles of four are
+    there from the beginning, and two in the single bench's vessel."""
+    values = mapping("campaign")
+    values |= {"specifications": {}, "grades": {"quick": {"ticks": 4}, "asked": grade}}
+    values["benches"]["rxn"] |= {"report": report, "start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 4.0}}}
+    values["world"]["draws"]["rate"]["told"] = ["rxn"]
+    for vessel in values["shelf"]["vessel"]:
+        vessel["contents"] = {"2-chlorohexane": 1.0, "1-chlorohexane": 3.0}
+    return values
+
+
+def run(env: Any, grade: str) -> int:
+    """One experiment without heat; the turns it takes."""
+    manager(env, "start", "rxn_0", 0, "2-chlorohexane", grade)
+    manager(env, "wait")
+    turns = 0
+    while env.agent_selection == "rxn_0":
+        env.step(HOLD)
+        turns += 1
+    return turns
+
+
+def test_a_grade_limits_the_ticks_of_an_experiment() -> None:
+    env = laboratory(graded())
+    assert run(env, "quick") == 4
+    assert run(env, "asked") == 20
+
+
+def test_every_grade_is_an_action_and_decodes() -> None:
+    actions = Laboratories(load_scenario(graded())).actions
+    assert actions.decode(actions.encode("start", "rxn_0", 2, "2-chlorohexane", "asked")) == (
+        "start",
+        "rxn_0",
+        2,
+        "2-chlorohexane",
+        "asked",
+    )
+    assert [actions.encode(*actions.decode(a)) for a in range(len(actions))] == list(range(len(actions)))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="takes 4 arguments"):
+        actions.encode("start", "rxn_0", 2, "2-chlorohexane")
+
+
+def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None:
+    env = laboratory(graded(purity_at_least=0.3, amount_at_least_mol=2.0))
+    labs = env.laboratories
+    manager(env, "start", "rxn_0", 0, "2-chlorohexane", "asked")
+    slices, seen = channel_slices(labs.benches[0].channels), env.observe("rxn_0")
+    assert seen[slices["grade"]] == pytest.approx([0.5, 0.3, 1.0])
+    assert seen[slices["told"]] == pytest.approx(labs.worlds.positions(labs.members)[0], abs=1e-6)
+    other = laboratory(graded(purity_at_least=0.3, amount_at_least_mol=2.0))
+    other.reset(seed=0, options={"world": {"rate": 3.9}})
+    manager(other, "start", "rxn_0", 0, "2-chlorohexane", "asked")
+    assert (other.observe("manager_0") == env.observe("manager_0")).all()
+    changed = np.flatnonzero(other.observe("rxn_0") != seen)
+    assert changed.tolist() == [slices["told"].start]
+
+
+@pytest.mark.parametrize(("purity", "met"), [(0.1, True), (0.99, False)])
+def test_what_falls_short_of_its_grade_earns_nothing(purity: float, met: bool) -> None:
+    """Without a grade the score is the goal that was made: some, in an oven that is never below 345 K."""
+    plain, env = laboratory(graded()), laboratory(graded(purity_at_least=purity))
+    for each in (plain, env):
+        run(each, "asked")
+    made, score = (each.laboratories.scores[0, 1] for each in (plain, env))
+    assert made > 1e-4
+    assert score == (made if met else 0.0)
+
+
+def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
+    env = laboratory(graded())
+    labs = env.laboratories
+    slices = channel_slices(labs.channels)
+    names = [f"rxn_0_reported_{what}" for what in ("amount", "purity", "ticks")]
+    assert [float(env.observe("manager_0")[slices[name]][0]) for name in names] == [0.0, 0.0, 0.0]
+    run(env, "quick")
+    made = labs.shelf.amounts[0, 0, labs.shelf.layout.index("2-chlorohexane")]
+    said = [float(env.observe("manager_0")[slices[name]][0]) for name in names]
+    assert said == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
+    many = Laboratories(load_scenario(graded(report=0.1)), 400)
+    for member in many.members.tolist():
+        many.seed(member, np.random.SeedSequence(member))
+    many.reset(many.members, world={"rate": 1.0})
+    begin = many.actions.encode("start", "rxn_0", 0, "2-chlorohexane", "quick")
+    for action in (begin, many.actions.encode("wait")):
+        many.act(0, many.members, np.full(400, action))
+    for _ in range(4):
+        many.act(1, many.members, np.repeat(HOLD[None].astype(np.float64), 400, axis=0))
+    amounts = many.state.report[:, 0, 0] - many.shelf.amounts[:, 0, many.shelf.layout.index("2-chlorohexane")] / 4.0
+    assert abs(amounts.mean()) < 0.02  # standard error 0.005
+    assert 0.08 < amounts.std() < 0.11
+
+
+def test_single_benches_meet_the_same_grades_and_are_told_the_same() -> None:
+    values = load_scenario(graded(purity_at_least=0.2))
+    labs = Laboratories(values)
+    env, batch = BenchEnv(values, "rxn"), BenchVectorEnv(6, values, "rxn")
+    assert env.observation_space == labs.observation_space(1)
+    seen, _ = batch.reset(seed=3)
+    slices = channel_slices(labs.benches[0].channels)
+    grades = set()
+    for member in range(6):
+        own, _ = env.reset(seed=3 + member)
+        assert (own == seen[member]).all()
+        grades.add(float(own[slices["grade"]][2]))
+        assert own[slices["told"]] == pytest.approx(env.batch.worlds.positions(env.batch.members)[0], abs=1e-6)
+        turns, over = 0, False
+        while not over:
+            _, _, over, _, _ = env.step(HOLD)
+            turns += 1
+        assert turns == round(20 * float(own[slices["grade"]][2]))
+    assert sorted(grades) == pytest.approx([0.2, 1.0])
+    assert isinstance(env.observation_space, gymnasium.spaces.Box)
+
+
+def test_nobody_is_told_who_is_not_there() -> None:
+    values = graded()
+    values["world"]["draws"]["rate"]["told"] = ["dit"]
+    with pytest.raises(DataError, match=r"world\.draws\.rate\.told: 'dit' is not one of benches"):
+        load_scenario(values)
