@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.files import replace_between
+from chemlab.record import scenario_hash
 from chemlab.scenario import load_scenario, scenario_names
 
 __all__ = ["FOLDER", "PAGES", "audits", "table"]
@@ -27,7 +28,7 @@ _NUMBERS = ("blind", "reference", "worth_of_measuring", "headroom", "noise")
 def audits() -> list[dict[str, Any]]:
     """The committed audits, by name of scenario; those of worlds first."""
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))]
-    return sorted(found, key=lambda audit: not load_scenario(audit["scenario"]).world.draws)
+    return sorted(found, key=lambda audit: (not load_scenario(audit["scenario"]).world.draws, audit["scenario"]))
 
 
 def _cells(audit: dict[str, Any]) -> list[str]:
@@ -52,7 +53,7 @@ def table() -> list[str]:
 def stale() -> list[str]:
     """Shipped scenarios without an audit of what they are now."""
     hashes = {audit["scenario"]: audit["scenario_hash"] for audit in audits()}
-    return [name for name in scenario_names() if hashes.get(name) != load_scenario(name).hash]
+    return [name for name in scenario_names() if hashes.get(name) != scenario_hash(load_scenario(name))]
 
 
 if __name__ == "__main__":

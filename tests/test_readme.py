@@ -40,3 +40,13 @@ def test_results_table_is_complete() -> None:
     table = TEXT.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
     rows = re.findall(r"^\| `(\w+)` \| (\w+) \|", table, re.M)
     assert set(rows) == {(name, policy) for name in scenario_names() for policy in ("heuristic", "random")}
+
+
+@pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
+def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which are of the scenarios as they are: tests/agents/test_audit.py."""
+    monkeypatch.syspath_prepend(str(README.parent / "docs"))
+    from audits import PAGES, table
+
+    for page in PAGES:
+        assert "\n".join(table()) in page.read_text(encoding="utf-8"), "run: python docs/audits.py"

@@ -854,7 +854,7 @@ SHIPPED = {
     "wurtz_any": "fa70cae24b53b146",
     "wurtz_dodecane": "ecbc7ee1323dedc8",
     "wurtz_dodecane_direct": "3c1725681724c231",
-    "wurtz_real": "3c3055bd6c208b2e",
+    "wurtz_real": "9fe999e1c01773d0",
     "wurtz_safe": "01a6e508ef2b357f",
     "wurtz_scarce": "288e8e7240b8b0f8",
     "wurtz_two_lines": "9967ca0aca001d2a",

@@ -790,6 +790,7 @@ def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
         "reaction_model",
         "separation_model",
         "split",
+        "actions",
     ]
     assert all(argument.kind is argument.POSITIONAL_OR_KEYWORD for argument in arguments)
     shown = repr(make("fictitious", rewards="cooperative"))

@@ -149,15 +149,21 @@ def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> No
     for a in range(n):
         organic += liquids.mol[a] * liquids.share[a]
         aqueous += liquids.mol[a] * (1.0 - liquids.share[a])
+    trace = min(TRACE_MOL, 0.25 * (aqueous + organic))
     for a in range(n):
         o, w = liquids.mol[a] * liquids.share[a], liquids.mol[a] * (1.0 - liquids.share[a])
-        liquids.x[a] = w / aqueous if aqueous > TRACE_MOL else o / organic
-        liquids.x[n + a] = o / organic if organic > TRACE_MOL else w / aqueous
+        liquids.x[a] = w / aqueous if aqueous > trace else o / organic
+        liquids.x[n + a] = o / organic if organic > trace else w / aqueous
     prepare(n, temperature, chem, liquids)
-    if aqueous > TRACE_MOL:
+    if aqueous > trace:
         nrtl(n, AQUEOUS, liquids)
-    if organic > TRACE_MOL:
+    if organic > trace:
         nrtl(n, ORGANIC, liquids)
+    for a in range(n):
+        if aqueous <= trace:
+            liquids.log_gamma[a] = liquids.log_gamma[n + a]
+        elif organic <= trace:
+            liquids.log_gamma[n + a] = liquids.log_gamma[a]
     _salt(n, aqueous, chem, liquids)
 
 
