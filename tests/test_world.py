@@ -243,7 +243,10 @@ def file(**draw: Any) -> dict[str, Any]:
             },
             "world.draws.x: unknown material 'gold'",
         ),
-        ({"what": "colour"}, "x.what: 'colour' is nothing that may be drawn; known: identity, amount, titre, pre_exp"),
+        (
+            {"what": "colour"},
+            "x.what: 'colour' is nothing that may be drawn; known: identity, amount, titre, ",
+        ),
         ({"what": "boiling_point", "of": ["Na"]}, "x.what: 'boiling_point' is nothing that may be drawn"),
         ({"what": "pre_exponential", "of": ["A -> B"]}, "x.of: must be some of 2 1-chlorohexane"),
         ({"what": "pre_exponential"}, "x.of: must be some of 2 1-chlorohexane .* given nothing"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -207,6 +208,8 @@ class ForeseeingManager:
             if self._value(observation, f"{belief.running[1]}_busy") > 0.5:
                 return wait
             belief.running = None
+        if not belief.slots:
+            return wait
         goal = self._goal(observation, belief)
         if belief.asked >= 0:
             v, belief.asked = belief.asked, -1
@@ -279,7 +282,7 @@ class ForeseeingManager:
         shared = likelihood.mean(axis=-1)
         others = np.exp(np.log(shared).sum(axis=-2, keepdims=True) - np.log(shared))
         weights = likelihood * others[..., None]
-        weights = weights.reshape(*weights.shape[:-2], -1)
+        weights = weights.reshape(*weights.shape[:-2], math.prod(weights.shape[-2:]))
         return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
     def _promises(self, belief: _Belief, goal: str, posterior: FloatArray | None = None) -> FloatArray:

@@ -87,7 +87,9 @@ def test_ids_make_batches() -> None:
 # -- who plays ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in policy_names() if name not in ("trained", "plan", "forgetful")])
+@pytest.mark.parametrize(
+    "name", [name for name in policy_names() if name not in ("trained", "plan", "forgetful", "serial")]
+)
 def test_one_name_is_for_everybody(name: str) -> None:
     policies = chosen(name)
     expected = make_policies(name, Laboratories(LINES))
@@ -175,7 +177,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
     assert named_costs(info) == result.costs
 
 
-@pytest.mark.parametrize("background", [name for name in policy_names() if name != "forgetful"])
+@pytest.mark.parametrize("background", [name for name in policy_names() if name not in ("forgetful", "serial")])
 def test_a_used_view_plays_like_a_new_one(background: str) -> None:
     """Whatever was played before: the same seed is the same episode, policies' memories and streams included."""
 
