@@ -28,12 +28,13 @@ ELSEWHERE = {
     "measured",
     "variant",
     "ready",
-    "told",
+    "drift_stream",
 }
-"""Random streams, what the last turn led to, and totals for people: nothing else depends on them; what a world tells a
-bench, which the world itself says; ticks when fitters have gone, of which the state says how many are left."""
-PASSING = {"ended", "illegal", "events", "stream", "places", "changed", "layers", "profile", "image", "elapsed"}
-"""The same of experiments; pictures of vessels are worked out anew from them."""
+"""Random streams, what the last turn led to, and totals for people: nothing else depends on them; the tick
+when a fitter will have gone, of which the state says how many are left."""
+PASSING = {"ended", "illegal", "events", "stream", "places", "changed", "layers", "profile", "image", "elapsed", "told"}
+"""The same of experiments; pictures of vessels are worked out anew from them, and what a world tells a bench is the
+world's."""
 
 
 def parts(env: Any) -> dict[str, npt.NDArray[np.float32]]:
