@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel, channel_slices
+from chemlab.bench.base import Channel
 from chemlab.bench.reaction import ReactionBench
 from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 from chemlab.world import quantiles
 
+from .base import ScriptedManager, cheapest
 from .reaction import ReactionHeuristic
 
 __all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
@@ -64,7 +62,7 @@ class _Belief:
     slots: list[int] = field(default_factory=list)
 
 
-class CampaignManager:
+class CampaignManager(ScriptedManager[_Belief]):
     """Runs the reaction bench on one batch after the other, each until going on is not worth it.
 
     How a batch goes at each possible rate it has worked out on the public scenario beforehand. It keeps the probability
@@ -94,13 +92,11 @@ class CampaignManager:
         remember: bool = True,
     ) -> None:
         del instruments, positions  # as of other managers: this one asks the scenario
-        self._scenario, self._actions, self._remember = scenario, actions, remember
-        self._slices = channel_slices(channels)
-        self._orders = [name for name, _ in order_channels(scenario)]
+        super().__init__(scenario, channels, actions)
+        self._remember = remember
         kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
         self._rxn = f"{kinds['reaction']}_0" if "reaction" in kinds else None
-        names = [n for n, spec in scenario.instruments.items() if spec.kind in ("gas_chromatograph", "uv_vis")]
-        self._instrument = min(names, key=lambda n: scenario.instruments[n].price, default=None) if careful else None
+        self._instrument = cheapest(scenario, ("gas_chromatograph", "uv_vis")) if careful else None
         drawn = has_unknown_rate(scenario)
         assert drawn is not None, "whoever makes this has asked"
         self._numbers = quantiles(scenario.world.draws[drawn], (np.arange(_GRID) + 0.5) / _GRID)
@@ -111,31 +107,12 @@ class CampaignManager:
         # The same thoughts every time: which rates, spread over all that are likely, and which noise.
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, self._expected.shape[2]))
-        self._beliefs: dict[int, _Belief] = {}
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._beliefs)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._beliefs = copy.deepcopy(memory)
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
             slots = [s for s in range(self._actions.slots) if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
-            self._beliefs[member] = _Belief(self._prior(), slots=slots)
-        belief = self._beliefs[member]
+            self._kept[member] = _Belief(self._prior(), slots=slots)
+        belief = self._kept[member]
         slot = belief.slots[min(belief.batch, len(belief.slots) - 1)] if belief.slots else 0
         if belief.waiting:
             belief.waiting = False
@@ -173,7 +150,7 @@ class CampaignManager:
         found = weights * likely
         return np.asarray(found / found.sum(axis=-1, keepdims=True))
 
-    def _value(self, weights: FloatArray, runs: int, left: int) -> FloatArray:
+    def _prospect(self, weights: FloatArray, runs: int, left: int) -> FloatArray:
         """[...] what this batch and ``left`` others after it are expected to come to, without another look."""
         here = (weights @ self._worth[:, runs:]).max(axis=-1)
         return np.asarray(here + left * (weights @ self._worth).max(axis=-1))
@@ -189,8 +166,8 @@ class CampaignManager:
         left = len(self._orders) - belief.batch - 1 if self._remember else 0
         rates = np.searchsorted(np.cumsum(belief.weights), self._shares).clip(0, _GRID - 1)
         readings = self._expected[rates, belief.runs] + self._errors
-        after = self._value(self._updated(belief.weights, readings, belief.runs), belief.runs, left).mean()
-        return bool(after - self._value(belief.weights, belief.runs, left) > self._price)
+        after = self._prospect(self._updated(belief.weights, readings, belief.runs), belief.runs, left).mean()
+        return bool(after - self._prospect(belief.weights, belief.runs, left) > self._price)
 
 
 def _foreseen(

@@ -9,7 +9,6 @@ best recipe, and looks where the expected gain of knowing more is above the pric
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -25,9 +24,10 @@ from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Players, Policy
-from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 from chemlab.world import VESSEL_QUANTITIES
+
+from .base import ScriptedManager, cheapest
 
 __all__ = ["ForeseeingManager", "foresees", "run_experiment"]
 
@@ -129,7 +129,7 @@ class _Belief:
     running: tuple[int, str] | None = None
 
 
-class ForeseeingManager:
+class ForeseeingManager(ScriptedManager[_Belief]):
     """Looks at vessels, does with the most promising what promises most, and looks again where that pays.
 
     Args:
@@ -151,12 +151,10 @@ class ForeseeingManager:
         remember: bool = True,
     ) -> None:
         del instruments, positions  # as of other managers: this one asks the scenario
-        self._scenario, self._actions, self._remember = scenario, actions, remember
-        self._slices = channel_slices(channels)
-        self._orders = [name for name, _ in order_channels(scenario)]
+        super().__init__(scenario, channels, actions)
+        self._remember = remember
         specs = scenario.instruments
-        names = [n for n in specs if specs[n].kind in ("gas_chromatograph", "hplc", "uv_vis")]
-        chosen = min(names, key=lambda n: specs[n].price, default=None)
+        chosen = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis"))
         # A budget that pays for no look is as good as no instrument.
         affordable = chosen is not None and specs[chosen].price <= scenario.limits.budget
         self._instrument = chosen if careful and affordable else None
@@ -171,38 +169,16 @@ class ForeseeingManager:
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         size = next(iter(self._foresight.values())).readings.shape[2]
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
-        self._beliefs: dict[int, _Belief] = {}
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._beliefs)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._beliefs = copy.deepcopy(memory)
 
     # -- deciding ---------------------------------------------------------------------------------------------
-
-    def _value(self, observation: ObservationArray, name: str) -> float:
-        return float(observation[self._slices[name]][0])
 
     def _occupied(self, observation: ObservationArray) -> list[int]:
         return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
-            self._beliefs[member] = self._begin(observation)
-        belief = self._beliefs[member]
+            self._kept[member] = self._begin(observation)
+        belief = self._kept[member]
         wait = self._actions.encode("wait")
         if belief.running is not None:
             if self._value(observation, f"{belief.running[1]}_busy") > 0.5:

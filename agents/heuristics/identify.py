@@ -19,6 +19,7 @@ from chemlab.scenario import Scenario
 from chemlab.shelf import Shelf
 from chemlab.world import Draw, Permutation, quantiles
 
+from .base import cheapest
 from .manager import ManagerHeuristic
 
 __all__ = ["IdentifyingManager", "has_unlabelled_vessels"]
@@ -107,9 +108,7 @@ class IdentifyingManager(ManagerHeuristic):
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(self._titre, shares) if self._titre is not None else np.ones(1)
         self._arrangements, self._prior = self._possible(identity)
-        specs = scenario.instruments
-        kinds = [name for name, spec in specs.items() if spec.kind in ("uv_vis", "gas_chromatograph")]
-        self._instrument = min(kinds, key=lambda name: specs[name].price, default=None) if careful else None
+        self._instrument = cheapest(scenario, ("uv_vis", "gas_chromatograph")) if careful else None
         self._expected = self._readings(identity) if self._instrument else np.zeros(0)
         self._beliefs: dict[int, _Belief] = {}
 
@@ -188,8 +187,8 @@ class IdentifyingManager(ManagerHeuristic):
             free = [v for v, slot in enumerate(self._vessels) if slot not in belief.chosen]
             best = max(free or range(len(self._vessels)), key=lambda v: expected[v])
             belief.chosen.append(self._vessels[best])
-        self._lines[member] = self._begin(observation)
-        for line, slot in zip(self._lines[member], belief.chosen, strict=True):
+        self._kept[member] = self._begin(observation)
+        for line, slot in zip(self._kept[member], belief.chosen, strict=True):
             line.slot = slot
         return super()._decide(observation, mask, 1, member)
 

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel, channel_slices
+from chemlab.arrays import MaskArray, ObservationArray
+from chemlab.bench.base import Channel
 from chemlab.instruments.balance import RANGE_KG
 from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
-from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 
 from ..roles import role_of
+from .base import ScriptedManager
 
 __all__ = ["ManagerHeuristic"]
 
@@ -46,7 +43,7 @@ class _Line:
     submitted: bool = False
 
 
-class ManagerHeuristic:
+class ManagerHeuristic(ScriptedManager[list[_Line]]):
     """For each order: react; decant the leftover metal and throw it away; wash; distil; crystallize; analyse what comes
     out until something is pure enough; submit the best.
 
@@ -74,11 +71,10 @@ class ManagerHeuristic:
         careful: bool = True,
         skip: Collection[str] = (),
     ) -> None:
-        self._scenario, self._actions, self._careful = scenario, actions, careful
+        super().__init__(scenario, channels, actions)
+        self._careful = careful
         self._positions = positions
-        self._slices = channel_slices(channels)
         self._keys = list(scenario.benches)
-        self._orders = [name for name, _ in order_channels(scenario)]
         kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
         self._rxn, self._ext, self._dit, self._cry = (
             kinds.get(kind) for kind in ("reaction", "extraction", "distillation", "crystallization")
@@ -89,28 +85,6 @@ class ManagerHeuristic:
         self._gc = next((n for n, spec in scenario.instruments.items() if spec.kind == "gas_chromatograph"), None)
         self._analytes = instruments.analytes[instruments.names.index(self._gc)] if self._gc else ()
         self._molar_mass = np.array([scenario.materials[name].molar_mass_g_mol for name in self._analytes])
-        self._lines: dict[int, list[_Line]] = {}
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._lines)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._lines = copy.deepcopy(memory)
-
-    def _value(self, observation: ObservationArray, name: str) -> float:
-        return float(observation[self._slices[name]][0])
 
     def _agent(self, bench: str, line: _Line) -> str:
         return f"{bench}_{line.order % self._scenario.benches[bench].count}"
@@ -150,8 +124,8 @@ class ManagerHeuristic:
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
-            self._lines[member] = self._begin(observation)
-        lines = self._lines[member]
+            self._kept[member] = self._begin(observation)
+        lines = self._kept[member]
         for line in lines:
             if line.submitted or (line.running and self._value(observation, f"{line.running}_busy") > 0.5):
                 continue

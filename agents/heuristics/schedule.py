@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel, channel_slices
+from chemlab.arrays import FloatArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel
 from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import MEASURE, ManagerActions
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.view import order_channels, terms_channels
+from chemlab.laboratory.view import terms_channels
 from chemlab.scenario import DemandSpec, Scenario
 from chemlab.world import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, quantiles
 
+from .base import ScriptedManager
 from .campaign import run_once
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
@@ -86,7 +84,7 @@ class _Shop:
     asked: int | None = None
 
 
-class SchedulingManager:
+class SchedulingManager(ScriptedManager[_Shop]):
     """Takes the orders that pay best while reagent and time last, and lets the others go.
 
     An order is taken when its price is among as many as there is reagent for, of those known and those that the prior
@@ -116,10 +114,9 @@ class SchedulingManager:
         schedule: bool = True,
     ) -> None:
         del positions  # as of other managers: reaction benches have one vessel
-        self._scenario, self._actions, self._schedule = scenario, actions, schedule
-        self._slices = channel_slices(channels)
+        super().__init__(scenario, channels, actions)
+        self._schedule = schedule
         self._high = {channel.name: channel.high for channel in channels}
-        self._orders = [name for name, _ in order_channels(scenario)]
         self._stages = list(scenario.benches)
         self._idle = bool(set(self._stages) & set(skip))
         self._agents = {key: [f"{key}_{i}" for i in range(scenario.benches[key].count)] for key in self._stages}
@@ -143,30 +140,11 @@ class SchedulingManager:
         self._analytes = instruments.analytes[instruments.names.index(names[0])] if names else ()
         self._noise = scenario.instruments[names[0]].noise if names else 0.0
         self._price = scenario.instruments[names[0]].price if names else 0.0
-        self._shops: dict[int, _Shop] = {}
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._shops)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._shops = copy.deepcopy(memory)
 
     # -- what it sees -----------------------------------------------------------------------------------------
 
     def _value(self, observation: ObservationArray, name: str) -> float:
-        return float(observation[self._slices[name]][0]) * self._high[name]
+        return super()._value(observation, name) * self._high[name]
 
     def _known(self, observation: ObservationArray) -> list[_Order]:
         """The orders that are open."""
@@ -221,8 +199,8 @@ class SchedulingManager:
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
-            self._shops[member] = _Shop()
-        shop = self._shops[member]
+            self._kept[member] = _Shop()
+        shop = self._kept[member]
         self._learn(shop, observation)
         orders = self._known(observation)
         shop.seen += [order.number for order in orders if order.number not in shop.seen]

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel, channel_slices
+from chemlab.arrays import FloatArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel
 from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
-from chemlab.laboratory.view import order_channels
 from chemlab.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.world import quantiles
 
+from .base import ScriptedManager, cheapest
 from .campaign import foreseen
 
 __all__ = ["UpkeepManager", "has_wearing_lines"]
@@ -101,7 +98,7 @@ class _Belief:
     asked: _Line | None = None
 
 
-class UpkeepManager:
+class UpkeepManager(ScriptedManager[_Belief]):
     """Works on a batch at every line, and stops each where it is expected to be worth most.
 
     How a batch goes it has worked out on the public scenario beforehand. Of each line it keeps possible gains and, with
@@ -128,18 +125,15 @@ class UpkeepManager:
         remember: bool = True,
     ) -> None:
         del instruments, positions  # as of other managers: this one asks the scenario
-        self._scenario, self._actions, self._remember = scenario, actions, remember
-        self._slices = channel_slices(channels)
-        self._orders = [name for name, _ in order_channels(scenario)]
+        super().__init__(scenario, channels, actions)
+        self._remember = remember
         self._benches = [agent for agent in actions.bench_agents if agent.rpartition("_")[0] not in skip]
-        names = [n for n, spec in scenario.instruments.items() if spec.kind in ("gas_chromatograph", "hplc", "uv_vis")]
-        self._instrument = min(names, key=lambda n: scenario.instruments[n].price, default=None) if careful else None
+        self._instrument = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis")) if careful else None
         spec = scenario.instruments.get(str(self._instrument))
         self._price, self._noise = (spec.price, float(np.hypot(spec.noise, _MODEL_ERROR))) if spec else (0.0, 1.0)
         self._drift = (spec.drift if spec else None) or DriftSpec()
         self._steps = next(iter(scenario.benches.values())).step_limit
         self._foresee()
-        self._beliefs: dict[int, _Belief] = {}
 
     def _foresee(self) -> None:
         """Work out what an undisturbed batch reads, and what it is worth, by its age."""
@@ -160,32 +154,11 @@ class UpkeepManager:
         self._shown = np.flatnonzero(np.ptp(readings[0], axis=0) > _MODEL_ERROR)
         self._course, self._value_at = readings[0][:, self._shown], worth[0]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._beliefs)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._beliefs = copy.deepcopy(memory)
-
     # -- deciding ---------------------------------------------------------------------------------------------
-
-    def _seen(self, observation: ObservationArray, name: str) -> float:
-        return float(observation[self._slices[name]][0])
 
     def _left(self, observation: ObservationArray) -> int:
         """Ticks that are left."""
-        return round(self._seen(observation, "ticks") * self._scenario.limits.ticks)
+        return round(self._value(observation, "ticks") * self._scenario.limits.ticks)
 
     def _new_speed(self, wear: WearSpec, rng: np.random.Generator) -> FloatArray:
         return np.asarray(np.log(wear.gain) + wear.spread * rng.standard_normal(_PARTICLES))
@@ -205,15 +178,15 @@ class UpkeepManager:
         for agent in self._benches:
             wear = self._scenario.benches[agent.rpartition("_")[0]].wear or WearSpec()
             lines.append(_Line(agent, wear, self._first_speed(agent, wear, rng)))
-        fresh = [s for s in range(self._actions.slots) if self._seen(observation, f"slot_{s}_occupied") > 0.5]
+        fresh = [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
         size = len(self._shown)
         doubt = np.full(size, self._drift.first**2)
         return _Belief(lines, fresh, rng, np.zeros(size), doubt, list(range(len(self._orders))))
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
-            self._beliefs[member] = self._begin(observation)
-        belief = self._beliefs[member]
+            self._kept[member] = self._begin(observation)
+        belief = self._kept[member]
         left = self._left(observation)
         self._pass_time(belief, observation, left)
         for line in belief.lines:
@@ -244,7 +217,7 @@ class UpkeepManager:
             reading = observation[self._slices[f"slot_{line.slot}_{self._instrument}"]].astype(np.float64)
             self._learn(belief, line, reading[self._shown])
         for line in belief.lines:
-            if line.begun is not None and self._seen(observation, f"{line.agent}_busy") < 0.5:
+            if line.begun is not None and self._value(observation, f"{line.agent}_busy") < 0.5:
                 line.speed, line.age = self._worked(line, now - line.begun, belief.rng)
                 line.begun, line.looked = None, 0
 
@@ -257,9 +230,9 @@ class UpkeepManager:
         self, belief: _Belief, line: _Line, observation: ObservationArray, mask: MaskArray, left: int
     ) -> int | None:
         """What to do about a line that is idle; None: nothing."""
-        if self._seen(observation, f"{line.agent}_repair") > 0.0:
+        if self._value(observation, f"{line.agent}_repair") > 0.0:
             return None
-        broken = self._seen(observation, f"{line.agent}_broken") > 0.5
+        broken = self._value(observation, f"{line.agent}_broken") > 0.5
         repair = self._actions.encode("repair", line.agent)
         if mask[repair] and belief.orders and self._wants_repair(belief, line, broken, left):
             line.speed = self._new_speed(line.wear, belief.rng)

@@ -106,7 +106,7 @@ def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     labs.reset(labs.members)
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
-    belief = manager._beliefs[0]
+    belief = manager._kept[0]
     prior = manager._posterior(belief).sum(axis=2)
     assert prior == pytest.approx(np.full((8, 4), 0.25))
     belief.likelihood[0] = 1e-12
@@ -218,7 +218,7 @@ def test_particles_follow_the_vessel() -> None:
     players = Players(labs, [manager, *list(make_policies("heuristic", labs, 0).values())[1:]])
     while labs.state.ticks[0] < 30:
         players.play_pass(labs.members)
-    belief = manager._beliefs[0]
+    belief = manager._kept[0]
     line = belief.lines[0]
     manager._pass_time(belief, labs.observe(0, labs.members)[0], manager._left(labs.observe(0, labs.members)[0]))
     assert line.speed.std() == pytest.approx(0.5, rel=0.25)

@@ -1,0 +1,67 @@
+"""What scripted managers have in common."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Sequence
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.bench.base import Channel, channel_slices
+from chemlab.laboratory.actions import ManagerActions
+from chemlab.laboratory.view import order_channels
+from chemlab.scenario import Scenario
+
+__all__ = ["ScriptedManager", "cheapest"]
+
+M = TypeVar("M")
+
+
+def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
+    """Of a scenario's instruments of some kinds the one whose reading costs least; none if there is none."""
+    specs = scenario.instruments
+    return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
+
+
+class ScriptedManager(Generic[M]):
+    """A manager that decides for one laboratory at a time, by what it keeps of it.
+
+    Args:
+        scenario: the public scenario.
+        channels: the manager's observation channels.
+        actions: the manager's actions.
+    """
+
+    def __init__(self, scenario: Scenario, channels: Sequence[Channel], actions: ManagerActions) -> None:
+        self._scenario, self._actions = scenario, actions
+        self._slices = channel_slices(channels)
+        self._orders = [name for name, _ in order_channels(scenario)]
+        self._kept: dict[int, M] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the manager has discrete actions"
+        return np.array(
+            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
+            dtype=np.int64,
+        )
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return copy.deepcopy(self._kept)
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        self._kept = copy.deepcopy(memory)
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        raise NotImplementedError
+
+    def _value(self, observation: ObservationArray, name: str) -> float:
+        """The first number of a channel."""
+        return float(observation[self._slices[name]][0])
