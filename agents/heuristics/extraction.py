@@ -15,7 +15,6 @@ from chemlab.bench.extraction import ExtractionBench
 __all__ = ["ExtractionHeuristic"]
 
 _WASHES = 4
-_WASH_L = 0.05
 _SAME = 1e-3
 """Grey values closer than this are the same material."""
 
@@ -33,24 +32,30 @@ class ExtractionHeuristic:
         careful: False washes whatever lies at the bottom.
     """
 
+    wash_l = 0.05
+    """Litres that a wash should have."""
+
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         materials = bench.scenario.materials
         violent = {name for step in bench.scenario.family.violent for name in step.reactants}
         self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent and careful]
         self._solids = [m.shade for m in materials.values() if m.role == "solid"]
         processes = bench.options.process
-        first = next(i for i, process in enumerate(processes) if process.kind == "add")
-        self._wash_shade = materials[processes[first].material].shade
         starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        drain = next(i for i, p in enumerate(processes) if p.kind == "drain" and (p.vessel, p.target) == ("EV", "B1"))
-        mix = next(i for i, process in enumerate(processes) if process.kind == "mix")
-        settle = next(i for i, process in enumerate(processes) if process.kind == "settle")
+
+        def find(kind: str, **wanted: str) -> int:
+            for i, process in enumerate(processes):
+                if process.kind == kind and all(getattr(process, key) == value for key, value in wanted.items()):
+                    return i
+            raise ValueError(f"benches.{bench.key}: its script needs a process {kind!r}")
+
+        drain, add, mix, settle = find("drain", vessel="EV", target="B1"), find("add"), find("mix"), find("settle")
+        self._wash_shade = materials[str(processes[add].material)].shade
         # (magnitude, action), largest first: what fits of it is taken.
         self._drains = sorted(
             ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
         )
-        litres = processes[first].magnitudes
-        self._add = int(starts[first]) + int(np.argmin([abs(m - _WASH_L) for m in litres]))
+        self._add = int(starts[add]) + int(np.argmin([abs(m - self.wash_l) for m in processes[add].magnitudes]))
         self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
         self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
         self._end = bench.end_action

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,8 @@ from chemlab.bench.base import CAMERA_PIXELS, channel_slices
 from chemlab.bench.distillation import DistillationBench
 from chemlab.bench.extraction import ExtractionBench
 from chemlab.bench.reaction import ReactionBench
+
+from .extraction import ADD, DRAIN, MIX, SETTLE, ExtractionHeuristic
 
 __all__ = ["RealDistillationHeuristic", "RealExtractionHeuristic", "RealReactionHeuristic"]
 
@@ -84,13 +85,11 @@ class RealReactionHeuristic:
 
 
 _WASHES = 3
-_WASH_L = 0.2
 _LOWER = 0.12
 """Grey values this close to water's are the aqueous layer's."""
-ADD, MIX, SETTLE, DRAIN = range(4)
 
 
-class RealExtractionHeuristic:
+class RealExtractionHeuristic(ExtractionHeuristic):
     """Washes with water: add, shake, let settle, drain what looks like water at the bottom; some times over.
 
     Args:
@@ -98,55 +97,15 @@ class RealExtractionHeuristic:
         careful: False washes once.
     """
 
+    wash_l = 0.2
+
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        materials = bench.scenario.materials
-
-        def find(kind: str, **wanted: str) -> int:
-            for i, process in enumerate(processes):
-                if process.kind == kind and all(getattr(process, key) == value for key, value in wanted.items()):
-                    return i
-            raise ValueError(f"benches.{bench.key}: its script needs a process {kind!r}")
-
-        drain, add = find("drain", vessel="EV", target="B1"), find("add", vessel="EV", material="water")
-        mix, settle = find("mix", vessel="EV"), find("settle")
-        self._drains = sorted(
-            ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
-        )
-        self._add = int(starts[add]) + int(np.argmin([abs(m - _WASH_L) for m in processes[add].magnitudes]))
-        self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
-        self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
-        self._water, self._air = materials["water"].shade, materials["air"].shade
+        super().__init__(bench)
         self._washes_wanted = _WASHES if careful else 1
-        self._end = bench.end_action
-        self._phase: dict[int, int] = {}
-        self._washes: dict[int, int] = {}
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
-        assert mask is not None, "the extraction bench has discrete actions"
-        return np.array(
-            [
-                self._decide(o[:CAMERA_PIXELS], m, int(s), int(i))
-                for o, m, s, i in zip(observation, mask, step, members, strict=True)
-            ],
-            dtype=np.int64,
-        )
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy((self._phase, self._washes))
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._phase, self._washes = copy.deepcopy(memory)
 
     def _boundary(self, picture: ObservationArray) -> int:
         """Pixels from the bottom up to the last one that looks like water."""
-        wet = np.flatnonzero(np.abs(picture - self._water) < _LOWER)
+        wet = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
         return int(wet[-1]) + 1 if len(wet) else 0
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
