@@ -61,7 +61,7 @@ def main() -> None:
     result = measure(chosen.seconds, chosen.turns)
     print(json.dumps(result, indent=2) if chosen.json else table(result))
     if chosen.update:
-        replace_between(chosen.update, "tiers", table(result))
+        replace_between(chosen.update, "tiers", table(result).splitlines())
 
 
 if __name__ == "__main__":
