@@ -66,7 +66,7 @@ nitpick_ignore_regex = [
     # Not public: they have no page.
     (
         r"py:(class|obj)",
-        r"chemlab\..*\.(_\w+|A|F|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)",
+        r"chemlab\..*\.(_\w+|A|F|M|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)",
     ),
 ]
 suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references

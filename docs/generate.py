@@ -68,7 +68,7 @@ __all__ = ["pages", "setup_pages"]
 HERE = Path(__file__).parent
 OUT = "generated"
 EXAMPLE = "wurtz_dodecane"
-_NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.")  # the package itself has all of its names
+_NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.", "chemlab.openchem")  # the package itself has all of its names
 _TIERS = tuple(PHYSICS_TIERS.values())
 """Their laws stand where they are written."""
 Rows = Iterable[Sequence[Any]]

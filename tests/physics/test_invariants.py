@@ -32,7 +32,7 @@ TURNS = 40_000
 # -- random agents in laboratories --------------------------------------------------------------------------------
 
 
-def check_shelf(shelf: Shelf) -> None:
+def check_shelf(shelf: Shelf, slots: int = 0) -> None:
     """Amounts, temperatures, clocks, pressures and dissolved amounts of every vessel of every laboratory."""
     for array in (shelf.vessels, shelf.stock, shelf.waste):
         assert np.isfinite(array).all()
@@ -53,9 +53,11 @@ def check_shelf(shelf: Shelf) -> None:
     assert rows[:, CLOCK].max() <= CLOCK_SETTLED
     known = shelf.known()
     filled = shelf.amounts[standing] @ np.where(known.role == ROLE_GAS, 0.0, known.molar_volume)
-    assert (filled <= rows[:, CAPACITY] * (1.0 + 1e-6)).all()  # dissolving moves the volume by a billionth
+    # Dissolving moves the volume by a billionth; reacting at a bench by more, which spills when next it is worked on.
+    at_bench = (np.nonzero(standing)[1] >= slots) & (slots > 0)
+    assert (filled <= rows[:, CAPACITY] * np.where(at_bench, 1.0 + 1e-3, 1.0 + 1e-6)).all()
     solvents, solutes = known.solvents, known.dissolved
-    wet = (shelf.amounts[..., solvents].max(axis=-1) > TRACE) & standing
+    wet = (shelf.amounts[..., solvents].max(axis=-1, initial=0.0) > TRACE) & standing
     dissolved, there = shelf.dissolved[wet].sum(axis=-1), shelf.amounts[wet][:, solutes]
     # What can crystallize may lie there undissolved.
     lying = np.asarray(getattr(known, "fusion", np.zeros(len(shelf.layout.materials))))[solutes] > 0.0
@@ -124,7 +126,7 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
         assert np.isfinite(laboratories.rewards).all()
         assert np.isfinite(laboratories.cost).all()
         assert laboratories.cost.min() >= 0.0
-        check_shelf(shelf)
+        check_shelf(shelf, laboratories.scenario.shelf.slots)
         check_seen(laboratories, members)
 
     turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.experiments))
