@@ -13,6 +13,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 from chemlab.cli import app
 from chemlab.datafile import DataError, read_toml
 from chemlab.materials import Material, load_materials, shipped_materials
@@ -28,7 +33,7 @@ from chemlab.openchem.designs import feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of, molar_mass  # noqa: E402
 from chemlab.openchem.properties import Properties, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, family_text, heat_of_reaction  # noqa: E402
-from chemlab.openchem.writing import toml_tables  # noqa: E402
+from chemlab.openchem.writing import toml, toml_tables  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
@@ -226,7 +231,7 @@ def test_products_react_on_and_side_reactions_are_guessed_as_such() -> None:
     found, species = expand(templates, ["2,4-difluoronitrobenzene", "pyrrolidine", "water"], shipped_materials())
     main = [f for f in found if not f.template.side]
     # ortho and para, and each of them again; the doubly substituted product is one. Phenols react on, too.
-    assert len([s for s in species if s.key.startswith("c14h19n3o2")]) == 1
+    assert len([s for s in species if s.key == "bis_pyrrolidinyl"]) == 1
     assert any(f.template.side for f in found)
     once, _ = expand(templates[:1], ["2,4-difluoronitrobenzene", "pyrrolidine"], shipped_materials(), generations=1)
     twice, _ = expand(templates[:1], ["2,4-difluoronitrobenzene", "pyrrolidine"], shipped_materials(), generations=2)
@@ -298,10 +303,6 @@ def test_an_environment_imports_nothing_of_the_extra() -> None:
 
 
 def test_tables_are_read_as_they_were_written() -> None:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
     values = {"a": 1.5, "b": 'x "y" \\ z', "t": {"1,2-x": {"k": [1, 2]}, "r": True}, "l": [{"m": {"n": 1}}, {"m": {}}]}
     assert tomllib.loads("\n".join(toml_tables(values))) == values
 
@@ -392,3 +393,63 @@ def test_a_laboratory_that_cannot_be_is_refused(acetate: Path, words: list[str],
     for part in parts:
         assert part in " ".join(shown.split())
     assert not lab.exists()
+
+
+# What commands are given ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["C" * 501, "C" * 1_000_000, "C(" * 100_000, "C\0C", "\x1b[31mred", "C\udcff", "*", "C*", "[99999999999999C]", ""],
+    ids=["long", "longer", "nested", "null", "escape", "half", "star", "any", "isotope", "empty"],
+)
+def test_what_is_no_compound_is_refused_in_words(text: str) -> None:
+    with pytest.raises(DataError) as refused:
+        compound_of(text)
+    assert len(str(refused.value)) < 400
+    assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize("key", ["a\nb", "\x1b[31m", "a" * 101, "lock"])
+def test_an_id_is_one_that_a_file_may_have(key: str) -> None:
+    with pytest.raises(DataError, match="--name"):
+        compound_of("CCCCCCO", key)
+
+
+@pytest.mark.parametrize("smarts", ["[C:1]" * 20_000 + ">>C", "[$(" * 3000 + "C" + ")]" * 3000 + ">>C", "C>>C\0"])
+def test_a_template_of_any_length_is_refused_in_words(smarts: str) -> None:
+    with pytest.raises(DataError, match="500 printable characters") as refused:
+        Template(smarts)
+    assert len(str(refused.value)) < 400
+
+
+def test_templates_that_explode_come_to_an_end() -> None:
+    known = shipped_materials()
+    anything = "[*:1].[*:2].[*:3].[*:4]>>[*:1].[*:2].[*:3].[*:4]"
+    with pytest.raises(DataError, match="more than 20000 sets of products"):
+        expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], known)
+    ether = "[C:1][OH:2].[C:3][OH:4]>>[C:1][O:2][C:3].[OH2:4]"
+    with pytest.raises(DataError, match="more than 200 reactions"):
+        expand([Template(ether)], ["OCC(O)CO", "OCCO"], known, None, 10)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 0.0, -1.0])
+def test_rates_are_numbers(number: float) -> None:
+    with pytest.raises(DataError, match="above 0"):
+        Rate(constant=number)
+    with pytest.raises(DataError, match="above 0"):
+        Rate(equilibrium_constant=number)
+    if number:
+        with pytest.raises(DataError, match="0 to 500000"):
+            Rate(activation_j_mol=number)
+
+
+def test_whatever_a_text_has_in_it_it_stays_that_text(tmp_path: Path) -> None:
+    """A source, which anybody may give, is no way to write a table of one's own into the file."""
+    texts = ['a"b', "a\\", "a\nb = 1", "\t#", "\x7f", "'", "é\u2028", '"""', "\\u0041"]
+    for text in texts:
+        written = tmp_path / "a.toml"
+        written.write_text(f"text = {toml(text)}\n", encoding="utf-8")
+        content = written.read_text(encoding="utf-8")
+        assert len(content.split("\n")) == 2
+        assert tomllib.loads(content) == {"text": text}

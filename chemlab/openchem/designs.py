@@ -376,7 +376,8 @@ def scenario_text(tables: Mapping[str, Any], command: str) -> str:
         "weights",
         *_INSTRUMENTS,
     )
-    lines = [f"# Made by {command}; every key: see chemlab's pages Write a scenario, and Keys of data files"]
+    made_by = " ".join(command.split())  # on the comment's one line
+    lines = [f"# Made by {made_by}; every key: see chemlab's pages Write a scenario, and Keys of data files"]
     return "\n".join([*lines, *toml_tables(tables, inline)]) + "\n"
 
 

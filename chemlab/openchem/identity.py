@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..datafile import DataError
-from ..materials import shipped_materials
+from ..materials import LOCK, shipped_materials
 
 try:
     from chemicals.elements import periodic_table
@@ -20,10 +20,23 @@ except ImportError as error:
         f'open chemistry needs rdkit and chemicals ({error}): pip install "chemlab-marl[chem]"'
     ) from error
 
-__all__ = ["Compound", "canonical", "composition_of", "compound_of", "molar_mass", "parsed", "structures"]
+__all__ = [
+    "Compound",
+    "canonical",
+    "check_length",
+    "composition_of",
+    "compound_of",
+    "molar_mass",
+    "parsed",
+    "structures",
+]
 
 RDLogger.DisableLog("rdApp.*")
 
+_LONGEST = 500
+"""Characters of a name or a structure: a chain of as many atoms has no properties that are estimated here, and what is
+done with a structure takes time that grows with a power of its length."""
+_LONGEST_KEY = 100
 _CAS = re.compile(r"\d{2,7}-\d{2}-\d")
 _WEIGHTS = {"H": 1.00794, "C": 12.0107, "N": 14.0067, "O": 15.9994, "Na": 22.98977, "Cl": 35.453, "Ar": 39.948}
 """Atomic weights of the shipped files; reactions conserve mass only where all files have the same."""
@@ -48,16 +61,32 @@ class Compound:
         return composition_of(parsed(self.smiles, self.key))
 
 
+def check_length(text: str, what: str) -> None:
+    """Refuse a name, a structure or a template that takes forever, or that no file can hold.
+
+    Raises:
+        DataError: it is too long, or not printable; the message names ``what``.
+    """
+    if len(text) > _LONGEST or not text.isprintable():
+        raise DataError(f"{what:.80}: must be {_LONGEST} printable characters at most, given {len(text)}: {text!r:.80}")
+
+
 def parsed(smiles: str, what: str) -> Any:
     """RDKit's molecule of a structure.
 
     Raises:
-        DataError: it is none; the message names ``what``.
+        DataError: it is none, or too long; the message names ``what``.
     """
+    check_length(smiles, what)
     molecule = Chem.MolFromSmiles(smiles) if smiles else None
-    if molecule is None or molecule.GetNumAtoms() == 0:
+    if not _is_structure(molecule):
         raise DataError(f"{what}: {smiles!r} is no structure (SMILES)")
     return molecule
+
+
+def _is_structure(molecule: Any) -> bool:
+    """Whether it has atoms, each of an element: SMILES have a star for any."""
+    return molecule is not None and molecule.GetNumAtoms() > 0 and all(a.GetAtomicNum() for a in molecule.GetAtoms())
 
 
 def canonical(smiles: str, what: str) -> str:
@@ -93,6 +122,20 @@ def structures() -> dict[str, str]:
     return {canonical(m.smiles, key): key for key, m in shipped_materials().items() if m.smiles}
 
 
+def _checked_key(key: str) -> str:
+    """An id that a material file may have.
+
+    Raises:
+        DataError: it is none.
+    """
+    if len(key) > _LONGEST_KEY or not key.isprintable() or key == LOCK:
+        raise DataError(
+            f"{key!r:.80}: the id of a material must be {_LONGEST_KEY} printable characters at most, and not {LOCK}; "
+            "give it another with --name KEY=WHAT"
+        )
+    return key
+
+
 def _key(name: str) -> str:
     return re.sub(r"\s+", "_", name.strip().lower())
 
@@ -105,9 +148,10 @@ def compound_of(text: str, key: str = "") -> Compound:
         key: the id it is to have, default: its name with ``_`` for spaces.
 
     Raises:
-        DataError: it is none of these, a salt, or an ion.
+        DataError: it is none of these, too long, a salt, or an ion.
     """
     text = text.strip()
+    check_length(text, "compound")
     entry = None
     if _CAS.fullmatch(text):
         if not check_CAS(text):
@@ -118,7 +162,7 @@ def compound_of(text: str, key: str = "") -> Compound:
     named = pubchem_db.search_name(text.lower()) if entry is None and text else None
     entry = entry or named or None
     molecule = parsed(entry.smiles, text) if entry else Chem.MolFromSmiles(text) if text else None
-    if molecule is None or molecule.GetNumAtoms() == 0:
+    if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
             "of these, a structure as SMILES (ethanol: CCO)"
@@ -136,5 +180,10 @@ def compound_of(text: str, key: str = "") -> Compound:
     formula = str(CalcMolFormula(molecule))
     name = text if named else (entry.common_name if entry else formula)
     return Compound(
-        key or _key(name), name, formula, str(Chem.MolToSmiles(molecule)), inchi_key, entry.CASs if entry else None
+        _checked_key(key or _key(name)),
+        name,
+        formula,
+        str(Chem.MolToSmiles(molecule)),
+        inchi_key,
+        entry.CASs if entry else None,
     )

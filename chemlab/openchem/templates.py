@@ -13,7 +13,7 @@ from ..datafile import DataError, validated
 from ..materials import Material
 from ..physics.constants import GAS_CONSTANT
 from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
-from .identity import Compound, composition_of, compound_of, parsed
+from .identity import Compound, check_length, composition_of, compound_of, parsed
 from .writing import lock, toml_tables
 
 try:
@@ -27,6 +27,8 @@ __all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "f
 ROOM_K = 298.15
 _MOST_WAYS = 50_000
 """Ways to fill the places of a template that are tried."""
+_MOST_OUTCOMES = 20_000
+"""Sets of products that are looked at: one way to fill the places may have a thousand."""
 _MOST_REACTIONS = 200
 _GUESSED = ((2e-4, 60_000.0), (2e-5, 75_000.0))
 """Rate constant at 298.15 K and activation energy in J/mol where none is given: of a preparation that takes an hour or
@@ -47,8 +49,8 @@ class Rate:
 
     def __post_init__(self) -> None:
         for name, value, least in (("rate", self.constant, 0.0), ("equilibrium", self.equilibrium_constant, 0.0)):
-            if value is not None and not value > least:
-                raise DataError(f"{name}: must be above 0, given {value:g}")
+            if value is not None and not least < value < math.inf:
+                raise DataError(f"{name}: must be a number above 0, given {value:g}")
         if self.activation_j_mol is not None and not 0.0 <= self.activation_j_mol <= 500_000.0:
             raise DataError(f"activation: must be 0 to 500000 J/mol, given {self.activation_j_mol:g}")
 
@@ -72,6 +74,7 @@ class Template:
     reaction: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_length(self.smarts, "template")
         try:
             made = AllChem.ReactionFromSmarts(self.smarts)
             made.Initialize()
@@ -165,11 +168,13 @@ class _Pool:
         return made
 
 
-def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[Any, ...]], int]:
-    """Different sets of products that molecules give in this order, and how many had impossible ones."""
+def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[Any, ...]], int, int]:
+    """Different sets of products that molecules give in this order, how many had impossible ones, and how many there
+    were in all."""
     found: dict[tuple[str, ...], tuple[Any, ...]] = {}
     wrong = 0
-    for products in template.reaction.RunReactants(tuple(molecules)):
+    ran = template.reaction.RunReactants(tuple(molecules))
+    for products in ran:
         made = []
         try:
             for product in products:
@@ -179,7 +184,7 @@ def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[
             wrong += 1
             continue
         found.setdefault(tuple(sorted(Chem.MolToSmiles(m) for m in made)), tuple(made))
-    return list(found.values()), wrong
+    return list(found.values()), wrong, len(ran)
 
 
 def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str) -> None:
@@ -235,11 +240,11 @@ def expand(
                 mark = (frozenset(step.reactants.items()), frozenset(step.products.items()))
                 if step.reactants != step.products:
                     found.setdefault(mark, step)
-            if len(found) > _MOST_REACTIONS:
-                raise DataError(
-                    f"template {template.smarts!r}: makes more than {_MOST_REACTIONS} reactions; make it more "
-                    "specific, or ask for fewer --generations"
-                )
+                if len(found) > _MOST_REACTIONS:
+                    raise DataError(
+                        f"template {template.smarts!r}: makes more than {_MOST_REACTIONS} reactions; make it more "
+                        "specific, or ask for fewer --generations"
+                    )
         molecules = [key for key, species in pool.species.items() if "." not in species.smiles]
         ready += [key for key in molecules if key not in before]
         if set(ready) == before:
@@ -271,11 +276,16 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
     ]
     if math.prod(len(keys) for keys in fitting) > _MOST_WAYS:
         raise DataError(f"template {template.smarts!r}: fits in more than {_MOST_WAYS} ways; make it more specific")
-    impossible, made = 0, 0
+    impossible, made, left = 0, 0, _MOST_OUTCOMES
     for chosen in itertools.product(*fitting):
         molecules = [pool.molecules[key] for key in chosen]
-        outcomes, wrong = _outcomes(template, molecules)
-        impossible += wrong
+        outcomes, wrong, ran = _outcomes(template, molecules)
+        impossible, left = impossible + wrong, left - ran
+        if left < 0:
+            raise DataError(
+                f"template {template.smarts!r}: gives more than {_MOST_OUTCOMES} sets of products; make it more "
+                "specific"
+            )
         for products in outcomes:
             made += 1
             before = Counter(pool.species[key].key for key in chosen)
