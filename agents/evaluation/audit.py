@@ -44,8 +44,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from chemlab.arrays import FloatArray
+from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_text
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
@@ -68,6 +70,8 @@ _POLICIES = ("heuristic", "hasty", "direct", "pretrained", "trained")
 _NO_BUDGET = 1e-9
 _CHUNK = 10
 """Episodes that one process searches in, one after the other."""
+_PART_BYTES = 10_000_000
+"""Of a file of a finished part: that of 200 episodes is a tenth of a megabyte."""
 
 GATES = {
     "blind": "at most 0.5 of the reference",
@@ -261,6 +265,44 @@ def _run(job: _Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     return _KINDS[job.kind](scenario, budget, **job.arguments)
 
 
+class _Result(BaseModel):
+    """What a job has come to, as a file has it: which of these depends on its kind."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    scores: list[float] | None
+    reason: str = ""
+    contention: list[list[float]] = []
+    plans: list[tuple[list[str], list[int]]] = []
+    everybody: list[float] = []
+    curves: list[list[float]] = []
+
+    def is_of(self, job: _Job, budget: AuditBudget) -> bool:
+        """Whether it has what such a job comes to, of as many episodes."""
+        given, wanted = self.model_fields_set, {"scores"}
+        if job.kind == "play" and self.scores is None:
+            return given == {"scores", "reason"}
+        episodes = job.arguments.get("episodes") or budget.episodes
+        if job.kind == "play" and job.arguments.get("contended"):
+            wanted |= {"contention"}
+        if job.kind == "foresee":
+            wanted |= {"curves"}
+            episodes = min(_CHUNK, budget.episodes - job.arguments["first"])
+        if job.kind == "plan" and not job.arguments.get("without"):
+            wanted |= {"plans", "everybody"}
+        lists = [getattr(self, name) for name in wanted - {"plans"}]
+        return given == wanted and all(part is not None and len(part) == episodes for part in lists)
+
+
+class _Part(BaseModel):
+    """A file of a finished part."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    stamp: str
+    result: _Result
+
+
 class _Crew:
     """Runs jobs in as many processes as there are, and keeps what each has come to.
 
@@ -276,9 +318,7 @@ class _Crew:
         self, scenario: Scenario, budget: AuditBudget, keep: Path | None, processes: int, watch: Callable[[str], None]
     ) -> None:
         self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch
-        self._stamp = hashlib.blake2b(
-            json.dumps([scenario_hash(scenario), vars(budget), versions()]).encode(), digest_size=16
-        ).hexdigest()
+        self._made_of = [scenario_hash(scenario), vars(budget), versions()]
         # Threads of numerical libraries do not survive a fork.
         self._pool = ProcessPoolExecutor(processes, get_context("spawn")) if processes > 1 else None
 
@@ -295,7 +335,7 @@ class _Crew:
         missing = [job for job in jobs if job.name not in found]
         for job, result in self._results(missing):
             if self._keep is not None:
-                write_text(self._keep / f"{job.name}.json", json.dumps({"stamp": self._stamp, "result": result}))
+                write_text(self._keep / f"{job.name}.json", json.dumps({"stamp": self._stamp(job), "result": result}))
             found[job.name] = result
             self._watch(job.name)
         return found
@@ -308,15 +348,22 @@ class _Crew:
         for future in as_completed(waiting):
             yield waiting[future], future.result()
 
+    def _stamp(self, job: _Job) -> str:
+        """What tells a part from that of another scenario, version, budget or policy."""
+        told = json.dumps([*self._made_of, job.kind, job.arguments]).encode()
+        return hashlib.blake2b(told, digest_size=16).hexdigest()
+
     def _kept(self, job: _Job) -> dict[str, Any] | None:
+        """What was kept of a job; None, and it is played again, where that is nothing or cannot be what it came to."""
         path = None if self._keep is None else self._keep / f"{job.name}.json"
         if path is None or not path.is_file():
             return None
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            return dict(content["result"]) if content["stamp"] == self._stamp else None
-        except (ValueError, KeyError, TypeError):
+            part: _Part = validated(_Part, read_json(path, _PART_BYTES), str(path))
+        except DataError:
             return None
+        fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget)
+        return part.result.model_dump(mode="json", exclude_unset=True) if fits else None
 
 
 # -- the audit --------------------------------------------------------------------------------------------------------

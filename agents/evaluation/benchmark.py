@@ -40,9 +40,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from chemlab.arrays import FloatArray
-from chemlab.datafile import read_json
+from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_text
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import MANAGER_AGENT
@@ -62,6 +63,7 @@ __all__ = [
     "Row",
     "benchmark",
     "find_rows",
+    "leaderboard_lines",
     "part_count",
     "world_scenarios",
     "write_benchmark",
@@ -71,6 +73,7 @@ DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
+_LEADERBOARD_BYTES = 50_000_000
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
 """Of performance profiles, on the scale."""
 
@@ -473,6 +476,40 @@ def _recorded(
     return written
 
 
+class _Line(BaseModel):
+    """What every line of a leaderboard has; the rest of it stays as it is."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    scenario: str
+    policy: str
+    split: str
+    value: float | None
+
+
+class _Leaderboard(BaseModel):
+    """The file."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    lines: list[_Line]
+
+
+def leaderboard_lines(path: Path) -> list[dict[str, Any]]:
+    """The lines of a leaderboard; none where there is no file.
+
+    Raises:
+        DataError: it is no leaderboard.
+    """
+    if not path.exists():
+        return []
+    try:
+        found: _Leaderboard = validated(_Leaderboard, read_json(path, _LEADERBOARD_BYTES), str(path))
+    except DataError as error:
+        raise DataError(f"{error}; this is no leaderboard: move it away, or name another folder with --out") from error
+    return [line.model_dump(mode="json") for line in found.lines]
+
+
 def _write_leaderboard(
     path: Path, found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict[str, Any]]]
 ) -> None:
@@ -486,7 +523,6 @@ def _write_leaderboard(
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
     new = {(line["scenario"], line["policy"], line["split"]) for line in lines}
-    before = read_json(path)["lines"] if path.exists() else []
-    kept = [line for line in before if (line["scenario"], line["policy"], line["split"]) not in new]
+    kept = [line for line in leaderboard_lines(path) if (line["scenario"], line["policy"], line["split"]) not in new]
     everything = sorted([*kept, *lines], key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
     write_text(path, json.dumps({"kind": "leaderboard", "format": 1, "lines": everything}, indent=1) + "\n")

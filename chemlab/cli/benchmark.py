@@ -57,6 +57,7 @@ def benchmark(
         names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
         rows = protocol.find_rows([name for name in names if name not in always])
         check_folder(output)
+        protocol.leaderboard_lines(output / "leaderboard.json")  # before anything is played
         with counting() as progress:
             total = protocol.part_count(specs, rows, BUDGETS[budget], seeds, split)
             task = progress.add_task("parts", total=total)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.evaluation.audit import AuditBudget, _Scale, _told, audit, verdict
+from chemlab.agents.evaluation.audit import AuditBudget, _Crew, _first_jobs, _Job, _Scale, _told, audit, verdict
 from chemlab.agents.evaluation.plans import best_in_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
@@ -89,6 +89,33 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
     assert {file.stem for file in files} == set(seen)
     again = {file.name for file in files if file.stat().st_mtime_ns != kept[file.name]}
     assert again == {"random.json", "test.json"}
+
+
+def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    """With the stamp it had, so that it is the content alone which gives it away."""
+    _, keep = unlabelled
+    crew = _Crew(load_scenario("unlabelled"), TINY, keep, 1, lambda _: None)
+    job = next(job for job in _first_jobs(load_scenario("unlabelled")) if job.name == "plan")
+    path, whole = keep / "plan.json", (keep / "plan.json").read_text()
+    part = json.loads(whole)
+    result = part["result"]
+    assert crew._kept(job) == result
+    worse: list[Any] = [
+        {**result, "scores": [1.0]}, {**result, "scores": None}, {**result, "scores": [float("nan")] * TINY.episodes},
+        {**result, "scores": ["a"] * TINY.episodes}, {**result, "plans": [[]]}, {**result, "more": 1}, [], None,
+        {"scores": result["scores"]}, {**result, "everybody": [0.0] * 20_000},
+    ]  # fmt: skip
+    try:
+        for other in worse:
+            path.write_text(json.dumps({**part, "result": other}))
+            assert crew._kept(job) is None, other
+        for text in ("[" * 100_000, "", "null", "\0", '{"stamp": 1}', " " * 20_000_000):
+            path.write_text(text)
+            assert crew._kept(job) is None
+    finally:
+        path.write_text(whole)
+    # Another policy under the same name, as after more training, is another job.
+    assert crew._kept(_Job("plan", "plan", {"without": "rxn"})) is None
 
 
 def test_where_nothing_is_hidden_a_blind_plan_does() -> None:

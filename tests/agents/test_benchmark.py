@@ -12,7 +12,14 @@ from typer.testing import CliRunner
 
 from chemlab.agents.evaluation import statistics
 from chemlab.agents.evaluation.audit import AUDIT_SEED, AuditBudget
-from chemlab.agents.evaluation.benchmark import Row, benchmark, find_rows, part_count, write_benchmark
+from chemlab.agents.evaluation.benchmark import (
+    Row,
+    benchmark,
+    find_rows,
+    leaderboard_lines,
+    part_count,
+    write_benchmark,
+)
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
@@ -125,6 +132,24 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
         assert line["hardware"]["cores"]
         assert line["versions"]["chemlab"]
     assert lines["unlabelled", "pretrained"]["reason"]
+
+
+def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path) -> None:
+    path = tmp_path / "leaderboard.json"
+    assert leaderboard_lines(path) == []
+    line = {"scenario": "a", "policy": "b", "split": "test", "value": None, "more": [1, "x"]}
+    path.write_text(json.dumps({"lines": [line]}))
+    assert leaderboard_lines(path) == [line]
+    texts = [json.dumps({"lines": [{**line, key: value}]}) for key, value in (("value", "x"), ("policy", 1))]
+    texts += [json.dumps({"lines": [{"scenario": "a"}]}), '{"lines": [{"value": NaN}]}', "[]", "null", "", "[" * 9999]
+    texts += [json.dumps({"lines": [{**line, "policy": "\x1b[31m"}]}), json.dumps({"lines": [line] * 20_000})]
+    for text in texts:
+        path.write_text(text)
+        done = CliRunner().invoke(app, ["benchmark", "unlabelled", "--out", str(tmp_path)])
+        assert done.exit_code == 2, text[:80]
+        assert "leaderboard.json" in done.output.replace("\n", ""), text[:80]
+        assert "\x1b" not in done.output
+    assert sorted(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> None:
