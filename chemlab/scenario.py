@@ -88,6 +88,9 @@ _DATA = Path(__file__).resolve().parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _MOST_MATERIALS = 256
 _MOST_STARTS = 20_000
+_MOST_VESSEL_TICKS = 1_000_000
+"""That may pass within one action of the manager, which nothing interrupts: seconds, as a vessel at rest takes up to 10
+us for a tick."""
 
 Key = Annotated[str, Field(min_length=1, max_length=100)]
 Mol = Annotated[float, Field(ge=0.0, le=1e4)]
@@ -536,6 +539,13 @@ class Scenario(Grown):
             )
         if self.shelf.tick and self.physics != "paper":
             raise ValueError(f"shelf.tick: vessels age by themselves with physics = {self.physics!r}; leave it out")
+        repairs = any(bench.wear is not None and bench.wear.repair_ticks for bench in self.benches.values())
+        longest = self.limits.ticks * self.shelf.slots
+        if (self.demand.order or repairs) and longest > _MOST_VESSEL_TICKS:
+            raise ValueError(
+                "limits.ticks x shelf.slots: while the manager waits for an order or a repair, "
+                f"{longest} ticks of a vessel could pass; at most {_MOST_VESSEL_TICKS}"
+            )
         for goal in self.lab_goals:
             if goal not in self.theoretical_maximum_mol:
                 raise ValueError(f"theoretical_maximum_mol.{goal}: must be given and above 0")

@@ -169,3 +169,28 @@ def test_orders_that_cannot_be_are_refused(key: str, value: Any, message: str) -
         values[key] = value
     with pytest.raises(DataError, match=message):
         load_scenario(values)
+
+
+def test_a_wait_that_nothing_could_interrupt_for_minutes_is_refused() -> None:
+    values = shop({"arrives": 1e6})
+    values["limits"]["ticks"] = 1_000_000 // values["shelf"]["slots"]
+    load_scenario(values)
+    values["limits"]["ticks"] += 1
+    with pytest.raises(DataError, match=r"limits\.ticks x shelf\.slots: .* at most 1000000"):
+        load_scenario(values)
+    load_scenario(values | {"demand": {}, "orders": 1})
+
+
+@pytest.mark.parametrize("number", [-1.0, 1e9, 1e300, math.inf, math.nan, "soon", None, []])
+@pytest.mark.parametrize("key", ["arrives", "within", "price", "amount_at_least_mol", "purity_at_least"])
+def test_terms_are_numbers_within_bounds(key: str, number: Any) -> None:
+    if key == "within" and number is None:
+        return
+    with pytest.raises(DataError, match=rf"demand\.order\.0\.{key}: "):
+        load_scenario(shop({key: number}))
+
+
+def test_there_are_as_many_orders_as_a_laboratory_may_have() -> None:
+    with pytest.raises(DataError, match="at most 16") as refused:
+        load_scenario(shop(*[{"arrives": 0.0}] * 5000))
+    assert len(str(refused.value)) < 2000
