@@ -8,7 +8,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -389,6 +389,82 @@ def test_tampering_is_found(tamper: Callable[[Lines], None], honest: Path, tmp_p
         assert result.turn is not None
         assert result.turn == result.turns
         assert result.recorded != result.recomputed
+
+
+def worn(scenario: dict[str, Any]) -> list[dict[str, Any]]:
+    """The benches that wear, of which there is one at least."""
+    found = [bench for bench in scenario["benches"].values() if bench.get("wear")]
+    assert found
+    return found
+
+
+CONDITIONS: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
+    "life": ("failing", lambda s: [one["wear"].update(life=0.0) for one in worn(s)]),
+    "spread": ("failing", lambda s: [one["wear"].update(spread=0.0) for one in worn(s)]),
+    "repair": ("failing", lambda s: [one["wear"].update(repair_price=0.0) for one in worn(s)]),
+    "drift": ("failing", lambda s: [one.pop("drift", None) for one in s["instruments"].values()]),
+    "discrete": ("failing", lambda s: [one.update(actions="discrete") for one in worn(s)]),
+    "late": ("rush", lambda s: s["demand"].update(late=1.0)),
+    "within": ("rush", lambda s: [order.update(within=200.0) for order in s["demand"]["order"]]),
+    "price": ("rush", lambda s: s["demand"]["order"][0].update(price=1000.0)),
+    "grades": ("relay", lambda s: s["grades"].update(easy={})),
+    "report": ("relay", lambda s: [bench.update(report=1.0) for bench in s["benches"].values()]),
+    "told": ("relay", lambda s: [draw.update(told=list(s["benches"])) for draw in s["world"]["draws"].values()]),
+    "tick": ("campaign", lambda s: s["shelf"].update(tick=1.0)),
+    "purity_among": ("crude", lambda s: s.update(specifications={s["goals"][0]: {"purity_among": s["goals"][:1]}})),
+}
+"""What is made easier, or otherwise, in the scenario of a record, by the table it stands in."""
+CHANGED_SCENARIOS = sorted({name for name, _ in CONDITIONS.values()})
+
+
+@pytest.fixture(scope="module")
+def openings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Lines]:
+    """The first lines of a scripted episode of each."""
+    folder = tmp_path_factory.mktemp("openings")
+    return {name: load(play(folder / f"{name}.jsonl", name))[:25] for name in CHANGED_SCENARIOS}
+
+
+@pytest.mark.parametrize("what", CONDITIONS)
+def test_other_conditions_than_the_shipped_ones_are_not_ok(
+    what: str, openings: dict[str, Lines], tmp_path: Path
+) -> None:
+    name, make = CONDITIONS[what]
+    lines = json.loads(json.dumps(openings[name]))
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).status == "torn"
+    make(lines[0]["scenario"]["scenario"])
+    assert lines != openings[name]
+    result = verify_record(store(tmp_path / "b.jsonl", lines))
+    assert result.status in ("tampered", "foreign", "unchecked"), result.message
+    assert result.exit_code not in (0, verify_record(tmp_path / "a.jsonl").exit_code)
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all numbers and texts."""
+    if isinstance(value, (dict, list)):
+        for key in value if isinstance(value, dict) else range(len(value)):
+            yield from leaves(value[key], (*path, key))
+    elif value is not None:
+        yield path
+
+
+@pytest.mark.parametrize("name", CHANGED_SCENARIOS)
+def test_no_kind_of_number_may_be_another(name: str, openings: dict[str, Lines], tmp_path: Path) -> None:
+    """One of each kind in every turn's line, actions apart, of which others may come to the same."""
+    lines, tried = openings[name], set()
+    for number in range(1, len(lines)):
+        for path in leaves(lines[number]):
+            kind = tuple("" if str(key).isdigit() else key for key in path)
+            if kind in tried or (path[0] == "play" and path[2] == 1):
+                continue
+            tried.add(kind)
+            changed = json.loads(json.dumps(lines[: number + 1]))
+            place = changed[number]
+            for key in path[:-1]:
+                place = place[key]
+            place[path[-1]] = place[path[-1]] + 1 if not isinstance(place[path[-1]], str) else "f" * 16
+            result = verify_record(store(tmp_path / "a.jsonl", changed))
+            assert result.status == "tampered", (path, result.message)
+    assert len(tried) >= 5
 
 
 def test_what_no_record_can_prove_is_said(honest: Path, tmp_path: Path) -> None:
@@ -872,3 +948,25 @@ def test_exit_codes_of_verify(honest: Path, tmp_path: Path) -> None:
         assert [item["path"] for item in found] == [str(file) for file in files]
     text = runner.invoke(app, ["verify", str(tampered)]).output
     assert "end.score: recorded 0.99, recomputed" in " ".join(text.split())
+
+
+def test_reactions_that_are_too_stiff_are_words_in_a_verdict_and_a_command(
+    honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stiff(*_: Any) -> None:
+        raise ArithmeticError("rxn_0: the reactions of laboratory 0 are too stiff")
+
+    monkeypatch.setattr(Laboratories, "act", stiff)
+    result = verify_record(honest)
+    assert result.status == "tampered"
+    assert "too stiff" in result.message
+    done = CliRunner().invoke(app, ["run", "fictitious", "--episodes", "1"])
+    assert isinstance(done.exception, SystemExit), done.exception
+    assert done.exit_code == 2
+    assert "error: rxn_0: the reactions of laboratory 0 are too stiff" in " ".join(done.output.split())
+
+    def defect(*_: Any) -> None:
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr(Laboratories, "act", defect)
+    assert isinstance(CliRunner().invoke(app, ["run", "fictitious"]).exception, ZeroDivisionError)

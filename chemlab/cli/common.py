@@ -49,6 +49,12 @@ def readable_errors() -> Iterator[None]:
             raise
         err.print(f"[red]error[/red]: {plain(_message(error))}")
         raise typer.Exit(getattr(error, "exit_code", 2)) from error
+    except ArithmeticError as error:
+        # Reactions that are too stiff; a division by zero or the like is a defect of ours, and shows where it is.
+        if _shown["traceback"] or type(error) is not ArithmeticError:
+            raise
+        err.print(f"[red]error[/red]: {plain(str(error))}")
+        raise typer.Exit(2) from error
 
 
 def _message(error: Exception) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -126,6 +126,14 @@ class Replay:
             seen = labs.observe(number, labs.members)[0]
             plays.append(Play(number, seen, None if mask is None else mask[0], action[0]))
             actions.append(action)
+        try:
+            self._act(numbers, actions)
+        except ArithmeticError as error:  # reactions that are too stiff
+            raise ValueError(short(str(error), 500)) from error
+        return plays
+
+    def _act(self, numbers: Sequence[int], actions: Sequence[npt.NDArray[Any]]) -> None:
+        labs = self.laboratories
         if self.rounds:
             everybody: list[npt.NDArray[Any]] = [np.zeros(0)] * len(labs.agents)
             for number, action in zip(numbers, actions, strict=True):
@@ -133,4 +141,3 @@ class Replay:
             labs.act_round(labs.members, everybody)
         else:
             labs.act(numbers[0], labs.members, actions[0])
-        return plays

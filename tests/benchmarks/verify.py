@@ -41,9 +41,10 @@ def main() -> int:
     """Play, verify, report; 1 if an honest record was not found right."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--scenario", action="append", choices=scenario_names(), help="default: every one; repeatable")
     parser.add_argument("--json", action="store_true", help="print JSON")
     args = parser.parse_args()
-    names = scenario_names()
+    names = args.scenario or scenario_names()
     envs = {name: raw_env(name) for name in names}
     found: Counter[str] = Counter()
     alarms, turns, ticks, size, lost = [], 0, 0, 0, 0

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors.numpy import save, save_file
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
@@ -27,12 +28,14 @@ from fuzz_files import LONGEST_MESSAGE, campaign, change, main, scribble, toml, 
 from run_files import write_run
 
 import chemlab.agents.pretrained
+from chemlab.agents.evaluation.audit import AuditBudget, _Crew, _Job
+from chemlab.agents.evaluation.benchmark import _write_leaderboard, leaderboard_lines
 from chemlab.agents.evaluation.curves import group_tasks
 from chemlab.agents.evaluation.laboratory import collect_count
 from chemlab.agents.evaluation.results import read_runs, write_runs
 from chemlab.agents.plans import plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
-from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.training.arguments import JointArguments, RllibArguments, TrainArguments
 from chemlab.agents.training.sweep import plan, status_of
@@ -43,7 +46,7 @@ from chemlab.parts import strangers_code
 from chemlab.scenario import load_scenario
 
 MODELS = Path(chemlab.agents.pretrained.__file__).parent / "models"
-NAME, SCENARIO = "fictitious_rxn", "fictitious"
+NAME, SCENARIO, MEMORY = "fictitious_rxn", "fictitious", 3
 
 SWEEP: dict[str, Any] = {
     "defaults": {"envs": 2, "steps": 64, "gamma": 0.9, "net_arch": [8, 8]},
@@ -86,18 +89,36 @@ def act(policy: Any, size: int, mask: Any = None) -> None:
 
 
 def try_card(folder: Path, rng: np.random.Generator) -> None:
-    """A card beside good weights."""
-    shutil.copy(MODELS / f"{NAME}.safetensors", folder / "a.safetensors")
-    write_json(folder / "a.json", json.loads((MODELS / f"{NAME}.json").read_text()), rng)
+    """A card beside good weights: of a network, or of one with a memory."""
+    card = json.loads((MODELS / f"{NAME}.json").read_text())
+    if rng.random() < 0.5:
+        shutil.copy(MODELS / f"{NAME}.safetensors", folder / "a.safetensors")
+    else:
+        card |= {"algo": "recurrent-ppo", "memory": MEMORY}
+        save_file(remembering(card["observation_size"], card["action_size"]), folder / "a.safetensors")
+    write_json(folder / "a.json", card, rng)
     bench = laboratory(SCENARIO).benches[0]
     bench_policy(str(folder / "a.json"), bench)
     act(load_pretrained(folder / "a"), bench.observation_space.shape[0])
 
 
+def remembering(seen: int, actions: int) -> dict[str, Any]:
+    """Weights of a network with a memory."""
+    rng = np.random.default_rng(0)
+    sizes = {"O": seen, "H": MEMORY, "4H": 4 * MEMORY}
+    shapes = {name: tuple(sizes[axis] for axis in shape) for name, shape in LSTM.items()}
+    shapes |= {"0.weight": (actions, MEMORY), "0.bias": (actions,)}
+    return {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+
+
 def try_weights(folder: Path, rng: np.random.Generator) -> None:
     """Weights that are not what the card says: header, numbers or text changed."""
-    shutil.copy(MODELS / f"{NAME}.json", folder / "a.json")
+    card = json.loads((MODELS / f"{NAME}.json").read_text())
     content = (MODELS / f"{NAME}.safetensors").read_bytes()
+    if rng.random() < 0.5:
+        card |= {"memory": MEMORY}
+        content = save(remembering(card["observation_size"], card["action_size"]))
+    (folder / "a.json").write_text(json.dumps(card))
     size = int.from_bytes(content[:8], "little")
     header, data = json.loads(content[8 : 8 + size]), content[8 + size :]
     if rng.random() < 0.6:
@@ -193,6 +214,37 @@ def try_starts(folder: Path, rng: np.random.Generator) -> None:
         lab_starts(scenario, bench)
 
 
+def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
+    """A benchmark's leaderboard, to which lines are added."""
+    line: dict[str, Any] = {"scenario": "failing", "scenario_hash": "0" * 16, "policy": "heuristic", "value": 0.5}
+    line |= {"low": 0.4, "high": None, "split": "test", "records": [{"file": "records/a.jsonl", "seed": 1}]}
+    board = {"kind": "leaderboard", "format": 1, "lines": [line, {**line, "value": None}, {**line, "policy": "a"}]}
+    write_json(folder / "leaderboard.json", board, rng)
+    found: dict[str, Any] = dict.fromkeys(("split", "seeds", "budget", "commit", "versions", "hardware"))
+    _write_leaderboard(folder / "leaderboard.json", {**found, "rows": [], "scenarios": {}}, {})
+    leaderboard_lines(folder / "leaderboard.json")
+
+
+def try_part(folder: Path, rng: np.random.Generator) -> None:
+    """A finished part of an audit or a benchmark: what cannot be one is played again, which is no error."""
+    budget = AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1)
+    crew = _Crew(load_scenario(SCENARIO), budget, folder, 1, lambda _: None)
+    plain = {"scores": [0.0, 0.5, 1.0]}
+    jobs: list[tuple[_Job, dict[str, Any]]] = [
+        (_Job("a", "plan", {}), {**plain, "plans": [[["D"], [1, 2]]], "everybody": [0.0, 0.0, 0.0]}),
+        (_Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
+        (_Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
+    ]
+    job, result = jobs[rng.integers(len(jobs))]
+    write_json(folder / "a.json", {"stamp": crew._stamp(job), "result": result}, rng)
+    kept = crew._kept(job)
+    if kept is None:
+        raise ValueError(f"{folder}: is played again")
+    assert set(kept) == set(result)
+    assert all(np.isfinite(kept[name]).all() for name in kept if name != "plans")
+    {tuple(context): tuple(plan) for context, plan in kept.get("plans", [])}
+
+
 TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
     "card": try_card,
     "weights": try_weights,
@@ -201,6 +253,8 @@ TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
     "sweep": try_sweep,
     "configuration": try_configuration,
     "starts": try_starts,
+    "leaderboard": try_leaderboard,
+    "part": try_part,
 }
 
 

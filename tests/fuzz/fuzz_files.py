@@ -69,7 +69,7 @@ class Files(NamedTuple):
 
 def seeds() -> list[Files]:
     """Sets of files to begin from: every shipped scenario with its family as the user's own, one that is written out,
-    and one with a material and a reaction of its own."""
+    and one with a material and a reaction of its own, and a choice of actions."""
     goo = {key: shipped_materials()[name].model_dump(mode="json", exclude_none=True) for key, name in GOO.items()}
     found = []
     for name in scenario_names():
@@ -86,6 +86,8 @@ def seeds() -> list[Files]:
     own.scenario["stock"]["goo"] = 1.0
     own.scenario["goals"].append("slime")
     own.reaction["reaction"].append(slime)
+    for bench in own.scenario["benches"].values():
+        bench["actions"] = "discrete"
     return [*found, own]
 
 

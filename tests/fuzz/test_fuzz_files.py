@@ -27,6 +27,22 @@ def test_broken_files_are_readable_errors() -> None:
     assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 10
 
 
+def test_the_fuzzer_begins_with_every_table_that_a_scenario_may_have() -> None:
+    """A table of a newer kind, which no shipped scenario has, would not be tried."""
+    dumped = [base.scenario for base in seeds()]
+    benches = [bench for one in dumped for bench in one.get("benches", {}).values()]
+    instruments = [instrument for one in dumped for instrument in one.get("instruments", {}).values()]
+    draws = [draw for one in dumped for draw in one.get("world", {}).get("draws", {}).values()]
+    wanted = [order for one in dumped for order in one.get("specifications", {}).values()]
+    for tables, keys in (
+        (dumped, ("demand", "grades", "specifications", "world", "real")), (benches, ("wear", "report", "actions")),
+        (instruments, ("drift", "noise")), (draws, ("told", "correlation", "test")),
+        (wanted, ("purity_among",)), ([one.get("shelf", {}) for one in dumped], ("tick", "gauge")),
+    ):  # fmt: skip
+        for key in keys:
+            assert any(key in table for table in tables), key
+
+
 def test_a_change_stays_in_the_file_it_is_made_to() -> None:
     one, other = seeds()[1].scenario, seeds()[1].scenario
     rng = np.random.default_rng(3)
