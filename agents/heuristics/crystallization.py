@@ -166,7 +166,7 @@ class CrystallizationHeuristic:
         low, high = self._cold_k, hot_k
         for _ in range(30):
             middle = 0.5 * (low + high)
-            wanted = _SEED_AT * mol / solvent
+            wanted = _SEED_AT * mol / max(solvent, 1e-9)  # a vessel may have come full
             low, high = (middle, high) if solubility(scenario, name, liquid, middle) < wanted else (low, middle)
         return _Batch(solvent_l=solvent, seed_k=low, solvent=liquid, hot_k=hot_k)
 
