@@ -855,7 +855,7 @@ SHIPPED = {
     "fictitious": "e4e595031b3892f0",
     "recrystallization": "cea8bddcbb6fadde",
     "relay": "71aa038f2f5788a1",
-    "runaway": "34147e0675716085",
+    "runaway": "d775b4d53db778ab",
     "rush": "3e6b88a30ed35ecc",
     "salt_from_oil": "54ffe9afe9e10370",
     "selectivity": "5c0f85d5551c3a8b",
