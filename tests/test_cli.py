@@ -122,6 +122,11 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     assert text.endswith("<!-- results: end -->\nafter\n")
     assert "old" not in text
     assert text.count("`fictitious`") == 2
+    # Rows of other scenarios stay, in their order.
+    rest = "| `zzz` | random | 1 |"
+    page.write_text(text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->"))
+    assert runner.invoke(app, arguments).exit_code == 0
+    assert page.read_text() == text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->")
     page.write_text("no marks")
     assert runner.invoke(app, arguments).exit_code == 2
     assert page.read_text() == "no marks"

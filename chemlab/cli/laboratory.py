@@ -290,7 +290,7 @@ def compare(
     seed: SeedOption = 0,
     split: SplitOption = "train",
     as_json: JsonOption = False,
-    update: Annotated[Path | None, typer.Option(help="Replace the results table in this Markdown file.")] = None,
+    update: Annotated[Path | None, typer.Option(help="Put the rows into this Markdown file's results.")] = None,
     trust: TrustOption = False,
 ) -> None:
     """Compare policies over many episodes with the same seeds; also regenerates README's table."""
@@ -313,9 +313,13 @@ def compare(
                 rows.append(_summary(spec, played, results))
     cells = [_cells(row) for row in rows]
     if update is not None:
+        text, start, stop = check_marks(update, "results")
+        found = {_row_of(line): line for line in text[start:stop].splitlines() if line.startswith("| `")}
+        # Of scenarios that were not asked for, what stands there stays.
+        found = found if scenarios else {}
+        found |= {(name, played): f"| `{name}` | {' | '.join((played, *others))} |" for name, played, *others in cells}
         lines = ["| " + " | ".join(RESULT_COLUMNS) + " |", "|---|---" + "|--:" * (len(RESULT_COLUMNS) - 2) + "|"]
-        lines += ["| " + " | ".join((f"`{name}`", *others)) + " |" for name, *others in cells]
-        replace_between(update, "results", lines)
+        replace_between(update, "results", lines + [line for _, line in sorted(found.items())])
     if as_json:
         typer.echo(json.dumps(rows))
     else:
@@ -333,6 +337,12 @@ RESULT_COLUMNS: tuple[str, ...] = (
     "spill, vent, metal fire",
 )
 """Headings of what ``chemlab compare`` shows."""
+
+
+def _row_of(line: str) -> tuple[str, str]:
+    """Scenario and policy of a line of the table."""
+    scenario, policy, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+    return scenario.strip("`"), policy
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
