@@ -354,7 +354,7 @@ def manager_heuristic(
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(*given, remember=remember)
     if foresees(labs.scenario) and (remember or labs.scenario.orders > 1):
-        return ForeseeingManager(*given, remember=remember)
+        return ForeseeingManager(*given, remember=remember, script=bench_heuristic)
     if has_wearing_lines(labs.scenario):
         return UpkeepManager(*given, remember=remember)
     if not remember:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -135,7 +135,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     Args:
         scenario, channels, actions, instruments, positions, careful, skip: as for
             :class:`~.manager.ManagerHeuristic`; not careful, it never measures.
-        benches: who operates them in what it foresees, by agent.
+        script: who operates a bench in what it foresees.
         remember: False forgets what vessels have in common when an order is filled.
     """
 
@@ -149,6 +149,8 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         careful: bool = True,
         skip: Collection[str] = (),
         remember: bool = True,
+        *,
+        script: Callable[[Bench], Policy],
     ) -> None:
         del instruments, positions  # as of other managers: this one asks the scenario
         super().__init__(scenario, channels, actions)
@@ -159,7 +161,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         affordable = chosen is not None and specs[chosen].price <= scenario.limits.budget
         self._instrument = chosen if careful and affordable else None
         self._foresight = {
-            goal: _foreseen(_public(scenario), goal, chosen, tuple(sorted(skip))) for goal in scenario.lab_goals
+            goal: _foreseen(_public(scenario), goal, chosen, tuple(sorted(skip)), script) for goal in scenario.lab_goals
         }
         self._shape = _sizes(scenario)
         self._noise = float(np.hypot(specs[chosen].noise, _MODEL_ERROR)) if chosen is not None else 1.0
@@ -383,16 +385,16 @@ def _most_runs(labs: Laboratories, bench: Bench) -> int:
 
 
 @functools.lru_cache(maxsize=16)
-def _foreseen(scenario: Scenario, goal: str, instrument: str | None, skip: tuple[str, ...]) -> _Foresight:
+def _foreseen(
+    scenario: Scenario, goal: str, instrument: str | None, skip: tuple[str, ...], script: Callable[[Bench], Policy]
+) -> _Foresight:
     """Play every recipe in worlds of the prior."""
-    from ..policies import bench_heuristic
-
     common, own = _sizes(scenario)
     labs = Laboratories(scenario, common * own)
     members = labs.members
     _draw(labs, goal, common, own)
     steps = _steps(labs, goal, skip)
-    policies: list[Policy | None] = [None, *(bench_heuristic(bench) for bench in labs.benches)]
+    policies: list[Policy | None] = [None, *(script(bench) for bench in labs.benches)]
     slices = channel_slices(labs.channels)
     fills = labs.observe(0, members)[:, slices["slot_0_fill"]][:, 0].astype(np.float64)
     for slot in range(1, len(scenario.shelf.vessel)):

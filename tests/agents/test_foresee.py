@@ -11,7 +11,7 @@ from helpers import mapping
 
 from chemlab.agents.heuristics.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.player import play_laboratory
-from chemlab.agents.policies import make_policies, manager_heuristic
+from chemlab.agents.policies import bench_heuristic, make_policies, manager_heuristic
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.state import INSTRUMENTS
 from chemlab.scenario import load_scenario
@@ -63,7 +63,7 @@ def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
     """Nothing done, nothing paid; a wash takes no more dodecane than there was; salt that cannot be distilled keeps a
     vessel from its purity unless it is washed."""
     scenario = load_scenario("crude")
-    seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", ())
+    seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", (), bench_heuristic)
     names = {stage: k for k, stage in enumerate(seen.stages)}
     wash, cut = ("ext_0", "dodecane"), ("dit_0", "dodecane")
     assert (seen.costs[:, 0] == 0.0).all()
