@@ -49,8 +49,8 @@ LIQUIDS = sorted(
     and key not in ESTIMATED
 )
 DISAGREED = {("acetic_anhydride", "heat_capacity_j_mol_k"), ("2,4-difluoronitrobenzene", "density_kg_l")}
-"""The first shipped one is an estimate, 152 J/mol/K, as the only compilation that has it says 124, which is doubtful; the
-second stands on data sheets, 1.451 kg/L, where the command can only estimate it, 1.40."""
+"""The first shipped one is an estimate, 152 J/mol/K, as the only compilation that has it says 124, which is doubtful;
+the second stands on data sheets, 1.451 kg/L, where the command can only estimate it, 1.40."""
 
 
 def shipped_compound(key: str) -> Compound:
