@@ -195,6 +195,7 @@ def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) 
     """After the reaction: phases, stirred contents, relief valve."""
     row = shelf.rows[state.places[m, 0]]
     settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work)
+    spill(row, chem, shelf.waste[m], state.events[m])  # reacting changes the volume
     row[CLOCK] = T_MIX
     partition(row, chem, rules.work)
     if rules.condenser < 0.0:

@@ -69,8 +69,7 @@ def test_scripted_chemists_are_safe(name: str) -> None:
     for result in results(name, "heuristic", 21):
         assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
         assert result.safety_events.get("spill_l", 0.0) == 0.0
-        # Ether that meets what is still hot from distillation flies off, of some worlds' mixtures.
-        assert result.safety_events.get("relief_valve_mol", 0.0) <= (0.1 if name == "crude" else 0.0)
+        assert result.safety_events.get("relief_valve_mol", 0.0) == 0.0
 
 
 def test_random_actions_are_not_safe() -> None:

@@ -32,7 +32,7 @@ _MOST_ATTEMPTS = 6
 _SHORT = 0.999
 """Of the heat that is left, what a step may take that would have taken more."""
 _TRIFLE = 2e-3
-"""Of the heat, what may go into warmth alone at the end."""
+"""Of the heat, what may be left over at the end: boiling contents do not take it."""
 
 
 @inner
@@ -102,8 +102,8 @@ def _boil(
             spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
             after -= gone * chemistry.heat_capacity[i]
         spent *= 1.0 + still.returned
-        # The pot goes along with its boiling point.
-        warming = 2.0 * max(min(warmer, still.hottest) - boiling, 0.0) * max(after, 0.0)
+        # The pot goes along with its boiling point, as hot as what heats it.
+        warming = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0) * max(after, 0.0)
         if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
             break
         mol *= _SHORT * left / (spent + warming)
@@ -176,8 +176,9 @@ def heat(
         # Poured onto something hotter than its boiling point, a liquid boils from that heat first (needed < 0).
         left -= needed
         row[TEMPERATURE] = boiling
-        if left <= 0.0:
-            left = 0.0
+        # Only here: where the last of something volatile has gone, a step warms the pot beyond its new boiling point.
+        if left <= _TRIFLE * joules:
+            hottest = boiling
             break
         spent, warming = _boil(row, n, boiling, left, boiled, still, chem, liquids)
         for a in range(n):
@@ -193,8 +194,6 @@ def heat(
         left -= warming
         row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
         _let_salts_fall_out(row, chem)
-        if left <= _TRIFLE * joules:
-            break
     if boiled:
         for a in range(n):
             i = int(liquids.who[a])
