@@ -198,7 +198,7 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
-            (scripted, but the manager forgets what it has found out when a batch is over), ``serial`` (scripted, but
+            (scripted, but the manager forgets what it has found out when a batch is over, or when it looks again), ``serial`` (scripted, but
             the manager takes one order at a time, as they come), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
             policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
@@ -338,7 +338,7 @@ def manager_heuristic(
         laboratories: whose manager it is.
         careful: False leaves out what only safety and measuring are for.
         skip: benches it does without.
-        remember: False forgets what it has found out when a batch is over.
+        remember: False forgets what it has found out when a batch is over, or at the next look.
         schedule: False takes one order at a time, as they come.
 
     Raises:
@@ -353,12 +353,12 @@ def manager_heuristic(
         raise ValueError(f"serial: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(*given, remember=remember)
-    if foresees(labs.scenario) and (remember or labs.scenario.orders > 1):
+    if foresees(labs.scenario):
         return ForeseeingManager(*given, remember=remember, script=bench_heuristic)
     if has_wearing_lines(labs.scenario):
         return UpkeepManager(*given, remember=remember)
     if not remember:
-        raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} carries nothing from batch to batch")
+        raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} has nothing to forget")
     return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)
 
 

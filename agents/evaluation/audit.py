@@ -12,7 +12,7 @@ best policy, the best plan, the best donor) is chosen on others.
 | ``clairvoyant`` | for each episode by itself, the best plan that a search finds on it: 1 |
 | ``worth_of_measuring`` | reference less the best without instruments |
 | ``worth_of_bench`` | by key, reference less the best that never uses it |
-| ``worth_of_memory`` | reference less the same policy without what it remembers of earlier batches |
+| ``worth_of_memory`` | reference less the same policy without what it remembers of earlier batches or looks |
 | ``worth_of_reports`` | reference less the same policy where benches say nothing of what they have made |
 | ``coordination`` | the team's result less that of its orders run apart |
 | ``contention`` | moments at which an order is kept waiting by another, in an episode, by what for |
@@ -557,7 +557,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
             )
             for key in spec.benches
         },
-        "worth_of_memory": _untold("the scripted manager carries nothing from batch to batch"),
+        "worth_of_memory": _untold("the scripted manager has nothing to forget"),
         "coordination": _untold("there is one order"),
         "worth_of_reports": _untold("benches report nothing"),
         "contention": _contention(found),

@@ -110,6 +110,7 @@ class _Belief:
 
     Attributes:
         likelihood: [V, S, O] of all that has been read of each.
+        filled: [V, S, O] the same before anything has been: by how full they are.
         slots: where they stand.
         stage: [V] what has been done to each.
         looks: [V] how often each has been measured at its stage.
@@ -120,6 +121,7 @@ class _Belief:
     """
 
     likelihood: FloatArray
+    filled: FloatArray
     slots: list[int]
     stage: list[int]
     looks: list[int]
@@ -136,7 +138,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         scenario, channels, actions, instruments, positions, careful, skip: as for
             :class:`~.manager.ManagerHeuristic`; not careful, it never measures.
         script: who operates a bench in what it foresees.
-        remember: False forgets what vessels have in common when an order is filled.
+        remember: False concludes from the last look at each vessel that is left, and from nothing before it.
     """
 
     def __init__(
@@ -210,7 +212,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         for v, slot in enumerate(slots):
             apart = (self._value(observation, f"slot_{slot}_fill") - foresight.fills) / self._fill_noise
             likelihood[v] = (np.exp(-0.5 * (apart**2 - (apart**2).min())) + _SURPRISE).reshape(self._shape)
-        return _Belief(likelihood, slots, [0] * len(slots), [0] * len(slots))
+        return _Belief(likelihood, likelihood.copy(), slots, [0] * len(slots), [0] * len(slots))
 
     def _goal(self, observation: ObservationArray, belief: _Belief) -> str:
         channel = self._orders[min(belief.order, len(self._orders) - 1)]
@@ -251,6 +253,8 @@ class ForeseeingManager(ScriptedManager[_Belief]):
 
     def _learn(self, belief: _Belief, v: int, reading: ObservationArray, goal: str) -> None:
         likely = self._likely(reading.astype(np.float64), goal, belief.stage[v])
+        if not self._remember:
+            belief.likelihood[v] = belief.filled[v]
         belief.likelihood[v] *= likely.reshape(self._shape)
         belief.likelihood[v] = np.maximum(belief.likelihood[v] / belief.likelihood[v].max(), _SURPRISE)
 

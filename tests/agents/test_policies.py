@@ -94,7 +94,7 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
             "pretrained": "no pretrained policy fits",
             "trained": "no pretrained policy fits",
             "plan": "none is stored",
-            "forgetful": "carries nothing from batch to batch",
+            "forgetful": "has nothing to forget",
             "serial": "has no orders to choose from",
         }
         if policy not in reason or reason[policy] not in str(error):

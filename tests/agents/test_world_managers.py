@@ -158,6 +158,14 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
     assert looks["forgetful"][1:].mean() > 2.0 * looks["heuristic"][1:].mean()
 
 
+@pytest.mark.slow
+def test_earlier_looks_are_worth_remembering() -> None:
+    """What a vessel showed before the last portion tells more of its kinetics than what it shows after it."""
+    scores = [played("selectivity", policy, 200)[0].result(np.arange(200)) for policy in ("heuristic", "forgetful")]
+    gained = scores[0] - scores[1]
+    assert gained.mean() > 2.0 * gained.std() / np.sqrt(200.0)
+
+
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
     for name in ("campaign", "unlabelled", "failing", "rush", "relay"):
@@ -178,7 +186,7 @@ def test_memories_are_put_back() -> None:
 
 
 def test_nobody_forgets_who_has_nothing_to_remember() -> None:
-    with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled carries nothing"):
+    with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled has nothing to forget"):
         make_policies("forgetful", Laboratories("unlabelled"))
 
 
