@@ -198,8 +198,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Args:
         name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
-            (scripted, but the manager forgets what it has found out when a batch is over, or when it looks again), ``serial`` (scripted, but
-            the manager takes one order at a time, as they come), ``random``,
+            (scripted, but the manager forgets what it has found out when a batch is over, or when it looks again),
+            ``serial`` (scripted, but the manager takes one order at a time, as they come), ``random``,
             ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
             policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
             or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
