@@ -583,22 +583,23 @@ def quantiles(draw: Draw, shares: FloatArray) -> FloatArray:
     return np.clip(np.exp(numbers) if kind == _LOGNORMAL else numbers, low, high)
 
 
-def positions(variables: Variables, values: FloatArray) -> FloatArray:
-    """[B, K] where each of the ``values`` [B, K] stands in its distribution, from 0 to 1: which share of the prior is
-    below it, or which option it is."""
-    out = np.zeros(values.shape)
-    for k, kind in enumerate(variables.kind.tolist()):
-        own, a, b = values[:, k], variables.a[k], variables.b[k]
+def positions(variables: Variables, values: FloatArray, columns: IntArray | None = None) -> FloatArray:
+    """[B, C] where the ``columns`` [C] (default: all) of ``values`` [B, K] stand in their distributions, from 0 to 1:
+    which share of the prior is below each, or which option it is."""
+    chosen = range(values.shape[1]) if columns is None else columns.tolist()
+    out = np.zeros((len(values), len(chosen)))
+    for at, k in enumerate(chosen):
+        own, kind, a, b = values[:, k], int(variables.kind[k]), variables.a[k], variables.b[k]
         if kind in (_CHOICE, _PERMUTATION):
             options = variables.options[variables.first_option[k] : variables.first_option[k + 1]]
-            out[:, k] = (own[:, None] == options).argmax(axis=1) / max(len(options) - 1, 1)
+            out[:, at] = (own[:, None] == options).argmax(axis=1) / max(len(options) - 1, 1)
         elif b == (a if kind == _UNIFORM else 0.0):
-            out[:, k] = 0.5
+            out[:, at] = 0.5
         elif kind == _UNIFORM:
-            out[:, k] = (own - a) / (b - a)
+            out[:, at] = (own - a) / (b - a)
         else:
             score = ((np.log(np.maximum(own, sys.float_info.min)) if kind == _LOGNORMAL else own) - a) / b
-            out[:, k] = [0.5 * math.erfc(-one / math.sqrt(2.0)) for one in score]
+            out[:, at] = [0.5 * math.erfc(-one / math.sqrt(2.0)) for one in score]
     return np.clip(out, 0.0, 1.0)
 
 

@@ -66,13 +66,13 @@ def best_vessel(rows: FloatArray, parts: IntArray, counts: FloatArray) -> FloatA
         counts: [B, M] weight of each material in its purity.
     """
     amounts = rows[:, :, AMOUNTS : AMOUNTS + counts.shape[1]]
-    made = np.take_along_axis(amounts, parts[:, None, :1], axis=2)[..., 0]
-    ions = [np.take_along_axis(amounts, np.maximum(parts[:, None, k : k + 1], 0), axis=2)[..., 0] for k in (1, 2)]
+    each = np.arange(len(rows))
+    made, *ions = (amounts[each, :, np.maximum(parts[:, k], 0)] for k in range(3))
     made = made + np.where(parts[:, None, 1] >= 0, np.minimum(*ions), 0.0)
     total = (amounts * counts[:, None]).sum(axis=2)
-    purity = np.where(total > 0.0, made / np.where(total > 0.0, total, 1.0), 0.0)
-    best = (made * purity).argmax(axis=1)[:, None]
-    return np.concatenate([np.take_along_axis(one, best, axis=1) for one in (made, purity)], axis=1)
+    purity = made / np.where(total > 0.0, total, 1.0)
+    best = (made * purity).argmax(axis=1)
+    return np.column_stack([made[each, best], purity[each, best]])
 
 
 @kernel

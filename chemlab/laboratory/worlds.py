@@ -135,6 +135,8 @@ class Worlds:
         self._contents: dict[str, list[_Content]] = {}
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
         """By quantity and bench or instrument: column of the number, and what it changes how."""
+        self._told: dict[str, IntArray] = {}
+        """By bench, the columns that it is told; found when first asked for."""
         self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
         self._terms: list[tuple[int, int, int, str]] = []
         """What is drawn of which order: number of the quantity, of the order, column, change."""
@@ -334,8 +336,10 @@ class Worlds:
 
     def told(self, members: IntArray, bench: str) -> FloatArray:
         """[B, T] what a bench is told of what has been drawn, each as :meth:`positions` has it."""
-        told = np.array([bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)])
-        return self.positions(members)[:, told]
+        if bench not in self._told:
+            told = [bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)]
+            self._told[bench] = np.flatnonzero(told)
+        return positions(self._variables.arrays, self.table.arrays.values[members], self._told[bench])
 
     def most_terms(self) -> FloatArray:
         """[quantities] the highest that the terms of any order can be; at least a little above 0."""

@@ -29,7 +29,7 @@ from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.scenario import load_scenario
+from chemlab.scenario import Scenario, load_scenario
 
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
 START_UP = """
@@ -186,9 +186,9 @@ def parallel(seconds: float) -> float:
     return rate(step, seconds)
 
 
-def batched_laboratory(count: int, seconds: float) -> float:
+def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "wurtz_dodecane") -> float:
     """Turns per second of ``count`` laboratories at once, random legal actions of all roles."""
-    batch = BatchedLaboratory(count, "wurtz_dodecane", copy=False)
+    batch = BatchedLaboratory(count, scenario, copy=False)
     policies = {
         agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
         for seed, agent in enumerate(batch.possible_agents)
