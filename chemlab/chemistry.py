@@ -122,6 +122,10 @@ class Chemistry(NamedTuple):
     """[M] kg/L"""
     heat_capacity: Annotated[FloatArray, Parameter("M")]
     """[M] J/mol/K"""
+    bottle_share: Annotated[FloatArray, Parameter("M")]
+    """[M] litres of each litre out of a bottle that are what its label says"""
+    bottle_rest: Annotated[IntArray, Parameter("M")]
+    """[M] material index of what the rest is"""
     boiling_point: Annotated[FloatArray, Parameter("M")]
     """[M] K"""
     vaporization: Annotated[FloatArray, Parameter("M")]
@@ -352,6 +356,8 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
         molar_mass=np.array([m.molar_mass_g_mol for m in table]),
         density=np.array([m.density_kg_l for m in table]),
         heat_capacity=np.array([m.heat_capacity_j_mol_k for m in table]),
+        bottle_share=np.ones(len(names)),
+        bottle_rest=every,
         boiling_point=boiling,
         vaporization=np.array([m.vaporization_enthalpy_j_mol for m in table]),
         polarity=np.array([m.polarity or 0.0 for m in table]),

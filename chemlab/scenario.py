@@ -39,6 +39,7 @@ from .reactions import (
     load_reactions,
 )
 from .world import (
+    BOTTLE,
     DEVICE_QUANTITIES,
     ORDER_QUANTITIES,
     VESSEL_QUANTITIES,
@@ -691,14 +692,30 @@ def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> N
         if draw.what not in VESSEL_QUANTITIES:
             continue
         for name in draw.of:
+            if name == BOTTLE and name not in starts:
+                _check_bottle(spec, draw, here)
+                continue
             if name not in starts:
-                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join(starts)}")
+                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join([*starts, BOTTLE])}")
             contents = starts[name].contents
             if draw.material not in contents:
                 raise DataError(
                     f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
                 )
             _check_limits(draw, starts[name], known, f"{here}: {name}")
+
+
+def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of bottles that are not there, or that several draws are of."""
+    if draw.material not in spec.stock:
+        bottles = ", ".join(spec.stock) or "none"
+        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; known: {bottles}")
+    if draw.what == "amount":
+        raise DataError(f"{where}.what: how full a bottle is can be seen; draw its identity or titre")
+    others = [other for other in spec.world.draws.values() if BOTTLE in other.of and other.material == draw.material]
+    if len(others) > 1:
+        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; leave one out")
+    _check_titre(draw, where)
 
 
 def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
@@ -742,10 +759,14 @@ def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
             validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
 
 
-def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
+def _check_titre(draw: Draw, where: str) -> None:
     low, high = draw_limits(draw)
     if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
         raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
+
+
+def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
+    _check_titre(draw, where)
     if draw.what != "amount":
         return  # litre for litre
     mol = start.contents[str(draw.material)]

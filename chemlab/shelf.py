@@ -42,7 +42,7 @@ class ShelfArrays(NamedTuple):
     rows: Annotated[FloatArray, Field("R W")]
     """[R, W] vessel rows (mol, L, K; see :class:`~chemlab.chemistry.Layout`), those of a laboratory together"""
     stock: Annotated[FloatArray, Field("N M")]
-    """[N, M] mol in the bottles"""
+    """[N, M] mol in the bottles, by what their labels say"""
     waste: Annotated[FloatArray, Field("N M")]
     """[N, M] mol thrown away, vented or spilled"""
     variant: Annotated[IntArray, Field("N")]
@@ -90,7 +90,7 @@ class Shelf:
 
     @property
     def stock(self) -> FloatArray:
-        """[N, M] mol in the bottles."""
+        """[N, M] mol in the bottles, by what their labels say."""
         return self.table.arrays.stock
 
     @property
@@ -123,7 +123,17 @@ class Shelf:
 
     def total(self) -> FloatArray:
         """[N, M] mol in vessels, bottles and waste together: what no operation may change but by reaction."""
-        return np.asarray(self.amounts.sum(axis=1) + self.stock + self.waste)
+        return np.asarray(self.amounts.sum(axis=1) + self.bottled() + self.waste)
+
+    def bottled(self) -> FloatArray:
+        """[N, M] mol that are really in the bottles, whatever their labels say."""
+        share, rest, volume = (self.chemistry.parameters[f] for f in ("bottle_share", "bottle_rest", "molar_volume"))
+        variant = self.table.arrays.variant
+        share, rest = (own[variant if len(own) > 1 else 0 * variant] for own in (share, rest))
+        other = (1.0 - share) * self.stock * volume[0] / volume[0][rest]
+        found = share * self.stock
+        np.add.at(found, (np.arange(len(found))[:, None], rest), other)
+        return np.asarray(found)
 
     def vessel(self, laboratory: int, position: int) -> Vessel:
         """A named view of one vessel, for people and tests."""

@@ -30,6 +30,7 @@ from .rng import normal, random_bits, uniform
 from .tables import Table
 
 __all__ = [
+    "BOTTLE",
     "DEVICE_QUANTITIES",
     "ORDER_QUANTITIES",
     "SPLITS",
@@ -74,6 +75,9 @@ _PRIVATE = "private"
 
 VESSEL_QUANTITIES = ("identity", "amount", "titre")
 """What may be drawn of the contents of a vessel."""
+
+BOTTLE = "stock"
+"""Of the targets of an identity or a titre, the bottle of the material."""
 
 DEVICE_QUANTITIES = ("gain", "life", "bias", "trend")
 """What may be drawn of benches that wear (gain, life) and of instruments that drift (bias, trend)."""
@@ -170,16 +174,17 @@ class Draw(Grown):
     what: Name
     """``identity`` (which material a vessel really holds where the file says ``material``, litre for litre), ``amount``
     (how much of ``material`` it holds) or ``titre`` (which share of ``material`` is that; the rest is ``inert``, litre
-    for litre) of the vessels ``of``; ``gain`` or ``life`` of benches that wear, ``bias`` or ``trend`` of instruments
-    that drift, as an episode begins; ``arrives``, ``within``, ``price``, ``amount_at_least_mol`` or
-    ``purity_at_least`` of the orders ``of``; or a parameter of the chemistry, as ``pre_exponential`` and
-    ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``, ``ambient_temperature``."""
+    for litre) of the vessels ``of``, the first and the last of bottles, too; ``gain`` or ``life`` of benches that wear,
+    ``bias`` or ``trend`` of instruments that drift, as an episode begins; ``arrives``, ``within``, ``price``,
+    ``amount_at_least_mol`` or ``purity_at_least`` of the orders ``of``; or a parameter of the chemistry, as
+    ``pre_exponential`` and ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``,
+    ``ambient_temperature``."""
     of: tuple[Name, ...] = Bound(default=(), max_length=_MOST_TARGETS)
-    """Whose: slots of the shelf (``slot_0``) and benches whose own starting vessel is meant (``rxn``), benches of a
-    laboratory (``rxn_0``; ``rxn``: on its own), instruments, orders (``order_0``), reactions as equations
-    (``A + D -> F``), materials; nothing for a number that is not anybody's."""
+    """Whose: slots of the shelf (``slot_0``), benches whose own starting vessel is meant (``rxn``) and ``stock``, the
+    bottle of ``material``; benches of a laboratory (``rxn_0``; ``rxn``: on its own), instruments, orders (``order_0``),
+    reactions as equations (``A + D -> F``), materials; nothing for a number that is not anybody's."""
     material: Name | None = None
-    """Of vessels: the material that the file says is in them."""
+    """Of vessels and bottles: the material that the file says is in them."""
     inert: Name | None = None
     """Of a titre: what the rest is."""
     distribution: Distribution

@@ -220,6 +220,21 @@ def file(**draw: Any) -> dict[str, Any]:
         ({"what": "amount", "of": ["slot_0"]}, "x: material: must be given for amount"),
         ({"what": "amount", "of": ["slot_1"], "material": "Na"}, "x.of: unknown vessel 'slot_1'; known: slot_0, rxn"),
         ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
+        ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: how full a bottle is can be seen"),
+        (
+            {"what": "titre", "of": ["stock"], "material": "dodecane", "inert": "water"},
+            "x.material: there is no bottle of 'dodecane' in stock; known: 1-chlorohexane",
+        ),
+        (
+            {
+                "what": "titre",
+                "of": ["stock"],
+                "material": "Na",
+                "inert": "water",
+                "distribution": {"kind": "uniform", "low": 0.5, "high": 1.5},
+            },
+            "x: a titre must be from 0 to 1, and may be from 0.5 to 1.5; give low and high",
+        ),
         ({"what": "amount", "of": [], "material": "Na"}, "x: of: name at least one vessel"),
         (
             {

@@ -154,7 +154,8 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     temperature = state.jacket[m] if jacketed else row[TEMPERATURE]
     step = rules.temperature_step if jacketed else rules.temperature_step * state.gain[m, HEAT]
     temperature += (2.0 * action[0] - 1.0) * step
-    molar_volume = opened(Chemistry, chem).molar_volume
+    chemistry = opened(Chemistry, chem)
+    molar_volume = chemistry.molar_volume
     before = heat_capacity(row, chem)
     arriving = 0.0
     for i in range(rules.reagents.shape[0]):
@@ -167,13 +168,15 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
         mol = action[2 + i] * min(state.supply[m, i], shelf.stock[m, material])
         state.supply[m, i] -= mol
         shelf.stock[m, material] -= mol
-        row[AMOUNTS + material] += mol
+        share, rest = chemistry.bottle_share[material], chemistry.bottle_rest[material]
+        row[AMOUNTS + material] += share * mol
+        row[AMOUNTS + rest] += (1.0 - share) * mol * molar_volume[material] / molar_volume[rest]
     temperature = min(max(temperature, rules.coldest), rules.hottest)
     if jacketed:
         state.jacket[m] = temperature
         after = heat_capacity(row, chem)
         if after > 0.0:
-            ambient = opened(Chemistry, chem).ambient_temperature
+            ambient = chemistry.ambient_temperature
             row[TEMPERATURE] = ambient + (row[TEMPERATURE] - ambient) * before / after
     spill(row, chem, shelf.waste[m], state.events[m])
     if not jacketed:

@@ -18,6 +18,7 @@ from ..reactions import equation
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
 from ..world import (
+    BOTTLE,
     DEVICE_QUANTITIES,
     ORDER_QUANTITIES,
     VESSEL_QUANTITIES,
@@ -40,8 +41,8 @@ __all__ = ["World", "Worlds", "world_chemistry"]
 World = int | Mapping[str, Any]
 """Which world an episode is to have: the one of a seed, or one with some of its values given, by draw and target."""
 
-_SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point"})
-"""Parameters that may not be drawn: they hang together, or order materials."""
+_SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point", "bottle_share", "bottle_rest"})
+"""Parameters that may not be drawn: they hang together, order materials, or are drawn as what is in a bottle."""
 _SIGNED = frozenset({"formation", "equilibrium_heat", "acid_heat", "acid_pk"})
 """Parameters that may be of either sign."""
 
@@ -53,7 +54,14 @@ def _parameters(scenario: Scenario) -> list[str]:
     """Parameters of the chemistry that a scenario draws."""
     whats = [draw.what for draw in scenario.world.draws.values()]
     drawn_elsewhere = (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *ORDER_QUANTITIES)
-    return [what for what in dict.fromkeys(whats) if what not in drawn_elsewhere]
+    bottles = any(_is_bottle(scenario, name) for draw in scenario.world.draws.values() for name in draw.of)
+    found = [what for what in dict.fromkeys(whats) if what not in drawn_elsewhere]
+    return found + ["bottle_share", "bottle_rest"] * bottles
+
+
+def _is_bottle(scenario: Scenario, name: str) -> bool:
+    """Whether a target of a draw is a bottle."""
+    return name == BOTTLE and name not in scenario.benches
 
 
 def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
@@ -133,6 +141,8 @@ class Worlds:
         self.table = world_draws(n, self._variables)
         self._parameters: list[_Parameter] = []
         self._contents: dict[str, list[_Content]] = {}
+        self._bottles: list[tuple[int, int, int]] = []
+        """Material of the label, column of the number, and what the rest is: -1 where the number says what all is."""
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
         """By quantity and bench or instrument: column of the number, and what it changes how."""
         self._told: dict[str, IntArray] = {}
@@ -162,7 +172,8 @@ class Worlds:
         self._base_terms = np.array(
             [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
         ).reshape(-1, len(ORDER_QUANTITIES))
-        if self._parameters:
+        self._varying = _parameters(scenario)
+        if self._varying:
             shelf.table.arrays.variant[:] = 1 + np.arange(n)
         self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
         self._work = np.zeros(work_size(shelf.chemistry))
@@ -206,6 +217,10 @@ class Worlds:
     def _add_contents(self, scenario: Scenario, draw: Draw, columns: IntArray) -> None:
         materials = self._shelf.layout.materials
         for name, column in zip(draw.of, columns.tolist(), strict=True):
+            if _is_bottle(scenario, name):
+                rest = -1 if draw.inert is None else materials.index(draw.inert)
+                self._bottles.append((materials.index(str(draw.material)), column, rest))
+                continue
             slot = name.startswith("slot_")
             position = int(name[5:]) if slot else 0
             start = scenario.shelf.vessel[position] if slot else scenario.benches[name].start
@@ -266,7 +281,7 @@ class Worlds:
 
     def _set_parameters(self, members: IntArray) -> None:
         parameters, rows = self._shelf.chemistry.parameters, 1 + members
-        for field in dict.fromkeys(one.field for one in self._parameters):
+        for field in self._varying:
             parameters[field][rows] = parameters[field][0]
         for one in self._parameters:
             array = parameters[one.field]
@@ -280,6 +295,10 @@ class Worlds:
                 array[at] *= values
             else:
                 array[at] += values
+        for label, column, rest in self._bottles:
+            own = self.table.arrays.values[members, column]
+            parameters["bottle_share"][rows, label] = own if rest >= 0 else 0.0
+            parameters["bottle_rest"][rows, label] = rest if rest >= 0 else own
 
     def fill(self, members: IntArray, rows: FloatArray, bench: str = "") -> None:
         """Put what was drawn in the place of what the files say, in vessels that have just been filled.
@@ -393,5 +412,5 @@ class Worlds:
         if not self.active:
             return []
         parameters = self._shelf.chemistry.parameters
-        varying = [parameters[field][1:] for field in dict.fromkeys(one.field for one in self._parameters)]
+        varying = [parameters[field][1:] for field in self._varying]
         return [*self.table.changing(), *varying]

@@ -6,7 +6,7 @@ from ..arrays import Handle
 from ..chemistry import Chemistry
 from ..jit import inner, opened
 from ..physics.constants import TRACE_MOL
-from ..physics.transfer import add
+from ..physics.transfer import pour_out
 from .base import Operation, Turn
 
 __all__ = ["OPERATION"]
@@ -17,7 +17,7 @@ def _act(turn: Turn, chem: Handle) -> float:
     chemistry = opened(Chemistry, chem)
     mol = min(turn.magnitude / chemistry.molar_mass[turn.goal], turn.stock[turn.goal])
     turn.stock[turn.goal] -= mol
-    add(turn.row, turn.goal, mol, chemistry.ambient_temperature, chem, turn.waste, turn.events)
+    pour_out(turn.row, turn.goal, mol, chem, turn.waste, turn.events)
     return 0.0
 
 

@@ -152,6 +152,18 @@ def add(
     spill(row, chem, waste, events)
 
 
+@helper
+def pour_out(row: FloatArray, material: int, mol: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
+    """Add as many litres from a bottle as ``mol`` of what its label says take: what is really in it, at ambient
+    temperature."""
+    chemistry = opened(Chemistry, chem)
+    share, rest = chemistry.bottle_share[material], int(chemistry.bottle_rest[material])
+    ambient = chemistry.ambient_temperature
+    add(row, material, share * mol, ambient, chem, waste, events)
+    litres = (1.0 - share) * mol * chemistry.molar_volume[material]
+    add(row, rest, litres / chemistry.molar_volume[rest], ambient, chem, waste, events)
+
+
 @kernel
 def drain(
     source: FloatArray,

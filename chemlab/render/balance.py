@@ -99,7 +99,7 @@ class _Books:
         amounts = {
             "submitted": state.delivered[0] + self._last,
             "vessels": shelf.amounts[0].sum(axis=0) - self._last,
-            "stock": shelf.stock[0],
+            "stock": shelf.bottled()[0],
             **self._out,
         }
         return Stage(label, int(state.ticks[0]), np.array([amounts[place] for place in PLACES]))

@@ -74,7 +74,7 @@ class _Watched(BatchedLaboratory):
 
     def _weight(self, members: IntArray) -> FloatArray:
         labs = self.laboratories
-        total = labs.shelf.amounts[members].sum(axis=1) + labs.shelf.stock[members] + labs.shelf.waste[members]
+        total = labs.shelf.total()[members]
         return np.asarray((total + labs.state.delivered[members]) @ self.atoms_in)
 
     def weigh(self, members: IntArray) -> None:

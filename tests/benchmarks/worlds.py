@@ -1,8 +1,8 @@
 """What it costs that every laboratory has a world of its own: turns a second over those of the same scenario in which
 nothing is drawn.
 
-Run ``python tests/benchmarks/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both take turns in
-one run; ratios are medians.
+Run ``python tests/benchmarks/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both take turns
+in one run; ratios are medians.
 """
 
 from __future__ import annotations

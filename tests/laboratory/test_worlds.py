@@ -13,6 +13,7 @@ import pytest
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.chemistry import element_matrix
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
@@ -40,6 +41,19 @@ DRAWS = {
         "inert": "dodecane",
         "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0},
         "test": [[0.4, 0.5]],
+    },
+    "reagent": {
+        "what": "titre",
+        "of": ["stock"],
+        "material": "2-chlorohexane",
+        "inert": "dodecane",
+        "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0},
+    },
+    "label": {
+        "what": "identity",
+        "of": ["stock"],
+        "material": "3-chlorohexane",
+        "distribution": {"kind": "choice", "options": [*HALIDES]},
     },
     "rate": {
         "what": "pre_exponential",
@@ -206,6 +220,41 @@ def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
     assert labs.shelf.chemistry.world().pre_exponential[0] == spec.family.reaction[0].pre_exponential
 
 
+@pytest.mark.parametrize("bench", ["rxn", "ext"])
+def test_a_bottle_gives_what_is_in_it(bench: str) -> None:
+    """Litre for litre, fed by the reaction bench and added by an operation; in all there is what there was."""
+    wash = {"wash": DRAWS["reagent"] | {"material": "water", "inert": "diethyl_ether"}}
+    spec = scenario(DRAWS | wash)
+    litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
+    env = BenchVectorEnv(6, spec, bench)
+    env.reset(seed=0)
+    batch = env.batch
+    shelf, total = batch.shelf, batch.shelf.total()
+    vessels, labels = shelf.amounts.sum(axis=1), shelf.stock.copy()
+    if bench == "rxn":  # everything but sodium, so that nothing reacts
+        fed = [float(name in HALIDES) for name in batch.bench.reagent_names]
+        env.step(np.tile(np.array([0.5, 0.5, *fed], dtype=np.float32), (6, 1)))
+    else:
+        water = [a for a, text in enumerate(batch.bench.action_meanings) if text.startswith("add water")]
+        env.step(np.full(6, water[-1]))
+    elements = element_matrix(spec)  # salt dissolves
+    assert shelf.total() @ elements.T == pytest.approx(total @ elements.T, rel=1e-12, abs=1e-12)
+    for member in range(6):
+        values = batch.worlds.values(member)
+        real = {"2-chlorohexane": (values["reagent"]["stock"], "dodecane")}
+        real |= {"3-chlorohexane": (0.0, values["label"]["stock"]), "water": (values["wash"]["stock"], "diethyl_ether")}
+        taken = dict(zip(spec.materials, labels[member] - shelf.stock[member], strict=True))
+        came = dict.fromkeys(taken, 0.0)
+        for label, mol in taken.items():
+            share, rest = real.get(label, (1.0, label))
+            came[label] += share * mol
+            came[rest] += (1.0 - share) * mol * litres[label] / litres[rest]
+        assert sum(taken.values()) > 0.4
+        found = shelf.amounts[member].sum(axis=0) - vessels[member]
+        for name in (*HALIDES, "dodecane", "water", "diethyl_ether"):
+            assert found[list(came).index(name)] == pytest.approx(came[name], rel=1e-9, abs=1e-12)
+
+
 def test_vessels_begin_at_rest_in_their_own_world() -> None:
     """Polarity says how a solute divides between two solvents."""
     contents = {"diethyl_ether": 2.0, "water": 10.0, "dodecane": 0.5}
@@ -306,7 +355,7 @@ def test_snapshots_copies_and_pickles_carry_the_world(bench: bool) -> None:
 def test_the_state_of_critics_has_the_world() -> None:
     env = raw_env(scenario())
     size = next(channel.size for channel in env.state_channels if channel.name == "world")
-    assert size == 4 + 4 + 1 + 1
+    assert size == 4 + 4 + 1 + 1 + 1 + 1
     env.reset(seed=0)
     first = env.state()[-size:]
     env.reset(seed=1)
