@@ -34,6 +34,8 @@ STAGES = (1, 2, 5, 15)
 REFLUX = 3.0
 """mol run back for each that leaves, where there is a column."""
 CUTS_K = np.concatenate([np.arange(400.0, 480.0, 5.0), np.arange(480.0, 489.5, 0.5)])
+WATER = 0.3
+"""mol in the charge of `wurtz_real`."""
 HEATING_KJ = 1.0
 MOST_STEPS = 2_000
 EPISODES = 50
@@ -80,12 +82,13 @@ def row(by: str, at: float, purity: float, recovery: float) -> dict[str, Any]:
     return {"by": by, "at": f"{at:g}", "purity": f"{purity:.4f}", "recovery": f"{recovery:.4f}"}
 
 
-def scripted(stages: int) -> Iterator[dict[str, Any]]:
-    """A pot for each cut, heated until it is that hot."""
-    pots = Pots(asked(stages=stages, reflux=REFLUX, step_limit=MOST_STEPS), len(CUTS_K))
+def scripted(stages: int, water: float = 0.0) -> Iterator[dict[str, Any]]:
+    """A pot for each cut, heated until it is that hot; ``water`` mol of it are in the charge."""
+    start = {"start": {"contents": {"water": water}}} if water else {}
+    pots = Pots(asked(stages=stages, reflux=REFLUX, step_limit=MOST_STEPS, **start), len(CUTS_K))
     heats = dict(zip(pots.bench.options.process[0].magnitudes, range(1_000), strict=False))
     heating, cutting = heats[HEATING_KJ], pots.members
-    title = "1 stage" if stages == 1 else f"{stages} stages"
+    title = ("1 stage" if stages == 1 else f"{stages} stages") + (", not dried" if water else "")
     for _ in range(MOST_STEPS):
         kelvin = pots.batch.shelf.vessels[:, POT, TEMPERATURE]
         purity, mol = pots.kept()
@@ -145,6 +148,7 @@ def main() -> None:
     chosen = parser.parse_args()
     if not chosen.figure:
         rows = [line for stages in STAGES for line in scripted(stages)]
+        rows += scripted(5, WATER)
         rows += trained(chosen.trained) if chosen.trained else []
         write(TABLE.name, list(rows[0]), [list(line.values()) for line in rows])
     draw()
