@@ -40,6 +40,7 @@ from chemlab.materials import shipped_materials
 from chemlab.pairs import shipped_pairs
 from chemlab.record import Play, Recorder, verify_record
 from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.world import ORDER_QUANTITIES
 
 SECONDS = 20
 LONGEST_MESSAGE = 20_000
@@ -104,8 +105,36 @@ def seeds() -> list[Files]:
     own.scenario["goals"].append("slime")
     own.reaction["reaction"].append(slime)
     for bench in own.scenario["benches"].values():
-        bench["actions"] = "discrete"
+        bench |= {"actions": "discrete", "report": 0.02, "wear": {"drift": 0.02, "life": 50.0, "repair_ticks": 2}}
+    for instrument in own.scenario["instruments"].values():
+        instrument["drift"] = {"walk": 0.002, "price": 0.01}
+    orders = [f"order_{i}" for i in range(own.scenario["orders"])]
+    own.scenario["demand"] = {"order": [{"arrives": 5.0, "within": 100.0, "amount_at_least_mol": 0.1} for _ in orders]}
+    own.scenario["grades"] = {"half": {"purity_at_least": 0.5, "ticks": 20}, "any": {}}
+    own.scenario["world"] = {"draws": _draws(own.scenario, orders)}
     return [*found, own]
+
+
+def _draws(scenario: dict[str, Any], orders: list[str]) -> dict[str, Any]:
+    """A draw of every quantity of vessels, bottles, devices and orders."""
+    first, near = "1-chlorohexane", {"kind": "uniform", "low": 0.9, "high": 1.0}
+    halides = {"kind": "choice", "options": [first, "2-chlorohexane"]}
+    bottles = {
+        "label": {"what": "identity", "of": ["stock"], "material": first, "distribution": halides},
+        "reagent": {"what": "titre", "of": ["stock"], "material": "goo", "inert": "dodecane", "distribution": near},
+        "less": {
+            "what": "amount",
+            "of": ["slot_0"],
+            "material": next(iter(scenario["shelf"]["vessel"][0]["contents"])),
+        },
+    }
+    of = {"gain": scenario["benches"], "life": scenario["benches"], "bias": scenario["instruments"]}
+    of |= {"trend": scenario["instruments"], **dict.fromkeys(ORDER_QUANTITIES, orders)}
+    offset = {"change": "offset", "distribution": {"kind": "normal", "mean": 0.0, "sd": 1e-4, "low": 0.0, "high": 1e-3}}
+    others = {what: {"what": what, "of": list(names), "distribution": near} for what, names in of.items()}
+    others |= {what: others[what] | offset for what in ("bias", "trend")}
+    told = {"told": list(scenario["benches"])[:1]}
+    return {name: {"distribution": near} | draw | told for name, draw in (bottles | others).items()}
 
 
 GOO = {"goo": "dodecane", "slime": "dodecane", "ooze": "hexane"}
