@@ -34,7 +34,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 import chemlab
-from chemlab.datafile import DataError, parse_json, read_json, read_text, validated
+from chemlab.datafile import DataError, bounded, parse_json, read_json, read_text, validated
 from chemlab.files import write_text
 
 __all__ = [
@@ -45,6 +45,8 @@ __all__ = [
     "RunBusy",
     "RunConfig",
     "RunResult",
+    "checked_config",
+    "checked_result",
     "differences",
     "find_runs",
     "to_text",
@@ -154,6 +156,28 @@ class RunResult:
     last_by_goal: dict[str, float]
 
 
+def checked_config(values: Any, where: str) -> dict[str, Any]:
+    """A run's configuration as it was read.
+
+    Raises:
+        DataError: it is not what a run writes; the message begins with ``where``.
+    """
+    validated(_Config, values, where)
+    return dict(values)
+
+
+def checked_result(values: Any, where: str) -> RunResult:
+    """A run's result as it was read.
+
+    Raises:
+        DataError: it is not what a run writes; the message begins with ``where``.
+    """
+    found: RunResult = validated(RunResult, bounded(values, where), where)
+    if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
+        raise DataError(f"{where}: by_goal and last_by_goal must be of the same goals")
+    return found
+
+
 class RunBusy(ValueError):
     """Another process is training this run."""
 
@@ -189,9 +213,7 @@ class Run:
         """
         if not self.config_file.exists():
             return None
-        values = read_json(self.config_file)
-        validated(_Config, values, str(self.config_file))
-        return dict(values)
+        return checked_config(read_json(self.config_file), str(self.config_file))
 
     def result(self) -> RunResult | None:
         """``result.json``, or None while the run is not finished.
@@ -201,10 +223,7 @@ class Run:
         """
         if not self.result_file.exists():
             return None
-        found: RunResult = validated(RunResult, read_json(self.result_file), str(self.result_file))
-        if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
-            raise DataError(f"{self.result_file}: by_goal and last_by_goal must be of the same goals")
-        return found
+        return checked_result(read_json(self.result_file), str(self.result_file))
 
     def curve(self) -> list[CurvePoint]:
         """The learning curve so far."""

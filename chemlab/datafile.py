@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import re
 import sys
 from collections.abc import Mapping
@@ -145,10 +146,10 @@ def dotted_key(text: object, where: str) -> list[str]:
 
 
 def bounded(content: Any, where: str) -> Any:
-    """``content``, once every table, list, text and integer in it is known to be of a reasonable size.
+    """``content``, once every table, list, text and number in it is known to be of a reasonable size.
 
     Raises:
-        DataError: something is nested too deeply, too long or too large, or a text has control characters.
+        DataError: something is nested too deeply, too long, too large or no number, or a text has control characters.
     """
 
     def wrong(problem: str) -> DataError:
@@ -169,6 +170,8 @@ def bounded(content: Any, where: str) -> Any:
                 raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {_shown(value)}")
             if isinstance(value, int) and abs(value) > _INTEGER:
                 raise wrong(f"a whole number must be within {_INTEGER}, given one of {value.bit_length()} bits")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise wrong(f"must be a finite number, given {value}")
             continue
         if children and len(path) >= _DEPTH:
             raise wrong(f"nested more than {_DEPTH} levels deep")

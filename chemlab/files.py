@@ -15,6 +15,7 @@ from pathlib import Path
 __all__ = [
     "check_folder",
     "check_marks",
+    "check_target",
     "draft_of",
     "replace_between",
     "sync_file",
@@ -110,6 +111,18 @@ def check_folder(path: Path) -> None:
             pass
     except OSError as error:
         raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
+
+
+def check_target(path: Path) -> None:
+    """See that a file can be written, and make its folder: before there is anything to lose.
+
+    Raises:
+        ValueError: it cannot.
+        OSError: no file can be called so.
+    """
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'not a regular file'}; give a file's name")
+    check_folder(path.parent)
 
 
 def check_marks(path: Path, mark: str) -> tuple[str, int, int]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -114,8 +115,8 @@ def load_pairs(paths: Iterable[Path]) -> dict[frozenset[str], Pair]:
         file: PairFile = validated(PairFile, read_toml(path), str(path))
         found = {frozenset(pair.of): pair for pair in file.pairs}
         if len(found) < len(file.pairs):
-            names = [frozenset(pair.of) for pair in file.pairs]
-            first, second = sorted(next(name for name in names if names.count(name) > 1))
+            ((names, _),) = Counter(frozenset(pair.of) for pair in file.pairs).most_common(1)
+            first, second = sorted(names)
             raise DataError(f"{path}: pairs: {first!r} with {second!r} stands here twice; remove one of them")
         pairs |= found
     return pairs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from .arrays import SLOT, Declared, Field, Handle, IntArray, addresses, declared, merged
 from .jit import COMPILED, kernel, opened
 
-__all__ = ["Table"]
+__all__ = ["Table", "put_back"]
 
 T = TypeVar("T")
 
@@ -111,3 +112,20 @@ class Table(Generic[T]):
 
 def _restored(declarations: tuple[type, ...], values: tuple[Any, ...]) -> Table[Any]:
     return Table(merged(*declarations)(*values))
+
+
+def put_back(arrays: Sequence[npt.NDArray[Any]], saved: Sequence[npt.NDArray[Any]]) -> None:
+    """Copy what was saved of some arrays into them.
+
+    Raises:
+        ValueError: it is of others: not as many, or of other shapes or kinds of numbers; nothing changes.
+    """
+    own, other = ([(np.shape(one), np.asarray(one).dtype) for one in some] for some in (arrays, saved))
+    if own != other:
+        at = next((i for i, (a, b) in enumerate(zip(own, other, strict=False)) if a != b), min(len(own), len(other)))
+        raise ValueError(
+            f"state: is of another environment, or changed: of {len(other)} arrays, here {len(own)}, number {at} "
+            f"differs: {[*other, 'missing'][at]}, here {[*own, 'missing'][at]}; take get_state() of one made equally"
+        )
+    for array, values in zip(arrays, saved, strict=True):
+        array[...] = values

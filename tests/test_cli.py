@@ -22,6 +22,7 @@ from chemlab.cli import app
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.files import replace_between, write_text
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import DataError, shipped_materials
 from chemlab.scenario import load_scenario, scenario_names
 
@@ -233,6 +234,28 @@ def test_text_of_files_is_shown_as_it_is(hostile: Path, arguments: list[str], ty
         assert "[/bold] oil :smile:" in shown
 
 
+def test_names_of_goals_and_runs_are_shown_as_they_are(hostile: Path) -> None:
+    """Where somebody's own material is a goal, and a sweep's run is called something."""
+    values = mapping("salt_from_oil") | {"name": "hostile", "material_files": ["own.toml"]}
+    values |= {
+        "goals": [*values["goals"], MATERIAL],
+        "lab_goals": [MATERIAL],
+        "theoretical_maximum_mol": {MATERIAL: 1.0},
+    }
+    hostile.write_text(_toml(values | {"stock": {**values["stock"], MATERIAL: 1.0}}), encoding="utf-8")
+    sweep = hostile.with_name("sweep.toml")
+    sweep.write_text(f'[[runs]]\nname = "{MATERIAL.replace("/", "")}"\n', encoding="utf-8")
+    brief = ["--episodes", "1"]
+    for words, shown in (
+        (["plan", str(hostile), "--budget", "50", *brief], MATERIAL),
+        (["run", str(hostile), "--policy", "random"], MATERIAL),
+        (["sweep", str(sweep), "--status", "--out", str(hostile.parent)], "[bold] oil"),
+    ):
+        done = runner.invoke(app, words)
+        assert done.exit_code == 0, done.output
+        assert shown in " ".join(done.output.split()), words
+
+
 def test_errors_and_hints_show_paths_as_they_are(hostile: Path) -> None:
     done = runner.invoke(app, ["run", str(hostile.with_name("no\x1b[1m [such].toml"))])
     assert done.exit_code == 2
@@ -360,7 +383,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         (["run", str(folder)], f"error: {folder}: is no file\n"),
         (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
         (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
-        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "not a regular file"),
+        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),
     ]
 
     def full(*_: object, **__: object) -> None:
@@ -377,6 +400,89 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     assert (done.exit_code, done.stderr) == (2, f"error: {os.strerror(errno.ENOSPC)}\n")
     monkeypatch.undo()
     assert runner.invoke(app, ["list"]).exit_code == 0
+
+
+OUTPUTS: dict[str, list[str]] = {
+    "audit": ["unlabelled", "--out"],
+    "audit keep": ["unlabelled", "--keep"],
+    "benchmark": ["unlabelled", "--out"],
+    "evaluate": ["fictitious", "--bench", "rxn", "--out"],
+    "plan": ["fictitious", "--out"],
+    "starts": ["fictitious", "--out"],
+    "compare": ["fictitious", "--update"],
+    "new": ["lab", "--reactions", "wurtz_real", "--out"],
+    "replay": ["RECORD", "--output"],
+    "plot timeline": ["RECORD", "--output"],
+    "export": ["runs", "--out"],
+    "figures": ["runs", "--out"],
+}
+"""Commands that write something, up to the option for where."""
+
+
+@pytest.mark.parametrize("command", OUTPUTS)
+def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file where a folder is meant, a folder where a file is meant, a name that no file may have."""
+    record = tmp_path / "a.jsonl"
+    assert runner.invoke(app, ["run", "fictitious", "--record", str(record), "--json"]).exit_code == 0
+
+    def played(*_: object) -> None:
+        raise AssertionError("something is played, and lost")
+
+    monkeypatch.setattr(Laboratories, "reset", played)
+    monkeypatch.setattr(ExperimentBatch, "reset", played)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "file").write_text("")
+    ending = {"new": ".toml", "plot timeline": ".png"}.get(command, ".json")
+    (tmp_path / f"folder{ending}").mkdir()
+    words = [str(record) if word == "RECORD" else word for word in OUTPUTS[command]]
+    name = command.removesuffix(" keep").split()
+    before = sorted(tmp_path.rglob("*"))
+    folder = command in ("audit keep", "benchmark", "figures")  # which write one
+    for place in (f"file/below{ending}", *(() if folder else (f"folder{ending}",)), f"{'a' * 300}{ending}"):
+        done = runner.invoke(app, [*name, *words, place])
+        assert isinstance(done.exception, SystemExit), (place, done.exception)
+        assert done.exit_code == 2
+        assert place in done.output.replace("\n", "") or place.partition("/")[0] in done.output
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_laboratory_that_would_not_load_is_not_written(tmp_path: Path) -> None:
+    lab = tmp_path / "lab.toml"
+    for name, code in (("Bad Name", 2), ("x" * 101, 2), ("good_name", 0)):
+        done = runner.invoke(app, ["new", name, "--reactions", "wurtz_real", "-o", str(lab)])
+        assert done.exit_code == code, done.output
+        assert lab.exists() == (code == 0)
+    assert load_scenario(lab).name == "good_name"
+
+
+def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk was found to have room, and has none any more when it comes to it."""
+    page = tmp_path / "page.md"
+    page.write_text("<!-- results: begin -->\n<!-- results: end -->\n")
+    before = page.read_text()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for words, shown in (
+        (["compare", "fictitious", "--episodes", "1", "--update", str(page)], "heuristic"),
+        (["evaluate", "fictitious", "--bench", "rxn", "--episodes", "1", "-o", str(tmp_path / "a.json")], "heuristic"),
+        (
+            ["plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "-o", str(tmp_path / "a.json")],
+            "plans tried",
+        ),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr("chemlab.files.sync_file", full)
+            done = runner.invoke(app, words)
+        assert done.exit_code == 2, done.output
+        assert shown in done.output
+        assert os.strerror(errno.ENOSPC) in done.output
+    assert page.read_text() == before
+    assert list(tmp_path.iterdir()) == [page]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")

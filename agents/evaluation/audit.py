@@ -36,10 +36,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +50,12 @@ from pydantic import BaseModel, ConfigDict
 from chemlab.arrays import FloatArray
 from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_text
+from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 from chemlab.scenario import Scenario, load_scenario
 
+from ..plans import all_contexts
 from ..player import play_laboratory
 from ..policies import make_policies, manager_heuristic
 from ..runs import versions
@@ -70,6 +73,8 @@ _POLICIES = ("heuristic", "hasty", "direct", "pretrained", "trained")
 _NO_BUDGET = 1e-9
 _CHUNK = 10
 """Episodes that one process searches in, one after the other."""
+_TENTHS = 10
+"""Into so many parts the clairvoyant's curve divides its budget."""
 _PART_BYTES = 10_000_000
 """Of a file of a finished part: that of 200 episodes is a tenth of a megabyte."""
 
@@ -203,8 +208,8 @@ def _foresee(
         seed = AUDIT_SEED + episode
         score, curve = best_in_episode(scenario, seed, split, budget.planned, known)
         reached = [
-            max(s for tried, s in curve if tried <= max(part * budget.planned / 10, curve[0][0]))
-            for part in range(1, 11)
+            max(s for tried, s in curve if tried <= max(part * budget.planned / _TENTHS, curve[0][0]))
+            for part in range(1, _TENTHS + 1)
         ]
         scores.append(score)
         curves.append(reached)
@@ -277,8 +282,8 @@ class _Result(BaseModel):
     everybody: list[float] = []
     curves: list[list[float]] = []
 
-    def is_of(self, job: _Job, budget: AuditBudget) -> bool:
-        """Whether it has what such a job comes to, of as many episodes."""
+    def is_of(self, job: _Job, budget: AuditBudget, scenario: Scenario) -> bool:
+        """Whether it has what such a job comes to, of as many episodes, and plans that can be played."""
         given, wanted = self.model_fields_set, {"scores"}
         if job.kind == "play" and self.scores is None:
             return given == {"scores", "reason"}
@@ -291,7 +296,15 @@ class _Result(BaseModel):
         if job.kind == "plan" and not job.arguments.get("without"):
             wanted |= {"plans", "everybody"}
         lists = [getattr(self, name) for name in wanted - {"plans"}]
-        return given == wanted and all(part is not None and len(part) == episodes for part in lists)
+        rows = [*((row, len(CONTENDED)) for row in self.contention), *((row, _TENTHS) for row in self.curves)]
+        count = len(ManagerActions.of(scenario))
+        return (
+            given == wanted
+            and all(part is not None and len(part) == episodes for part in lists)
+            and all(len(row) == width for row, width in rows)
+            and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*all_contexts(scenario)})
+            and all(0 <= action < count for _, plan in self.plans for action in plan)
+        )
 
 
 class _Part(BaseModel):
@@ -301,6 +314,19 @@ class _Part(BaseModel):
 
     stamp: str
     result: _Result
+
+
+def _end_with_parent() -> None:
+    """Let this process end when the one that started it does, however that ends: a pool's processes would wait on."""
+
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 class _Crew:
@@ -320,7 +346,8 @@ class _Crew:
         self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch
         self._made_of = [scenario_hash(scenario), vars(budget), versions()]
         # Threads of numerical libraries do not survive a fork.
-        self._pool = ProcessPoolExecutor(processes, get_context("spawn")) if processes > 1 else None
+        spawn = get_context("spawn")
+        self._pool = ProcessPoolExecutor(processes, spawn, _end_with_parent) if processes > 1 else None
 
     def close(self) -> None:
         """Let the processes go."""
@@ -362,7 +389,7 @@ class _Crew:
             part: _Part = validated(_Part, read_json(path, _PART_BYTES), str(path))
         except DataError:
             return None
-        fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget)
+        fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget, self._scenario)
         return part.result.model_dump(mode="json", exclude_unset=True) if fits else None
 
 

@@ -75,6 +75,7 @@ table does not have yet, and drops from it those that are not here any more.
 
 _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
 _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
+_NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
 
 Means = dict[str, dict[str, float]]
@@ -127,7 +128,7 @@ def _learned(run: TrainedRun) -> list[str]:
 
 def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
     """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
-    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS)
+    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS, _NUMBERS)
     groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
     for run in runs:
         if run.result is not None and has_manager(run):

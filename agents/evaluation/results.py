@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from chemlab.arrays import FloatArray
+from chemlab.datafile import DataError, parse_json
 
-from ..runs import Evaluation, Run, RunResult, find_runs
+from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, find_runs
 from ..training.arguments import TrainArguments
 from . import statistics
 from .statistics import interval_text, number_text
@@ -62,6 +63,12 @@ _TABLES: dict[str, tuple[str, ...]] = {
     "evaluations.csv.gz": ("run", "step", "goal", "mean", "heuristic"),
     "curves.csv.gz": ("run", "step", "mean", "std"),
 }
+_NUMBERS: dict[str, type] = (
+    {key: kind for key, kind in _SCALARS.items() if kind is not str}
+    | {"step": int}
+    | dict.fromkeys(("best", "last", "heuristic", "mean", "std"), float)
+)
+"""Columns of numbers."""
 _CURVE_DECIMALS, _DECIMALS = 5, 9
 _Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
@@ -141,10 +148,12 @@ def _from_folder(run: Run, name: str) -> TrainedRun:
 def _from_tables(folder: Path) -> list[TrainedRun]:
     by_run: dict[str, dict[str, _Rows]] = {}
     for name, columns in _TABLES.items():
-        for row in read_table(folder / name, columns):
+        for row in read_table(folder / name, columns, _NUMBERS, blank=("heuristic",)):
             by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
     try:
         return [_from_rows(name, rows) for name, rows in by_run.items()]
+    except DataError as error:
+        raise ValueError(f"{folder}: {error}") from error
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{folder}: not the tables of finished runs that belong together ({error!r})") from error
 
@@ -156,10 +165,12 @@ def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
     scripted, scripted_mean = _by_goal(rows["returns.csv"], "heuristic")
     returns: dict[str, Any] = {"by_goal": best, "mean": best_mean, "last_by_goal": last, "last_mean": last_mean}
     returns |= {"heuristic_by_goal": scripted, "heuristic_mean": scripted_mean}
-    result = RunResult(**{key: kind(row[key]) for key, kind in _SCALARS.items()}, **returns)
+    scalars = {key: kind(row[key]) for key, kind in _SCALARS.items()}
+    result = checked_result({**scalars, **returns}, name)
     config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
-    config |= {"seed": result.seed, "goals": list(result.by_goal), **json.loads(row["arguments"])}
-    config["versions"] = json.loads(row["versions"])
+    config |= {"seed": result.seed, "goals": list(result.by_goal), **parse_json(row["arguments"], f"{name}: arguments")}
+    config["versions"] = parse_json(row["versions"], f"{name}: versions")
+    checked_config(config, name)
     steps: dict[int, _Rows] = {}
     for one in rows.get("evaluations.csv.gz", ()):
         steps.setdefault(int(one["step"]), []).append(one)

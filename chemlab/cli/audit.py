@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import write_text
+from ..files import check_folder, check_target, write_text
 from ..scenario import load_scenario
 from .common import JsonOption, ScenarioArgument, app, out, readable_errors
 from .screen import counting, show_table
@@ -40,15 +40,19 @@ def audit(
         spec = load_scenario(scenario)
         if budget not in BUDGETS:
             raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        if keep is not None:
+            check_folder(keep)
+        if output is not None:
+            check_target(output)
         with counting() as progress:
             task = progress.add_task("parts", total=job_count(spec, BUDGETS[budget]))
             found = measure(spec, budget, keep, processes, lambda _: progress.advance(task))
-        if output is not None:
-            write_text(output, json.dumps(found, indent=1) + "\n")
     if as_json:
         typer.echo(json.dumps(found))
-        return
-    _show(found)
+    else:
+        _show(found)
+    if output is not None:
+        write_text(output, json.dumps(found, indent=1) + "\n")
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -6,13 +6,13 @@ import itertools
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..files import write_text
+from ..files import check_target, write_text
 from ..materials import Material, load_materials, shipped_materials
 from .common import JsonOption, app, out
 from .screen import counting, plain, show_table
@@ -38,6 +38,7 @@ def _free(path: Path, force: bool) -> None:
         raise ValueError(f"{path}: must end with .toml")
     if path.exists() and not force:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+    check_target(path)
 
 
 def _named(options: Iterable[str] | None) -> dict[str, str]:
@@ -326,14 +327,16 @@ def new(
         _write_pairs(own, missing, known, command)
         pair_files.append(own)
         at_hand |= load_pairs([own])
-    places: dict[str, Any] = {"reactions": designs.beside(file, path.parent) if file.suffix == ".toml" else reactions}
-    places |= {"material_files": [designs.beside(f, path.parent) for f in files]} if files else {}
-    places |= {"pair_files": [designs.beside(f, path.parent) for f in pair_files]} if pair_files else {}
-    made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, places)
-    text = designs.scenario_text(made_for.tables, command)
-    write_text(path, text)
-    spec = load_scenario(path)
+
+    def places(name_of: Callable[[Path], str]) -> dict[str, Any]:
+        found: dict[str, Any] = {"reactions": name_of(file) if file.suffix == ".toml" else reactions}
+        found |= {"material_files": [name_of(f) for f in files]} if files else {}
+        return found | ({"pair_files": [name_of(f) for f in pair_files]} if pair_files else {})
+
+    beside = places(lambda other: designs.beside(other, path.parent))
+    made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
+    spec = load_scenario({**made_for.tables, **places(lambda other: str(other.resolve()))})  # before it is written
+    write_text(path, designs.scenario_text(made_for.tables, command))
     benches = ", ".join(spec.benches)
-    out.print(
-        f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: chemlab run {plain(path)}"
-    )
+    play = plain(_command("run", path))
+    out.print(f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: {play}")

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
-from ..files import check_folder, write_text
+from ..files import check_folder, check_target, write_text
 from .common import JsonOption, SeedOption, SplitOption, TrustOption, app, out, readable_errors
-from .screen import counting, show_table
+from .screen import counting, plain, show_table
 
 __all__: list[str] = []
 
@@ -49,25 +48,23 @@ def evaluate(
         from ..agents.evaluation.play import evaluate as play
         from ..agents.evaluation.play import find_target
 
-        chosen = find_target(target, bench, starts, split)
         if output is not None:
-            check_folder(output.parent)
-            if output.is_dir():
-                raise ValueError(f"--out: {output}: is a folder; give a file's name")
+            check_target(output)
+        chosen = find_target(target, bench, starts, split)
         policies = policy or ["heuristic", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
         with counting() as progress:
             task = progress.add_task("episodes", total=total)
             results = play(chosen, policies, episodes, seed, goal, baseline, watch=lambda n: progress.advance(task, n))
-        if output is not None:
-            write_text(output, json.dumps(results, separators=(",", ":")) + "\n")
     if as_json:
         brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
         typer.echo(json.dumps({**results, "policies": brief}))
-        return
-    _show(results)
+    else:
+        _show(results)
     if output is not None:
-        out.print(f"wrote {escape(str(output))}")
+        write_text(output, json.dumps(results, separators=(",", ":")) + "\n")
+        if not as_json:
+            out.print(f"wrote {plain(output)}")
 
 
 def _show(results: dict[str, Any]) -> None:
@@ -141,9 +138,9 @@ def figures(
         laboratory = write_laboratory(collect or results, output, formats)
         left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
     for line in left_out:
-        out.print(f"[yellow]left out[/yellow] {escape(line)}")
+        out.print(f"[yellow]left out[/yellow] {plain(line)}")
     for written in (page, laboratory and laboratory.page):
         if written is not None:
-            out.print(f"wrote {escape(str(written))}")
+            out.print(f"wrote {plain(written)}")
     if page is None and laboratory is None:
-        out.print(f"{escape(str(results))}: has no training runs")
+        out.print(f"{plain(results)}: has no training runs")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_marks, replace_between
+from ..files import check_marks, check_target, replace_between
 from ..scenario import Scenario, load_scenario, scenario_names
 from .common import (
     EpisodesOption,
@@ -300,6 +300,7 @@ def compare(
     rows: list[dict[str, Any]] = []
     if update is not None:
         check_marks(update, "results")
+        check_target(update)
     with Progress(console=err, transient=True) as progress:
         names = scenarios or scenario_names()
         task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
@@ -312,6 +313,10 @@ def compare(
                     progress.advance(task)
                 rows.append(_summary(spec, played, results))
     cells = [_cells(row) for row in rows]
+    if as_json:
+        typer.echo(json.dumps(rows))
+    else:
+        show_table("", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
     if update is not None:
         text, start, stop = check_marks(update, "results")
         found = {_row_of(line): line for line in text[start:stop].splitlines() if line.startswith("| `")}
@@ -320,10 +325,6 @@ def compare(
         found |= {(name, played): f"| `{name}` | {' | '.join((played, *others))} |" for name, played, *others in cells}
         lines = ["| " + " | ".join(RESULT_COLUMNS) + " |", "|---|---" + "|--:" * (len(RESULT_COLUMNS) - 2) + "|"]
         replace_between(update, "results", lines + [line for _, line in sorted(found.items())])
-    if as_json:
-        typer.echo(json.dumps(rows))
-    else:
-        show_table("", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
 
 
 RESULT_COLUMNS: tuple[str, ...] = (
@@ -390,9 +391,10 @@ def starts(
         from ..agents.start_recorder import record_starts
         from ..laboratory.starts import starts_file, write_starts
 
+        path = output or starts_file(spec)
+        check_target(path)
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
-        path = output or starts_file(spec)
         write_starts(path, spec, vessels)
     counts = ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items())
     out.print(f"{plain(path)}: {counts}")

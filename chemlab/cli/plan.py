@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..files import check_target
 from ..scenario import load_scenario
 from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, TrustOption, app, out, readable_errors
-from .screen import counting
+from .screen import counting, plain
 
 if TYPE_CHECKING:
     from ..agents.evaluation.plans import PlanSearch
@@ -48,20 +49,23 @@ def plan(
 
         spec = load_scenario(scenario)
         most = plan_budget(budget)
+        if output is not None:
+            check_target(output)
         with counting() as progress:
             task = progress.add_task("plans", total=most)
             search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
         words = ["chemlab", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
         words += ["--episodes", str(episodes)]
         found = search.as_file(shlex.join(words), episodes)
-        if output is not None:
-            found.save(output)
     if as_json:
         typer.echo(json.dumps(found.as_dict()))
-        return
-    _tell(search, found)
+    else:
+        _tell(search, found)
     if output is not None:
-        out.print(f"wrote {output}; play it: chemlab run {scenario} --policy {benches},manager=plan:{output}")
+        found.save(output)
+        if not as_json:
+            run = shlex.join(["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"])
+            out.print(f"wrote {plain(output)}; play it: {plain(run)}")
 
 
 def _tell(search: PlanSearch, found: PlanFile) -> None:
@@ -70,9 +74,9 @@ def _tell(search: PlanSearch, found: PlanFile) -> None:
     from ..agents.evaluation.statistics import interval_text
 
     for one in search.found:
-        out.print(f"[bold]{', '.join(one.context)}[/bold]: score {one.score:.3f}")
+        out.print(f"[bold]{plain(', '.join(one.context))}[/bold]: score {one.score:.3f}")
         for number, line in enumerate(plan_words(search.scenario, one.plan), start=1):
-            out.print(f"  {number}. {line}")
+            out.print(f"  {number}. {plain(line)}")
     score = interval_text(found.evaluation)
     out.print(
         f"score {score}, mean of {found.evaluation['episodes']} episodes; benches: {found.benches}; "

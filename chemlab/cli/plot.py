@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..files import check_target
 from .common import TrustOption, app
 from .screen import out, plain
 
@@ -32,6 +33,7 @@ def _save(path: Path, force: bool, draw: Callable[[], Any]) -> None:
         raise ValueError(f"{path}: ends with {path.suffix or 'nothing'}; known: {', '.join(FORMATS)}")
     if path.exists() and not force:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+    check_target(path)
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)
     out.print(plain(path))

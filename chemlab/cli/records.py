@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from .common import JsonOption, TrustOption, app, err, out, readable_errors
+from .screen import plain
 
 __all__: list[str] = []
 
@@ -58,9 +58,9 @@ def verify(
                 typer.echo(json.dumps(result.as_dict()))
                 continue
             color = _COLORS[result.status]
-            out.print(f"[{color}]{result.status}[/{color}] {escape(result.path)}: {escape(result.message)}")
+            out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")
             for note in result.notes:
-                out.print(f"   {escape(note)}")
+                out.print(f"   {plain(note)}")
     found = {result.status for result in results}
     raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in found)])
 
@@ -77,18 +77,19 @@ def replay(
 ) -> None:
     """Make a page of a record: one HTML file to look through the episode with, which needs no network."""
     with readable_errors():
-        from ..files import write_text
+        from ..files import check_target, write_text
         from ..record import read_record
         from ..render.replay import replay_page
 
         path = output or file.with_suffix(".html")
         if path.exists() and not force:
             raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+        check_target(path)
         record = read_record(file)
         if record.torn:
-            err.print(f"{escape(str(file))}: the end is missing; the page shows the episode as far as it goes")
+            err.print(f"{plain(file)}: the end is missing; the page shows the episode as far as it goes")
         text = replay_page(record, trust)
         write_text(path, text)
-    out.print(f"{escape(str(path))}: {len(record.turns)} turns, {len(text.encode()) / 1e6:.2f} MB")
+    out.print(f"{plain(path)}: {len(record.turns)} turns, {len(text.encode()) / 1e6:.2f} MB")
     if show:
         typer.launch(path.resolve().as_uri())

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin
 
 import typer
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
+from ..files import check_target
 from .common import JsonOption, TrustOption, app, err, out, readable_errors
+from .screen import page, plain
 
 if TYPE_CHECKING:
     from ..agents.runs import Evaluation, RunResult
@@ -85,25 +86,25 @@ def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunR
             with Progress(*columns, *clocks, console=err) as progress:
                 result = run(_Account(progress))
     except KeyboardInterrupt:
-        err.print(f"stopped; the same command goes on from the last checkpoint in {folder}")
+        err.print(f"stopped; the same command goes on from the last checkpoint in {plain(folder)}")
         raise typer.Exit(130) from None
     if as_json:
         typer.echo(json.dumps({**asdict(result), "folder": str(folder)}))
         return
     if known:
-        out.print(f"{folder} is finished; nothing is run again")
+        out.print(f"{plain(folder)} is finished; nothing is run again")
     out.print(_outcome(result))
-    out.print(f"best checkpoint (step {result.best_step:,}) and everything else: {folder}")
+    out.print(f"best checkpoint (step {result.best_step:,}) and everything else: {plain(folder)}")
 
 
 def _outcome(result: RunResult) -> Table:
     title = f"{result.env_id}, {result.label}, seed {result.seed}: {result.steps:,} steps in {result.seconds:,.0f} s"
-    table = Table(title=f"{title} (mean return of {result.episodes_per_goal} episodes)", box=SIMPLE)
+    table = Table(title=plain(f"{title} (mean return of {result.episodes_per_goal} episodes)"), box=SIMPLE)
     for name in ("goal", "best", "last", "scripted"):
         table.add_column(name, justify="left" if name == "goal" else "right")
     scripted = result.heuristic_by_goal or {}
     for goal, value in result.by_goal.items():
-        table.add_row(goal, f"{value:.3f}", f"{result.last_by_goal[goal]:.3f}", _number(scripted.get(goal)))
+        table.add_row(plain(goal), f"{value:.3f}", f"{result.last_by_goal[goal]:.3f}", _number(scripted.get(goal)))
     table.add_row("mean", f"{result.mean:.3f}", f"{result.last_mean:.3f}", _number(result.heuristic_mean))
     return table
 
@@ -240,7 +241,7 @@ def sweep(
         rows = [{"run": one.name, **asdict(now)} for one, now in zip(runs, found, strict=True)]
         typer.echo(json.dumps(rows, indent=1))
     elif status:
-        Console().print(_table(runs, found, every=True))
+        page.print(_table(runs, found, every=True))
     if any(now.state in ("failed", "other") for now in found) and not status:
         raise typer.Exit(1)
 
@@ -258,7 +259,7 @@ def _live(runs: list[Planned], jobs: int) -> list[Status]:
     def tell(found: list[Status]) -> None:
         for one, now in zip(runs, found, strict=True):
             if states.get(one.name, "waiting") != now.state:
-                out.print(f"{now.state:<11} {one.name}  {_number(now.mean)} {now.note}".rstrip())
+                out.print(f"{now.state:<11} {one.name}  {_number(now.mean)} {now.note}".rstrip(), markup=False)
             states[one.name] = now.state
 
     ended = run_sweep(runs, jobs, tell)
@@ -279,7 +280,8 @@ def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Tab
             continue
         colour = _COLOURS.get(now.state, "dim")
         state = f"[{colour}]{now.state}[/{colour}]"
-        table.add_row(one.name, state, f"{now.step:,}", f"{now.steps:,}", _number(now.mean), now.note)
+        numbers = f"{now.step:,}", f"{now.steps:,}", _number(now.mean)
+        table.add_row(plain(one.name), state, *numbers, plain(now.note))
     return table
 
 
@@ -300,10 +302,12 @@ def export(
     with readable_errors():
         from ..agents.training.export import export_run
 
+        for ending in (".json", ".safetensors"):
+            check_target(to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}"))
         card = export_run(run, to)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))
         return
     found = card.evaluation
-    out.print(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}")
+    out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))
     out.print(f"mean return {found['mean']:.3f}, scripted {_number(found['heuristic_mean']) or 'none'}")

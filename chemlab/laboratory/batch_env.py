@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray, IntArray
 from ..jit import kernel
+from ..tables import put_back
 from .worlds import World, Worlds
 
 __all__ = ["BatchEnv", "BoundedSpec", "State", "checked_actions", "parsed_reset"]
@@ -348,8 +349,12 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         return [*(array.copy() for array in self._state_arrays()), np.array([self._begun])]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
-        for array, saved in zip(self._state_arrays(), state[:-1], strict=True):
-            array[...] = saved
-        self._begun = bool(state[-1][0])
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations.
+
+        Raises:
+            ValueError: it is of another batch; nothing changes.
+        """
+        begun = np.zeros(1, dtype=np.bool_)
+        put_back([*self._state_arrays(), begun], state)
+        self._begun = bool(begun[0])
         return self._returned(self._observations)

@@ -51,6 +51,7 @@ from gymnasium.vector import AutoresetMode
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import Scenario, load_scenario
+from ..tables import put_back
 from .batch_env import BatchEnv, BoundedSpec, State
 from .experiments import ExperimentBatch
 from .rendering import RENDER_MODES, Rendered
@@ -192,10 +193,14 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return [*(array.copy() for array in self.batch.arrays()), flags]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation."""
-        for array, saved in zip(self.batch.arrays(), state[:-1], strict=True):
-            array[...] = saved
-        self._over, self._seeded = bool(state[-1][0]), bool(state[-1][1])
+        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation.
+
+        Raises:
+            ValueError: it is of another environment; nothing changes.
+        """
+        flags = np.zeros(2, dtype=np.bool_)
+        put_back([*self.batch.arrays(), flags], state)
+        self._over, self._seeded = map(bool, flags)
         return self._observe()
 
     def _scene(self) -> Scene:

@@ -35,7 +35,7 @@ from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
 from ..scenario import OrderSpec, Scenario, load_scenario
 from ..shelf import Shelf
-from ..tables import Table
+from ..tables import Table, put_back
 from .actions import REPAIR, ManagerActions
 from .manager import (
     BEGUN,
@@ -756,6 +756,9 @@ class Laboratories:
         return [array.copy() for array in self.arrays()]
 
     def restore(self, snapshot: list[npt.NDArray[Any]]) -> None:
-        """Put back a :meth:`snapshot`; everything then goes on exactly as it did."""
-        for array, saved in zip(self.arrays(), snapshot, strict=True):
-            array[...] = saved
+        """Put back a :meth:`snapshot`; everything then goes on exactly as it did.
+
+        Raises:
+            ValueError: it is of another laboratory; nothing changes.
+        """
+        put_back(self.arrays(), snapshot)

@@ -248,9 +248,14 @@ class FocalVectorEnv(BatchEnv):
         return [*super().get_state(), memories]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations.
+
+        Raises:
+            ValueError: it is of another batch; nothing changes.
+        """
+        observations = super().set_state(state[:-1])
         self._players.set_memory(state[-1][0])
-        return super().set_state(state[:-1])
+        return observations
 
     def _more_arrays(self) -> State:
         own = [self._lab_costs, self._elapsed, self._last_turn]

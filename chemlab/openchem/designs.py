@@ -209,8 +209,10 @@ def design(
         files: ``reactions``, ``material_files`` and ``pair_files`` of the scenario.
 
     Raises:
-        DataError: no reaction makes the goal, the solvent is no liquid, or it is more than a vessel takes.
+        DataError: no reaction makes the goal, it is a gas, the solvent is no liquid, or it is more than a vessel takes.
     """
+    if materials[goal].role == "gas":
+        raise DataError(f"goal {goal!r}: is a gas; vessels hold liquids and solids")
     if solvent not in materials or not _liquid(materials[solvent]):
         raise DataError(f"solvent {solvent!r}: is no liquid that is known")
     fed = {key: _round(amount) for key, amount in feeds(goal, family, mol).items()}

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import stat
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -281,8 +282,8 @@ class _KeyTwice(ValueError):
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
-        keys = [key for key, _ in pairs]
-        raise _KeyTwice(f"has the key {next(key for key in keys if keys.count(key) > 1)[:80]!r} twice")
+        ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
+        raise _KeyTwice(f"has the key {key[:80]!r} twice")
     return found
 
 

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from chemlab.agents.evaluation.audit import AuditBudget, _Crew, _first_jobs, _Job, _Scale, _told, audit, verdict
+from chemlab.agents.evaluation.audit import (
+    AuditBudget,
+    _Crew,
+    _first_jobs,
+    _Job,
+    _Scale,
+    _second_jobs,
+    _told,
+    audit,
+    verdict,
+)
 from chemlab.agents.evaluation.plans import best_in_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
@@ -91,6 +106,48 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
     assert again == {"random.json", "test.json"}
 
 
+def killed(words: list[str], parts: Path, least: int) -> None:
+    """Run a command with tiny budgets, and kill it (as ``kill -9`` does) once it has kept so many parts."""
+    code = (
+        "from chemlab.agents.evaluation import audit\nfrom chemlab.cli import main\n"
+        f"audit.BUDGETS['small'] = audit.{TINY}\nmain()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.DEVNULL) as process:
+        while len(list(parts.rglob("*.json"))) < least:
+            assert process.poll() is None, "it was over before it could be killed"
+            time.sleep(0.005)
+        children = [pid for pid in map(int, filter(str.isdigit, os.listdir("/proc"))) if _parent(pid) == process.pid]
+        process.send_signal(signal.SIGKILL)
+    assert children
+    until = time.monotonic() + 60.0
+    while any(map(_parent, children)):
+        assert time.monotonic() < until, "a process that nobody waits for goes on"
+        time.sleep(0.05)
+
+
+def _parent(pid: int) -> int:
+    """Number of the process that started one; 0 where that has ended."""
+    try:
+        state, parent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[:2]
+    except OSError:
+        return 0
+    return 0 if state == "Z" else int(parent)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")
+def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    """Killed twice, then finished: what was kept is whole and is not played again, and the findings are the same."""
+    found, _ = unlabelled
+    keep, out = tmp_path / "kept", tmp_path / "audit.json"
+    for least in (2, 9):
+        killed(["audit", "unlabelled", "--keep", str(keep), "--out", str(out), "--processes", "2"], keep, least)
+        assert not out.exists()
+    kept = {path: path.stat().st_mtime_ns for path in keep.glob("*.json")}
+    assert all(json.loads(path.read_text()) for path in kept)
+    assert audit("unlabelled", TINY, keep, 1) == found
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
 def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """With the stamp it had, so that it is the content alone which gives it away."""
     _, keep = unlabelled
@@ -103,7 +160,9 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
     worse: list[Any] = [
         {**result, "scores": [1.0]}, {**result, "scores": None}, {**result, "scores": [float("nan")] * TINY.episodes},
         {**result, "scores": ["a"] * TINY.episodes}, {**result, "plans": [[]]}, {**result, "more": 1}, [], None,
-        {"scores": result["scores"]}, {**result, "everybody": [0.0] * 20_000},
+        {"scores": result["scores"]}, {**result, "everybody": [0.0] * 20_000}, {**result, "plans": []},
+        *({**result, "plans": [[goals, [action]] for goals, _ in result["plans"]]} for action in (-1, 10**6, 2**60)),
+        {**result, "plans": [[["nothing"], [0]]]}, {**result, "plans": [*result["plans"], [["nothing"], [0]]]},
     ]  # fmt: skip
     try:
         for other in worse:
@@ -113,6 +172,20 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
             path.write_text(text)
             assert crew._kept(job) is None
     finally:
+        path.write_text(whole)
+    # Rows that are not all as long would be no table.
+    for name, table, width in (("test", "contention", 5), ("foresee-0", "curves", 10)):
+        path = keep / f"{name}.json"
+        part = json.loads(path.read_text())
+        rows = part["result"][table]
+        assert {len(row) for row in rows} == {width}
+        jobs = _second_jobs(load_scenario("unlabelled"), TINY, "heuristic", result["plans"])
+        (job,) = (job for job in jobs if job.name == name)
+        assert crew._kept(job) == part["result"]
+        whole = path.read_text()
+        for other in ([rows[0][1:], *rows[1:]], [[*row, 0.0] for row in rows], [[] for _ in rows]):
+            path.write_text(json.dumps({**part, "result": {**part["result"], table: other}}))
+            assert crew._kept(job) is None
         path.write_text(whole)
     # Another policy under the same name, as after more training, is another job.
     assert crew._kept(_Job("plan", "plan", {"without": "rxn"})) is None

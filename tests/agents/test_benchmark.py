@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_audit import TINY as AUDIT_TINY
+from test_audit import killed
 from typer.testing import CliRunner
 
 from chemlab.agents.evaluation import statistics
-from chemlab.agents.evaluation.audit import AUDIT_SEED, AuditBudget
+from chemlab.agents.evaluation.audit import AUDIT_SEED, BUDGETS, AuditBudget
 from chemlab.agents.evaluation.benchmark import (
     Row,
     benchmark,
@@ -112,6 +114,27 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     assert last["absolute_metrics"]["return"] == pytest.approx([cell["replications"][1]])
     assert len(last["step_0"]["return"]) == 2
     assert np.mean(last["step_0"]["return"]) == pytest.approx(cell["replications"][1])
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")
+def test_a_benchmark_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed while parts are played; then the same command makes all of it, and the leaderboard keeps its line."""
+    monkeypatch.setitem(BUDGETS, "small", AUDIT_TINY)
+    board = tmp_path / "leaderboard.json"
+    line = {"scenario": "other", "policy": "somebody", "split": "test", "value": 0.5}
+    board.write_text(json.dumps({"lines": [line]}))
+    words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--out", str(tmp_path), "--processes", "2"]
+    killed(words, tmp_path / "parts", 3)
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").rglob("*.json")}
+    assert json.loads(board.read_text()) == {"lines": [line]}
+    done = CliRunner().invoke(app, [*words[:-1], "1", "--json"])
+    assert done.exit_code == 0, done.output
+    rows = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",))]
+    assert (
+        json.loads(done.output)["scenarios"] == benchmark(["unlabelled"], rows, AUDIT_TINY, 2, processes=1)["scenarios"]
+    )
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert line in leaderboard_lines(board)
 
 
 def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any], Path]) -> None:

@@ -9,6 +9,7 @@ to everything that reads such files: a policy that loads plays, a run is put int
 
 from __future__ import annotations
 
+import gzip
 import json
 import shutil
 import sys
@@ -24,24 +25,22 @@ from safetensors.numpy import save, save_file
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from fuzz_files import LONGEST_MESSAGE, campaign, change, main, scribble, toml, write_json
+from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, main, scribble, write_json, write_toml
 from run_files import write_run
 
 import chemlab.agents.pretrained
 from chemlab.agents.evaluation.audit import AuditBudget, _Crew, _Job
-from chemlab.agents.evaluation.benchmark import _write_leaderboard, leaderboard_lines
+from chemlab.agents.evaluation.benchmark import _write_leaderboard, find_rows, leaderboard_lines
 from chemlab.agents.evaluation.curves import group_tasks
-from chemlab.agents.evaluation.laboratory import collect_count
+from chemlab.agents.evaluation.laboratory import collect_count, write_laboratory
 from chemlab.agents.evaluation.results import read_runs, write_runs
-from chemlab.agents.plans import plan_for, stored_plans
+from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.training.arguments import JointArguments, RllibArguments, TrainArguments
 from chemlab.agents.training.sweep import plan, status_of
-from chemlab.datafile import read_json
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import lab_starts
 from chemlab.parts import strangers_code
 from chemlab.scenario import load_scenario
 
@@ -142,14 +141,23 @@ def try_plan(folder: Path, rng: np.random.Generator) -> None:
     act(plan_for(labs, str(folder / "plans.json")), labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
 
 
+def write_finished(folder: Path, manager: bool, seed: int = 0) -> Run:
+    """A finished run of a bench or a manager, with exported weights in its checkpoint."""
+    more = {"background": "pretrained", "final_episodes": 10, "env_id": "chemlab/FictitiousReaction-v0", "algo": "ppo"}
+    bench = ("wurtz_dodecane", "manager_0") if manager else (SCENARIO, "rxn")
+    returns = {"dodecane": 0.5, "hexane": 0.4}
+    path = write_run(folder / "task" / "run", *bench, returns, seed=seed, curve=CURVE, evaluations={100: 0.1}, **more)
+    run = Run(path)
+    best = run.checkpoints / "best-5"
+    best.mkdir(parents=True)
+    for ending in (".json", ".safetensors"):
+        shutil.copy(MODELS / f"{NAME}{ending}", best / f"rxn{ending}")
+    return run
+
+
 def try_run(folder: Path, rng: np.random.Generator) -> None:
     """A run's folder: configuration, curve, evaluations, result; and exported weights in its checkpoint."""
-    more = {"background": "pretrained", "final_episodes": 10, "env_id": "chemlab/FictitiousReaction-v0", "algo": "ppo"}
-    returns = {"dodecane": 0.5, "hexane": 0.4}
-    manager = rng.random() < 0.5
-    bench = ("wurtz_dodecane", "manager_0") if manager else (SCENARIO, "rxn")
-    path = write_run(folder / "task" / "run", *bench, returns, curve=CURVE, evaluations={100: 0.1}, **more)
-    run = Run(path)
+    run = write_finished(folder, bool(rng.random() < 0.5))
     file = [run.config_file, run.result_file, run.curve_file, run.evaluations_file][rng.integers(4)]
     if file.suffix == ".json":
         write_json(file, json.loads(file.read_text()), rng)
@@ -159,17 +167,13 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
         write_json(file, json.loads(lines[at]), rng)
         lines[at] = file.read_bytes().decode("utf-8", "surrogateescape").replace("\n", " ")
         file.write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
-    best = run.checkpoints / "best-5"
-    best.mkdir(parents=True)
-    for ending in (".json", ".safetensors"):
-        shutil.copy(MODELS / f"{NAME}{ending}", best / f"rxn{ending}")
     runs = read_runs(folder)
     group_tasks(runs)
     write_runs(folder / "tables", runs)
     read_runs(folder / "tables")
     collect_count(folder)
     run.rewind(150)
-    agent_policy(str(path), laboratory(SCENARIO), 0)
+    agent_policy(str(run.path), laboratory(SCENARIO), 0)
     from chemlab.agents.training.export import _arguments
 
     config = run.config()
@@ -177,17 +181,9 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
     _arguments(config, str(run.config_file))
 
 
-def write_toml(path: Path, content: dict[str, Any], rng: np.random.Generator) -> None:
-    """A TOML file with a change or two."""
-    for _ in range(int(rng.integers(1, 4))):
-        change(content, rng)
-    text = toml(content)
-    path.write_bytes(scribble(text, rng) if rng.random() < 0.2 else text.encode())
-
-
 def try_sweep(folder: Path, rng: np.random.Generator) -> None:
     """A sweep: what is planned, where it stands, and how it is doing."""
-    write_toml(folder / "sweep.toml", json.loads(json.dumps(SWEEP)), rng)
+    write_toml(folder / "sweep.toml", SWEEP, changed(SWEEP, SWEEP, rng), rng)
     out = folder / "out"
     runs = plan(folder / "sweep.toml", out)
     for one in runs[:20]:
@@ -198,20 +194,50 @@ def try_sweep(folder: Path, rng: np.random.Generator) -> None:
 def try_configuration(folder: Path, rng: np.random.Generator) -> None:
     """A configuration of a command."""
     kind = list(CONFIGURATIONS)[rng.integers(len(CONFIGURATIONS))]
-    write_toml(folder / "own.toml", json.loads(json.dumps(CONFIGURATIONS[kind])), rng)
+    donors = list(CONFIGURATIONS.values())
+    given, donor = CONFIGURATIONS[kind], donors[rng.integers(len(donors))]
+    write_toml(folder / "own.toml", given, changed(given, donor, rng), rng)
     arguments = kind.load(folder / "own.toml", {})
     arguments.command_line()
     arguments.folder()
 
 
-def try_starts(folder: Path, rng: np.random.Generator) -> None:
-    """Vessels that were recorded for starting states."""
-    recorded = Path(load_scenario.__code__.co_filename).parent / "data" / "starts" / "salt_from_oil.json"
-    (folder / "lab.toml").write_text('base = "salt_from_oil"\nname = "lab"\n', encoding="utf-8")
-    write_json(folder / "lab.starts.json", read_json(recorded), rng)
-    scenario = load_scenario(folder / "lab.toml")
-    for bench in scenario.benches:
-        lab_starts(scenario, bench)
+def try_tables(folder: Path, rng: np.random.Generator) -> None:
+    """Tables of finished runs, packed or not, and of what their managers played."""
+    write_finished(folder / "runs", bool(rng.random() < 0.5))
+    tables = folder / "tables"
+    write_runs(tables, read_runs(folder / "runs"))
+    shutil.copy(Path(__file__).parents[2] / "experiments" / "results" / "managers.csv", tables)
+    files = sorted(tables.iterdir())
+    file = files[rng.integers(len(files))]
+    packed = file.suffix == ".gz"
+    content = gzip.decompress(file.read_bytes()) if packed else file.read_bytes()
+    lines = content.decode().splitlines()
+    for _ in range(int(rng.integers(1, 4))):
+        at = int(rng.integers(len(lines)))
+        cells = lines[at].split(",")
+        cells[rng.integers(len(cells))] = str(NASTY[rng.integers(len(NASTY))])
+        lines[at] = ",".join(cells)
+    content = "\n".join(lines).encode("utf-8", "surrogatepass")
+    content = scribble(content.decode("utf-8", "replace"), rng) if rng.random() < 0.2 else content
+    content = gzip.compress(content, 1, mtime=0) if packed else content
+    file.write_bytes(scribble(content.decode("latin-1"), rng) if rng.random() < 0.1 else content)
+    write_runs(folder / "again", read_runs(tables))
+    collect_count(tables)
+    write_laboratory(tables, folder / "page", ["svg"])
+
+
+def try_rows(folder: Path, rng: np.random.Generator) -> None:
+    """A folder of runs as a row of a benchmark."""
+    manager = bool(rng.random() < 0.5)
+    for seed in (0, 1):
+        run = write_finished(folder / f"seed-{seed}", manager, seed)
+        shutil.copytree(run.checkpoints / "best-5", run.checkpoints / "last-9")
+        if seed:
+            write_json(run.config_file, json.loads(run.config_file.read_text()), rng)
+    for row in find_rows([str(folder)]):
+        assert np.isfinite(row.hours or 0.0)
+        json.dumps([row.name, row.curves], allow_nan=False)
 
 
 def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
@@ -223,15 +249,18 @@ def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
     found: dict[str, Any] = dict.fromkeys(("split", "seeds", "budget", "commit", "versions", "hardware"))
     _write_leaderboard(folder / "leaderboard.json", {**found, "rows": [], "scenarios": {}}, {})
     leaderboard_lines(folder / "leaderboard.json")
+    json.dumps(json.loads((folder / "leaderboard.json").read_text()), allow_nan=False)
 
 
 def try_part(folder: Path, rng: np.random.Generator) -> None:
     """A finished part of an audit or a benchmark: what cannot be one is played again, which is no error."""
     budget = AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1)
-    crew = _Crew(load_scenario(SCENARIO), budget, folder, 1, lambda _: None)
+    labs = laboratory(SCENARIO)
+    crew = _Crew(labs.scenario, budget, folder, 1, lambda _: None)
     plain = {"scores": [0.0, 0.5, 1.0]}
+    plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
     jobs: list[tuple[_Job, dict[str, Any]]] = [
-        (_Job("a", "plan", {}), {**plain, "plans": [[["D"], [1, 2]]], "everybody": [0.0, 0.0, 0.0]}),
+        (_Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0]}),
         (_Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
         (_Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
     ]
@@ -242,7 +271,12 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
         raise ValueError(f"{folder}: is played again")
     assert set(kept) == set(result)
     assert all(np.isfinite(kept[name]).all() for name in kept if name != "plans")
-    {tuple(context): tuple(plan) for context, plan in kept.get("plans", [])}
+    if "plans" in kept:
+        played = {tuple(context): tuple(plan) for context, plan in kept["plans"]}
+        mask = labs.mask(0, labs.members)
+        assert mask is not None
+        policy = ConstantPlan(labs.scenario, labs.channels, labs.actions, played)
+        act(policy, labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
 
 
 TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
@@ -252,7 +286,8 @@ TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
     "run": try_run,
     "sweep": try_sweep,
     "configuration": try_configuration,
-    "starts": try_starts,
+    "tables": try_tables,
+    "rows": try_rows,
     "leaderboard": try_leaderboard,
     "part": try_part,
 }

@@ -1,4 +1,4 @@
-"""Two hundred broken files, the same every time; thousands by ``python tests/fuzz/fuzz_files.py``."""
+"""A few hundred broken files, the same every time; thousands by ``python tests/fuzz/fuzz_files.py``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from fuzz_files import KINDS, change, fuzz, places, seeds, toml, write
 
 from chemlab.datafile import read_toml
 from chemlab.scenario import load_scenario
+from chemlab.world import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES
 
 
 def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
@@ -19,10 +20,11 @@ def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
 
 
 def test_broken_files_are_readable_errors() -> None:
-    outcomes, failures = fuzz(200, seed=0, turns=5)
+    files = 40 * len(KINDS)
+    outcomes, failures = fuzz(files, seed=0, turns=5)
     assert not failures, "\n".join(failures)
     # The fuzzer would prove nothing if it broke nothing, or everything.
-    assert sum(outcomes.values()) == 200
+    assert sum(outcomes.values()) == files
     assert all(outcomes[f"{kind}: refused"] > 10 for kind in KINDS)
     assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 10
 
@@ -41,6 +43,11 @@ def test_the_fuzzer_begins_with_every_table_that_a_scenario_may_have() -> None:
     ):  # fmt: skip
         for key in keys:
             assert any(key in table for table in tables), key
+    quantities = {draw.get("what") for draw in draws}
+    assert {*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *ORDER_QUANTITIES} <= quantities
+    assert any(BOTTLE in draw.get("of", ()) for draw in draws)
+    assert all("lock" in table for base in seeds() for table in (base.material, base.reaction, base.pairs))
+    assert all(base.pairs["pairs"] for base in seeds())
 
 
 def test_a_change_stays_in_the_file_it_is_made_to() -> None:

@@ -289,6 +289,27 @@ def test_states_of_batches_can_be_put_back(name: str) -> None:
     other.close()
 
 
+def test_a_state_of_another_environment_changes_nothing() -> None:
+    """Another bench's, one with an array less or more, a shorter one, one of other numbers; of batches and of
+    laboratories, too."""
+    reaction, distillation = "chemlab/WurtzReaction-v0", "chemlab/WurtzDistillation-v0"
+    env, more, labs = single(reaction), batch(reaction, 4), Laboratories("wurtz_dodecane")
+    env.reset(seed=1)
+    more.reset(seed=1)
+    labs.reset(labs.members)
+    ways: list[tuple[Any, Any]] = [(env.get_state, env.set_state), (more.get_state, more.set_state)]
+    for take, put in [*ways, (labs.snapshot, labs.restore)]:
+        state = take()
+        wrong = [single(distillation).get_state(), batch(reaction, 3).get_state(), [], state[:-1], [*state, state[0]]]
+        wrong += [[*state[:-1], state[-1][:0]], [state[0].astype(np.float32), *state[1:]], [*state[:-1], "a"]]
+        for other in wrong:
+            with pytest.raises(ValueError, match="state: is of another environment"):
+                put(other)
+            assert_same_arrays(take(), state)
+        put(state)
+    more.close()
+
+
 # -- batches ----------------------------------------------------------------------------------------------------------
 
 
