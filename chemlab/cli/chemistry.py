@@ -62,7 +62,8 @@ def _write_pairs(
     path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str
 ) -> list[dict[str, Any]]:
     """Make some pairs and write them."""
-    from ..openchem.activity import make_pairs, pair_text
+    from ..openchem.activity import make_pairs
+    from ..openchem.writing import pair_text
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
@@ -88,6 +89,7 @@ def material(
     Estimates are called so, and what is not found is asked for. What is shipped already is left out. Works offline.
     """
     from ..openchem import compounds
+    from ..openchem.writing import material_text
 
     for path in filter(None, (output, pairs)):
         _free(path, force)
@@ -103,7 +105,7 @@ def material(
             task = progress.add_task("materials", total=len(new))
             own = compounds.own_values(values or ())
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
-        write_text(output, compounds.material_text(tables, _command("material", *words)))
+        write_text(output, material_text(tables, _command("material", *words)))
     keys = [*shipped.values(), *tables]
     two = _missing_pairs(keys, {**shipped_materials(), **(load_materials([output]) if new else {})})
     if pairs is not None:
@@ -212,6 +214,7 @@ def reactions(
     file beside it, NAME_materials.toml.
     """
     from ..openchem import compounds, templates
+    from ..openchem.writing import family_text, material_text
 
     beside = output.with_name(f"{output.stem}_materials.toml")
     _free(output, force)
@@ -236,8 +239,8 @@ def reactions(
         known |= compounds.checked(tables)
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
     if strangers:
-        write_text(beside, compounds.material_text(tables, command))
-    write_text(output, templates.family_text(family))
+        write_text(beside, material_text(tables, command))
+    write_text(output, family_text(family))
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
