@@ -19,7 +19,7 @@ from ..reactions import Reaction, ReactionFamily
 from ..scenario import SAFETY_EVENTS
 from .writing import toml_tables
 
-__all__ = ["INSTRUMENTS", "Design", "design", "feeds", "scenario_text", "solvent_for"]
+__all__ = ["INSTRUMENTS", "Design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
 
 ROOM_K = 298.15
 WATER = "water"
@@ -77,7 +77,7 @@ class _Charge:
     liquids: list[str]
 
 
-def _steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
+def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
     """The first reaction that makes each material on the way to the goal."""
     found: dict[str, Reaction] = {}
     wanted = [goal]
@@ -100,7 +100,7 @@ def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
     Raises:
         DataError: no reaction makes the goal.
     """
-    steps = _steps_to(goal, family)
+    steps = steps_to(goal, family)
     if goal not in steps:
         made = sorted({name for step in family.reaction for name in step.products})
         raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; made here: {', '.join(made)}")
@@ -156,7 +156,7 @@ def _dilute(
 def _tick(goal: str, family: ReactionFamily, temperature: float, litre: float, fed: Mapping[str, float]) -> float:
     """Seconds a step of the reaction bench, by the slowest reaction on the way."""
     longest = 0.0
-    for step in _steps_to(goal, family).values():
+    for step in steps_to(goal, family).values():
         k = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * temperature))
         order = sum(step.orders.values())
         concentration = max(fed.values()) / litre
@@ -226,7 +226,7 @@ def design(
     crystallizing = _crystallizes(materials[goal])
     liquids = [materials[k].boiling_point_k for k in (*fed, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
-    heat = sum(abs(_heat(step, materials)) for step in _steps_to(goal, family).values()) * mol
+    heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
     tick = max(_tick(goal, family, warm, litre, fed), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
     charge = _Charge(goal, solvent, fed, in_solvent, tick, warm, heat, washing, crystallizing, present)

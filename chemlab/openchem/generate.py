@@ -194,7 +194,7 @@ def generated(
     more = ("--goals", goals, "--difficulty", difficulty, "--physics", physics)
     command = " ".join(["chemlab", "generate", name, *map(str, (*words, *more))])
     draws = Draws("chemlab", seed, size.materials, size.reactions, size.steps, goals, difficulty, physics)
-    network = draw_network(draws, size)
+    network = draw_network(draws, size, catalysed=physics == "real")
     wanted = network.route[-goals:]
     shipped = shipped_materials()
     taken = [shipped[key].shade for key in ("air", "water", *SOLVENTS)]
@@ -241,16 +241,15 @@ def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, A
             warm, energy = main[step.beside]
             by_heat = step.kind == "rearranged" or draws.happens(0.75)
             energy += (1.0 if by_heat else -1.0) * draws.between(*level.activation_j)
-            if step.kind == "rearranged":
-                warm = draws.between(*level.decay) / lasts
-            else:
-                warm *= draws.between(*level.side)
+            first_order = step.kind == "rearranged" and not step.catalyst
+            warm = draws.between(*level.decay) / lasts if first_order else warm * draws.between(*level.side)
         energy = round(max(energy, _LEAST_ACTIVATION_J), -2)
         factor = significant(warm * math.exp(energy / (GAS_CONSTANT * _WARM_K)))
         tables.append(
             {
                 "reactants": step.reactants,
                 "products": step.products,
+                **({"catalysts": {step.catalyst: 1}} if step.catalyst else {}),
                 "pre_exponential": factor,
                 "activation_energy_j_mol": energy,
                 "source": f"{SOURCE}: {step.kind}, {warm:.2g} at {_WARM_K:g} K",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
 from ..datafile import DataError
@@ -96,12 +96,15 @@ class Step:
         kind: ``main``, or how it goes wrong: to an isomer of the product (at once, or from the product), by the product
             reacting on, or by a reactant with itself.
         beside: number of the main step that it competes with; its own, of a main step.
+        reactants, products: coefficients.
+        catalyst: what it does not run without, if anything.
     """
 
     kind: Kind
     beside: int
     reactants: dict[str, int]
     products: dict[str, int]
+    catalyst: str = ""
 
 
 @dataclass
@@ -176,12 +179,14 @@ def _checked(size: Size) -> Size:
     return size
 
 
-def draw_network(draws: Draws, size: Size) -> Network:
+def draw_network(draws: Draws, size: Size, catalysed: bool = False) -> Network:
     """A random network of that size.
 
     Args:
         draws: random numbers.
         size: as :func:`chosen_size` gives it.
+        catalysed: whether products rearrange only where there is something that they are made of: where vessels are
+            distilled, they could not be had otherwise.
     """
     made = Network()
     pairs = _route(draws, size.steps)
@@ -191,6 +196,13 @@ def draw_network(draws: Draws, size: Size) -> Network:
     leaving = draws.whole(fewest, min(most, size.steps))
     _lay_route(made, draws, pairs, draws.some_of(range(size.steps), leaving))
     _add_byproducts(made, draws, size.others - leaving, size.side_reactions)
+    if catalysed:
+        made.steps = [
+            replace(step, catalyst=draws.one_of(list(made.steps[step.beside].reactants)))
+            if step.kind == "rearranged"
+            else step
+            for step in made.steps
+        ]
     return made
 
 
