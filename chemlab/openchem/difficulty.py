@@ -101,7 +101,7 @@ class _Constant:
         self._slow = np.array([[name in slow for name in names] for _, slow in recipes])
         self._wanted = np.array([name in wanted for name in names])
 
-    def act(self, observation: FloatArray, step: int) -> npt.NDArray[Any]:
+    def act(self, observation: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
         """[B, n] actions."""
         low, high, most = self._span.low, self._span.high, self._span.step
         now = low + observation[:, self._gauge] * (high - low)
@@ -172,7 +172,7 @@ def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
     return round(abs(liquids[name].boiling_point_k - boils), 2), name
 
 
-def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 400, seed: int = 0) -> list[GoalDifficulty]:
+def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, seed: int = 0) -> list[GoalDifficulty]:
     """How hard each goal of a scenario's laboratory is.
 
     Args:

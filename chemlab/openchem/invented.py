@@ -58,7 +58,7 @@ def significant(value: float, digits: int = 4) -> float:
 
 def boiling_point(number: float) -> float:
     """K, of Kinney's boiling point number."""
-    return 230.14 * number ** (1.0 / 3.0) - 543.0 + _FREEZING_K
+    return 230.14 * math.pow(number, 1.0 / 3.0) - 543.0 + _FREEZING_K
 
 
 def _boiling_number(kelvin: float) -> float:

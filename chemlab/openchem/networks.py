@@ -19,7 +19,7 @@ __all__ = ["MOST_MATERIALS", "Draws", "Network", "Size", "Step", "chosen_size", 
 MOST_MATERIALS = 40
 _MOST_STEPS = 8
 _MOST_PER_STEP = 6
-"""Materials for each step of the route, beyond which a route gets longer."""
+"""Materials for each step of the route, beyond which a longer one is chosen."""
 _CONVERGES = 0.35
 """Probability that a step begins a second branch, where there is room for one."""
 
@@ -142,41 +142,31 @@ def chosen_size(usual: Size, materials: int | None, reactions: int | None, steps
     given = {"materials": materials, "reactions": reactions, "steps": steps}
     for name, value, low, high in (
         ("materials", materials, 3, MOST_MATERIALS),
-        ("reactions", reactions, 1, 2 * MOST_MATERIALS),
+        ("reactions", reactions, 1, 2 * MOST_MATERIALS - 5),
         ("steps", steps, 1, _MOST_STEPS),
     ):
         if value is not None and not low <= value <= high:
             raise DataError(f"{name} = {value}: must be from {low} to {high}")
-    if all(value is None for value in given.values()):
-        return usual
-    if steps is None:
-        steps = usual.steps
-        if materials is not None:
-            steps = min(max(steps, -(-materials // _MOST_PER_STEP)), (materials - 1) // 2)
-        if reactions is not None:
-            steps = min(steps, reactions)
-    others = usual.others if materials is None else materials - 2 * steps - 1
-    if reactions is not None and materials is None:
-        others = min(max(others, -(-(reactions - steps) // 2)), reactions)
-    materials = 2 * steps + 1 + others if materials is None else materials
-    if reactions is None:
-        reactions = steps + max(others, 0)
-    return _checked(Size(steps, materials, reactions))
+    middle = usual.steps if materials is None else max(usual.steps, -(-materials // _MOST_PER_STEP))
+    for route in _near(middle, 1, _MOST_STEPS) if steps is None else [steps]:
+        for others in range(MOST_MATERIALS - 2 * route) if materials is None else [materials - 2 * route - 1]:
+            least, most = max(route, others), route + 2 * others
+            if others < 0 or (reactions is None and materials is None and others != usual.others):
+                continue
+            if reactions is None:
+                return Size(route, 2 * route + 1 + others, min(route + max(others, usual.side_reactions), most))
+            if least <= reactions <= most:
+                return Size(route, 2 * route + 1 + others, reactions)
+    asked = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None)
+    raise DataError(
+        f"{asked}: there is no such network: a route of S steps has 2 S + 1 materials, and with O others besides from "
+        "S or O (the larger) to S + 2 O reactions; leave one of them out, and it is chosen to fit"
+    )
 
 
-def _checked(size: Size) -> Size:
-    if size.others < 0:
-        raise DataError(
-            f"materials = {size.materials}: a route of {size.steps} steps has {2 * size.steps + 1}; ask for as many "
-            f"materials, or for at most {(size.materials - 1) // 2} steps"
-        )
-    least, most = max(size.steps, size.others), size.steps + 2 * size.others
-    if not least <= size.reactions <= most:
-        raise DataError(
-            f"reactions = {size.reactions}: {size.materials} materials and a route of {size.steps} steps have {least} "
-            f"to {most}; ask for so many, or for other materials or steps"
-        )
-    return size
+def _near(middle: int, low: int, high: int) -> list[int]:
+    """The numbers from ``low`` to ``high``, those near ``middle`` first."""
+    return sorted(range(low, high + 1), key=lambda number: (abs(number - middle), number))
 
 
 def draw_network(draws: Draws, size: Size, catalysed: bool = False) -> Network:
