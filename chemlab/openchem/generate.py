@@ -40,6 +40,10 @@ _STEPS, _TICK_S = 30, 60.0
 """Of an experiment at the reaction bench."""
 _ACTIVATION_J = (45_000.0, 75_000.0)
 _LEAST_ACTIVATION_J = 15_000.0
+_CATALYSED_J = (15_000.0, 30_000.0)
+"""Of what is catalysed: so low that a product outlives its distillation, beside what is left of the catalyst."""
+_BY_HEAT = 0.75
+"""Probability that a side reaction gains on the one that it competes with when it gets hotter; else it loses."""
 _APART_K = 35.0
 """Goals boil at least that far above the solvent."""
 _FEEDS_L, _MOL = 0.3, 0.5
@@ -73,7 +77,7 @@ class Level:
 LEVELS: dict[str, Level] = {
     "easy": Level(Size(1, 5, 3), (80.0, 150.0), (0.005, 0.03), (0.01, 0.05), (5e3, 20e3), (30.0, 60.0)),
     "medium": Level(Size(2, 8, 5), (50.0, 100.0), (0.03, 0.15), (0.05, 0.2), (15e3, 35e3), (15.0, 30.0)),
-    "hard": Level(Size(3, 12, 9), (30.0, 60.0), (0.1, 0.4), (0.15, 0.6), (25e3, 45e3), (5.0, 12.0)),
+    "hard": Level(Size(3, 12, 9), (30.0, 60.0), (0.06, 0.25), (0.1, 0.4), (20e3, 40e3), (5.0, 12.0)),
 }
 """Difficulties by name."""
 
@@ -239,10 +243,12 @@ def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, A
             main.append((warm, energy))
         else:
             warm, energy = main[step.beside]
-            by_heat = step.kind == "rearranged" or draws.happens(0.75)
+            alone = step.kind == "rearranged" and not step.catalyst
+            by_heat = alone or draws.happens(_BY_HEAT)
             energy += (1.0 if by_heat else -1.0) * draws.between(*level.activation_j)
-            first_order = step.kind == "rearranged" and not step.catalyst
-            warm = draws.between(*level.decay) / lasts if first_order else warm * draws.between(*level.side)
+            if step.catalyst:
+                energy = draws.between(*_CATALYSED_J)
+            warm = draws.between(*level.decay) / lasts if alone else warm * draws.between(*level.side)
         energy = round(max(energy, _LEAST_ACTIVATION_J), -2)
         factor = significant(warm * math.exp(energy / (GAS_CONSTANT * _WARM_K)))
         tables.append(

@@ -35,7 +35,7 @@ _HEAVIEST_G = 230.0
 _ATOM_G, _COPRODUCT_G = (28.0, 80.0), (30.0, 60.0)
 _NUMBER_PER_G = 0.21
 """Kinney's boiling point number of a hydrocarbon, by its mass."""
-_FEED_K, _PRODUCT_K, _COPRODUCT_K = 340.0, 380.0, (345.0, 385.0)
+_FEED_K, _PRODUCT_K, _COPRODUCT_K = 340.0, 380.0, (370.0, 405.0)
 """Least boiling points of feeds and of what they become; those of coproducts."""
 _POLARITY = 0.05
 """E_T^N for each boiling point number above that of a hydrocarbon: 0.65 of ethanol, 0.36 of acetone, 0.1 of toluene."""
