@@ -28,12 +28,12 @@ from chemlab.scenario import load_scenario
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[chem]"')
 
-from chemlab.openchem.compounds import compounds, material_tables, material_text  # noqa: E402
+from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of, molar_mass  # noqa: E402
 from chemlab.openchem.properties import Properties, fitted_vapor_pressure  # noqa: E402
-from chemlab.openchem.templates import Rate, Template, expand, family_tables, family_text, heat_of_reaction  # noqa: E402
-from chemlab.openchem.writing import toml, toml_tables  # noqa: E402
+from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
+from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]

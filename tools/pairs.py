@@ -15,7 +15,8 @@ from pathlib import Path
 
 from chemlab.datafile import DataError
 from chemlab.materials import load_materials, shipped_materials
-from chemlab.openchem.activity import is_molecule, make_pairs, measured_pairs, pair_text
+from chemlab.openchem.activity import is_molecule, make_pairs, measured_pairs
+from chemlab.openchem.writing import pair_text
 
 HERE = Path(__file__).resolve().parent
 SHIPPED = HERE.parent / "chemlab" / "data" / "pairs" / "unifac.toml"

@@ -1,4 +1,4 @@
-"""Commands that make data files: material, pairs, reactions, new."""
+"""Commands that make data files, material, pairs, reactions, new, generate; and difficulty, which judges them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import typer
 
 from ..files import check_target, write_text
 from ..materials import Material, load_materials, shipped_materials
-from .common import JsonOption, app, out
+from ..scenario import load_scenario
+from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
 __all__: list[str] = []
@@ -63,7 +64,8 @@ def _write_pairs(
     path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str
 ) -> list[dict[str, Any]]:
     """Make some pairs and write them."""
-    from ..openchem.activity import make_pairs, pair_text
+    from ..openchem.activity import make_pairs
+    from ..openchem.writing import pair_text
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
@@ -89,6 +91,7 @@ def material(
     Estimates are called so, and what is not found is asked for. What is shipped already is left out. Works offline.
     """
     from ..openchem import compounds
+    from ..openchem.writing import material_text
 
     for path in filter(None, (output, pairs)):
         _free(path, force)
@@ -104,7 +107,7 @@ def material(
             task = progress.add_task("materials", total=len(new))
             own = compounds.own_values(values or ())
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
-        write_text(output, compounds.material_text(tables, _command("material", *words)))
+        write_text(output, material_text(tables, _command("material", *words)))
     keys = [*shipped.values(), *tables]
     two = _missing_pairs(keys, {**shipped_materials(), **(load_materials([output]) if new else {})})
     if pairs is not None:
@@ -213,6 +216,7 @@ def reactions(
     file beside it, NAME_materials.toml.
     """
     from ..openchem import compounds, templates
+    from ..openchem.writing import family_text, material_text
 
     beside = output.with_name(f"{output.stem}_materials.toml")
     _free(output, force)
@@ -237,8 +241,8 @@ def reactions(
         known |= compounds.checked(tables)
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
     if strangers:
-        write_text(beside, compounds.material_text(tables, command))
-    write_text(output, templates.family_text(family))
+        write_text(beside, material_text(tables, command))
+    write_text(output, family_text(family))
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
@@ -290,7 +294,6 @@ def new(
     from ..openchem import designs
     from ..pairs import load_pairs, shipped_pairs
     from ..reactions import load_reactions
-    from ..scenario import load_scenario
 
     path = output or Path(f"{name}.toml")
     own = path.with_name(f"{path.stem}_pairs.toml")
@@ -340,3 +343,75 @@ def new(
     benches = ", ".join(spec.benches)
     play = plain(_command("run", path))
     out.print(f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: {play}")
+
+
+@app.command()
+def generate(
+    name: Annotated[str, typer.Argument(help="Of the scenario: lower-case letters, digits and _.")],
+    seed: Annotated[int, typer.Option(help="Which chemistry.")] = 0,
+    materials: Annotated[int | None, typer.Option(help="How many, without the solvent.")] = None,
+    reactions: Annotated[int | None, typer.Option(help="How many, side reactions included.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Reactions of the route to the last goal.")] = None,
+    goals: Annotated[int, typer.Option(help="How many of the last products of the route may be asked for.")] = 1,
+    difficulty: Annotated[str, typer.Option(help="easy, medium or hard.")] = "medium",
+    physics: Annotated[str, typer.Option(help="paper or real.")] = "paper",
+    output: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path(),
+    force: ForceOption = False,
+) -> None:
+    """Write a random chemistry: invented materials and reactions that balance, with a route to every goal.
+
+    The same options give the same files on every machine. What is left out of materials, reactions and steps is as
+    usual for the difficulty.
+    """
+    with readable_errors():
+        from ..openchem.generate import generated
+
+        made = generated(seed, materials, reactions, difficulty, physics, steps, goals, name)
+        made.scenario()
+        path = made.write(output, force)
+    out.print(plain(made.tables["summary"]))
+    words = f"play it: chemlab run {plain(path)}; how hard it is: chemlab difficulty {plain(path)}"
+    out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")
+
+
+@app.command()
+def difficulty(
+    scenario: ScenarioArgument,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents, for each goal.")] = 20,
+    plans: Annotated[
+        int, typer.Option(min=0, help="Plans tried for each combination of goals; 0: none is searched.")
+    ] = 100,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how hard a scenario's chemistry is: steps, yield and selectivity, boiling points, scores.
+
+    Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and whether
+    reagents are put in at once or slowly.
+    """
+    with readable_errors():
+        from ..openchem.difficulty import difficulty as measure
+
+        spec = load_scenario(scenario)
+        rows = measure(spec, episodes, plans, seed)
+    if as_json:
+        typer.echo(json.dumps([row.as_dict() for row in rows]))
+        return
+    shown = []
+    for row in rows:
+        c = row.conditions
+        slowly = f", {' and '.join(c.slowly)} slowly" if c is not None and c.slowly else ""
+        shown.append(
+            (
+                row.goal,
+                str(row.steps),
+                "none" if c is None else f"{c.reached:.2f}",
+                "none" if c is None else f"{c.selectivity:.2f}",
+                "" if c is None else f"{c.temperature_k:g} K{slowly}",
+                "" if row.boils_apart_k is None else f"{row.boils_apart_k:g} K to {row.boils_next}",
+                f"{row.scripted:.2f}",
+                "" if row.plan is None else f"{row.plan:.2f}",
+            )
+        )
+    head = ("goal", "steps", "yield", "selectivity", "at", "boils apart", "scripted", "constant plan")
+    show_table(f"{spec.name}: how hard its goals are", head, shown, right=(1, 2, 3, 6, 7))

@@ -25,7 +25,6 @@ from ..datafile import DataError, read_toml
 from ..materials import Material
 from ..pairs import REFERENCE_K, log_activity_coefficients
 from ..physics.constants import GAS_CONSTANT
-from .writing import lock, toml
 
 try:
     import chemicals
@@ -45,7 +44,6 @@ __all__ = [
     "measured_pairs",
     "models",
     "nrtl",
-    "pair_text",
     "stable",
 ]
 
@@ -432,17 +430,3 @@ def make_pairs(
         rows.append(described(two, materials, models(), measured or {}, known))
         progress(f"{two[0]}, {two[1]}")
     return rows
-
-
-def pair_text(rows: Sequence[Mapping[str, Any]], command: str) -> str:
-    """The text of a pair file.
-
-    Args:
-        rows: from :func:`make_pairs`.
-        command: what they were made by.
-    """
-    lines = ["# Binary NRTL parameters: see chemlab/pairs.py for the equation. Made by the command below; do not edit."]
-    # A key of the whole file stands before the first table.
-    lines += ["", "pairs = [", *(f"    {toml(row)}," for row in rows), "]", "", "[lock]"]
-    versions = lock(command, "chemicals", "numpy", "scipy", "thermo", "ugropy")
-    return "\n".join([*lines, *(f"{key} = {toml(value)}" for key, value in versions.items())]) + "\n"

@@ -12,7 +12,6 @@ from ..datafile import DataError, read_toml, validated
 from ..materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .properties import Properties, Value
-from .writing import lock, toml_tables
 
 __all__ = [
     "OWN_FIELDS",
@@ -21,7 +20,6 @@ __all__ = [
     "estimates",
     "known_as",
     "material_tables",
-    "material_text",
     "own_values",
 ]
 
@@ -205,22 +203,6 @@ def checked(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Material]:
         DataError: a table is none.
     """
     return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
-
-
-def material_text(tables: Mapping[str, Mapping[str, Any]], command: str) -> str:
-    """The text of a material file.
-
-    Args:
-        tables: from :func:`material_tables`.
-        command: what they were made by.
-    """
-    locked = {"lock": lock(command, "chemicals", "thermo", "rdkit")}
-    lines = [
-        "# Materials. Units and keys: see chemlab's page Write a material or a reaction. Made by the command below;",
-        "# a source says where each number is from, and [KEY] at its end the table of the package chemicals or thermo.",
-    ]
-    lines += toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure"))
-    return "\n".join(lines) + "\n"
 
 
 def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:

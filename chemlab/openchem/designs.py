@@ -19,11 +19,11 @@ from ..reactions import Reaction, ReactionFamily
 from ..scenario import SAFETY_EVENTS
 from .writing import toml_tables
 
-__all__ = ["Design", "design", "feeds", "scenario_text", "solvent_for"]
+__all__ = ["INSTRUMENTS", "Design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
 
 ROOM_K = 298.15
 WATER = "water"
-_SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
+SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
 """Shipped ones that a reaction may be run in and that water is washed out of, the lightest first."""
 _APART_K = 35.0
 """Boiling points of goal and solvent are that far from each other."""
@@ -77,7 +77,7 @@ class _Charge:
     liquids: list[str]
 
 
-def _steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
+def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
     """The first reaction that makes each material on the way to the goal."""
     found: dict[str, Reaction] = {}
     wanted = [goal]
@@ -100,7 +100,7 @@ def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
     Raises:
         DataError: no reaction makes the goal.
     """
-    steps = _steps_to(goal, family)
+    steps = steps_to(goal, family)
     if goal not in steps:
         made = sorted({name for step in family.reaction for name in step.products})
         raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; made here: {', '.join(made)}")
@@ -134,11 +134,11 @@ def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Mater
         DataError: there is none.
     """
     boils = materials[goal].boiling_point_k
-    free = [name for name in _SOLVENTS if name not in family.materials() and name != goal]
+    free = [name for name in SOLVENTS if name not in family.materials() and name != goal]
     below = [name for name in free if materials[name].boiling_point_k < boils - _APART_K]
     above = [name for name in free if materials[name].boiling_point_k > boils + _APART_K]
     if not below and not above:
-        raise DataError(f"solvent: none of {', '.join(_SOLVENTS)} fits; name one with --solvent")
+        raise DataError(f"solvent: none of {', '.join(SOLVENTS)} fits; name one with --solvent")
     # The warmest that can be boiled off: reactions are run in what boils, and most are slow in the cold.
     return below[-1] if below else above[-1]
 
@@ -156,7 +156,7 @@ def _dilute(
 def _tick(goal: str, family: ReactionFamily, temperature: float, litre: float, fed: Mapping[str, float]) -> float:
     """Seconds a step of the reaction bench, by the slowest reaction on the way."""
     longest = 0.0
-    for step in _steps_to(goal, family).values():
+    for step in steps_to(goal, family).values():
         k = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * temperature))
         order = sum(step.orders.values())
         concentration = max(fed.values()) / litre
@@ -196,6 +196,7 @@ def design(
     pairs: Mapping[frozenset[str], Pair],
     mol: float,
     files: Mapping[str, Any],
+    wash: bool = True,
 ) -> Design:
     """A scenario: which benches, what stands there, how long it may take, what it costs.
 
@@ -207,6 +208,7 @@ def design(
         pairs: activity coefficients of what can occur.
         mol: most of the goal that there can be.
         files: ``reactions``, ``material_files`` and ``pair_files`` of the scenario.
+        wash: whether the product may be washed with water; pairs with water are not asked for otherwise.
 
     Raises:
         DataError: no reaction makes the goal, it is a gas, the solvent is no liquid, or it is more than a vessel takes.
@@ -222,11 +224,11 @@ def design(
     if litre > 0.8 * _CAPACITY_L:
         raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
     reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
-    washing = not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
+    washing = wash and not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
     crystallizing = _crystallizes(materials[goal])
     liquids = [materials[k].boiling_point_k for k in (*fed, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
-    heat = sum(abs(_heat(step, materials)) for step in _steps_to(goal, family).values()) * mol
+    heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
     tick = max(_tick(goal, family, warm, litre, fed), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
     charge = _Charge(goal, solvent, fed, in_solvent, tick, warm, heat, washing, crystallizing, present)
@@ -251,7 +253,7 @@ def design(
         "stock": stock,
         "shelf": {"slots": 8, "vessel": [vessel]},
         "benches": benches,
-        "instruments": _INSTRUMENTS,
+        "instruments": INSTRUMENTS,
         "limits": {"manager_actions": 60, "ticks": 500, "budget": 0.2},
         "costs": {"waste_per_l": 0.002, "tick": 0.0002, "illegal_action": 0.005, "stock_per_mol": prices},
         "safety": {"weights": safety},
@@ -259,7 +261,7 @@ def design(
     return Design(goal, solvent, fed, washing, crystallizing, tables)
 
 
-_INSTRUMENTS: dict[str, dict[str, Any]] = {
+INSTRUMENTS: dict[str, dict[str, Any]] = {
     "uv_vis": {"kind": "uv_vis", "price": 0.002},
     "layer_camera": {"kind": "layer_camera", "price": 0.001},
     "balance": {"kind": "balance", "price": 0.0005},
@@ -376,7 +378,7 @@ def scenario_text(tables: Mapping[str, Any], command: str) -> str:
         "process",
         "vessel",
         "weights",
-        *_INSTRUMENTS,
+        *INSTRUMENTS,
     )
     made_by = " ".join(command.split())  # on the comment's one line
     lines = [f"# Made by {made_by}; every key: see chemlab's pages Write a scenario, and Keys of data files"]

@@ -14,7 +14,7 @@ from ..materials import Material
 from ..physics.constants import GAS_CONSTANT
 from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from .identity import Compound, check_length, composition_of, compound_of, parsed
-from .writing import lock, toml_tables
+from .writing import lock
 
 try:
     from rdkit import Chem
@@ -22,7 +22,7 @@ try:
 except ImportError as error:
     raise ImportError(f'reaction templates need rdkit ({error}): pip install "chemlab-marl[chem]"') from error
 
-__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "family_text", "heat_of_reaction"]
+__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "heat_of_reaction"]
 
 ROOM_K = 298.15
 _MOST_WAYS = 50_000
@@ -406,13 +406,3 @@ def family_tables(
     }
     validated(ReactionFamily, tables, f"reactions {name!r}")
     return tables
-
-
-def family_text(tables: Mapping[str, Any]) -> str:
-    """The text of a reaction file."""
-    lines = [
-        "# A reaction family. Units and keys: see chemlab's page Write a material or a reaction. Rates are per",
-        "# second, so that a bench's tick is in seconds. Made by the command below.",
-        *toml_tables(tables, inline=("reactants", "products", "orders", "catalysts", "solvents", "inhibitors")),
-    ]
-    return "\n".join(lines) + "\n"

@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import __version__
 
-__all__ = ["lock", "toml", "toml_key", "toml_tables"]
+__all__ = ["family_text", "lock", "material_text", "pair_text", "toml", "toml_key", "toml_tables"]
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -66,3 +66,53 @@ def lock(command: str, *packages: str) -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def material_text(
+    tables: Mapping[str, Mapping[str, Any]],
+    command: str,
+    packages: Sequence[str] = ("chemicals", "thermo", "rdkit"),
+) -> str:
+    """The text of a material file.
+
+    Args:
+        tables: by material.
+        command: what they were made by.
+        packages: with which.
+    """
+    keys = ", and [KEY] at its end the table of the package chemicals or thermo" if packages else ""
+    head = [
+        "# Materials. Units and keys: see chemlab's page Write a material or a reaction. Made by the command below;",
+        f"# a source says where each number is from{keys}.",
+    ]
+    locked = {"lock": lock(command, *packages)}
+    lines = toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure"))
+    return "\n".join([*head, *lines]) + "\n"
+
+
+def family_text(tables: Mapping[str, Any]) -> str:
+    """The text of a reaction file."""
+    lines = [
+        "# A reaction family. Units and keys: see chemlab's page Write a material or a reaction. Rates are per",
+        "# second, so that a bench's tick is in seconds. Made by the command below.",
+        *toml_tables(tables, inline=("reactants", "products", "orders", "catalysts", "solvents", "inhibitors")),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def pair_text(
+    rows: Sequence[Mapping[str, Any]],
+    command: str,
+    packages: Sequence[str] = ("chemicals", "numpy", "scipy", "thermo", "ugropy"),
+) -> str:
+    """The text of a pair file.
+
+    Args:
+        rows: a table for each pair.
+        command: what they were made by.
+        packages: with which.
+    """
+    lines = ["# Binary NRTL parameters: see chemlab/pairs.py for the equation. Made by the command below; do not edit."]
+    # A key of the whole file stands before the first table.
+    lines += ["", "pairs = [", *(f"    {toml(row)}," for row in rows), "]", "", "[lock]"]
+    return "\n".join([*lines, *(f"{key} = {toml(value)}" for key, value in lock(command, *packages).items())]) + "\n"

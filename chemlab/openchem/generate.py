@@ -1,0 +1,342 @@
+"""Random chemistries from a seed: balanced, physically sensible, solvable, and as hard as is asked for.
+
+>>> train = [chemistry(seed, difficulty="medium") for seed in range(100)]
+>>> test = [chemistry(seed, difficulty="medium") for seed in range(100, 120)]
+
+A chemistry is an ordinary scenario. Those of one size and difficulty have the same spaces; their materials, reactions,
+rate constants and boiling points differ. The same arguments give the same chemistry on every machine, as long as the
+version of chemlab is the same. What there is of a goal if nothing goes wrong (``theoretical_maximum_mol``) follows from
+the stoichiometry; how much of it can be had is measured (:mod:`chemlab.agents.evaluation.difficulty`).
+
+Needs none of the extras.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..datafile import DataError, validated
+from ..files import write_text
+from ..inherit import completed
+from ..materials import Material, shipped_materials
+from ..physics.constants import GAS_CONSTANT
+from ..reactions import ReactionFamily
+from ..scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario, restore_scenario
+from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
+from .invented import SOURCE, dilute_log, material_tables, pair_rows, significant
+from .networks import Draws, Network, Size, chosen_size, draw_network
+from .writing import family_text, lock, material_text, pair_text
+
+__all__ = ["LEVELS", "Generated", "Level", "chemistry", "generated"]
+
+_WARM_K = 330.0
+"""Where rates are compared."""
+_MOL_PER_L = 0.8
+_STEPS, _TICK_S = 30, 60.0
+"""Of an experiment at the reaction bench."""
+_ACTIVATION_J = (45_000.0, 75_000.0)
+_LEAST_ACTIVATION_J = 15_000.0
+_CATALYSED_J = (15_000.0, 30_000.0)
+"""Of what is catalysed: so low that a product outlives its distillation, beside what is left of the catalyst."""
+_BY_HEAT = 0.75
+"""Probability that a side reaction gains on the one that it competes with when it gets hotter; else it loses."""
+_APART_K = 35.0
+"""Goals boil at least that far above the solvent."""
+_FEEDS_L, _MOL = 0.3, 0.5
+"""Most of the feeds, together and of each."""
+_CAPACITY_L, _SOLVENT_L = 1.2, (0.35, 0.7)
+"""Of vessels, and of the solvent in the first and in the second of them: what is made is more dilute there."""
+_MOST_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Level:
+    """What a difficulty stands for.
+
+    Attributes:
+        size: the usual one.
+        lifetimes: times 1/(k c) of a main step that an experiment lasts at 330 K.
+        side: rate of a side reaction at 330 K, relative to the step that it competes with.
+        decay: share of an experiment at 330 K in the lifetime of a product that rearranges.
+        activation_j: J/mol, by how much more side reactions gain with temperature (a quarter of them: less).
+        gap_k: K between the boiling points of a goal and of what boils next to it: at least, and of isomers at most.
+    """
+
+    size: Size
+    lifetimes: tuple[float, float]
+    side: tuple[float, float]
+    decay: tuple[float, float]
+    activation_j: tuple[float, float]
+    gap_k: tuple[float, float]
+
+
+LEVELS: dict[str, Level] = {
+    "easy": Level(Size(1, 5, 3), (80.0, 150.0), (0.005, 0.03), (0.01, 0.05), (5e3, 20e3), (30.0, 60.0)),
+    "medium": Level(Size(2, 8, 5), (50.0, 100.0), (0.03, 0.15), (0.05, 0.2), (15e3, 35e3), (15.0, 30.0)),
+    "hard": Level(Size(3, 12, 9), (30.0, 60.0), (0.06, 0.25), (0.1, 0.4), (20e3, 40e3), (5.0, 12.0)),
+}
+"""Difficulties by name."""
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A chemistry as data.
+
+    Attributes:
+        name: of the scenario.
+        command: what makes it again.
+        tables: of the scenario file.
+        family: tables of the reaction file.
+        materials: tables of the material file.
+        pairs: rows of the pair file (physics ``real``).
+    """
+
+    name: str
+    command: str
+    tables: dict[str, Any]
+    family: dict[str, Any]
+    materials: dict[str, dict[str, Any]]
+    pairs: list[dict[str, Any]]
+
+    def scenario(self) -> Scenario:
+        """The scenario, without any file."""
+        shipped = {name: material.model_dump(mode="json") for name, material in shipped_materials().items()}
+        tables = completed(self.tables, self.name, Path())
+        data = {"scenario": tables, "materials": {**shipped, **self.materials}, "reactions": self.family}
+        return restore_scenario({**data, "pairs": self.pairs}, self.name)
+
+    def files(self) -> dict[str, str]:
+        """Texts of the files by name, the scenario's first."""
+        texts = {
+            f"{self.name}.toml": scenario_text(self.tables, self.command),
+            f"{self.name}_reactions.toml": family_text(self.family),
+            f"{self.name}_materials.toml": material_text(self.materials, self.command, ()),
+        }
+        if self.pairs:
+            texts[f"{self.name}_pairs.toml"] = pair_text(self.pairs, self.command, ())
+        return texts
+
+    def write(self, folder: str | Path, force: bool = False) -> Path:
+        """Write the files next to each other.
+
+        Args:
+            folder: where; made if it is not there.
+            force: replace files that are there.
+
+        Returns:
+            Path of the scenario.
+
+        Raises:
+            ValueError: a file is there already.
+        """
+        texts = {Path(folder) / name: text for name, text in self.files().items()}
+        there = [path for path in texts if path.exists()]
+        if there and not force:
+            raise ValueError(f"{there[0]}: is already there; choose another name or folder, or replace it with --force")
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        for path, text in texts.items():
+            write_text(path, text)
+        return next(iter(texts))
+
+
+def chemistry(
+    seed: int,
+    materials: int | None = None,
+    reactions: int | None = None,
+    difficulty: str = "medium",
+    physics: str = "paper",
+    steps: int | None = None,
+    goals: int = 1,
+) -> Scenario:
+    """A random chemistry as a scenario that every environment takes; see :func:`generated`.
+
+    >>> import gymnasium
+    >>> env = gymnasium.make("chemlab/Bench-v0", scenario=chemistry(7), bench="rxn")
+    """
+    return generated(seed, materials, reactions, difficulty, physics, steps, goals).scenario()
+
+
+def generated(
+    seed: int,
+    materials: int | None = None,
+    reactions: int | None = None,
+    difficulty: str = "medium",
+    physics: str = "paper",
+    steps: int | None = None,
+    goals: int = 1,
+    name: str = "",
+) -> Generated:
+    """A random chemistry as data.
+
+    Args:
+        seed: which one; every seed is another, and independent of all others.
+        materials, reactions, steps: how many there are, without the solvent, and how many reactions the route to the
+            last goal has; what is left out is as usual for the difficulty, as far as the others allow.
+        difficulty: one of :data:`LEVELS`.
+        physics: tier of physical laws, ``paper`` or ``real``.
+        goals: how many of the last products of the route may be asked for.
+        name: of the scenario; by default ``chemistry_SEED``.
+
+    Raises:
+        DataError: an argument is out of bounds, or there is no such network.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MOST_SEED:
+        raise DataError(f"seed = {seed!r}: must be a whole number from 0 to {_MOST_SEED}")
+    for key, value, allowed in (("difficulty", difficulty, LEVELS), ("physics", physics, PHYSICS_TIERS)):
+        if value not in allowed:
+            raise DataError(f"{key} = {value!r}: must be one of {', '.join(allowed)}")
+    level = LEVELS[difficulty]
+    size = chosen_size(level.size, materials, reactions, steps)
+    if not 1 <= goals <= size.steps:
+        raise DataError(f"goals = {goals}: must be from 1 to {size.steps}, one for each step of the route")
+    name = name or f"chemistry_{seed}"
+    words = ("--seed", seed, "--materials", size.materials, "--reactions", size.reactions, "--steps", size.steps)
+    more = ("--goals", goals, "--difficulty", difficulty, "--physics", physics)
+    command = " ".join(["chemlab", "generate", name, *map(str, (*words, *more))])
+    draws = Draws("chemlab", seed, size.materials, size.reactions, size.steps, goals, difficulty, physics)
+    network = draw_network(draws, size, catalysed=physics == "real")
+    wanted = network.route[-goals:]
+    shipped = shipped_materials()
+    taken = [shipped[key].shade for key in ("air", "water", *SOLVENTS)]
+    role = "solute" if physics == "paper" else "solvent"
+    tables = material_tables(draws, network, wanted, level.gap_k, role, taken)
+    family = {
+        "name": name,
+        "summary": "; ".join(f"{_side(s.reactants)} -> {_side(s.products)}" for s in network.steps) + ".",
+        "lock": lock(command),
+        "reaction": _reactions(draws, network, level),
+    }
+    known = {key: validated(Material, table, f"{name}: {key}") for key, table in tables.items()}
+    solvent = _solvent(draws, known, wanted)
+    head = {
+        "name": name,
+        "title": f"Invented chemistry {seed}, {difficulty}: {size.materials} materials, {size.reactions} reactions",
+        "summary": f"{', '.join(wanted)} from {', '.join(network.feeds)} in {size.steps} steps. {family['summary']}",
+        "physics": physics,
+        "reactions": f"{name}_reactions.toml",
+        "material_files": [f"{name}_materials.toml"],
+    }
+    if physics == "paper":
+        return Generated(name, command, _paper(head, network, wanted, known, solvent), family, tables, [])
+    known[solvent] = shipped[solvent]
+    head["pair_files"] = [f"{name}_pairs.toml"]
+    scenario = _real(head, network, wanted, known, solvent, family)
+    return Generated(name, command, scenario, family, tables, pair_rows(known))
+
+
+def _side(counts: Mapping[str, int]) -> str:
+    return " + ".join(f"{'' if n == 1 else f'{n} '}{name}" for name, n in counts.items())
+
+
+def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, Any]]:
+    """Tables of the reactions."""
+    lasts = _STEPS * _TICK_S
+    main: list[tuple[float, float]] = []
+    tables = []
+    for step in network.steps:
+        if step.kind == "main":
+            warm, energy = draws.between(*level.lifetimes) / (_MOL_PER_L * lasts), draws.between(*_ACTIVATION_J)
+            main.append((warm, energy))
+        else:
+            warm, energy = main[step.beside]
+            alone = step.kind == "rearranged" and not step.catalyst
+            by_heat = alone or draws.happens(_BY_HEAT)
+            energy += (1.0 if by_heat else -1.0) * draws.between(*level.activation_j)
+            if step.catalyst:
+                energy = draws.between(*_CATALYSED_J)
+            warm = draws.between(*level.decay) / lasts if alone else warm * draws.between(*level.side)
+        energy = round(max(energy, _LEAST_ACTIVATION_J), -2)
+        factor = significant(warm * math.exp(energy / (GAS_CONSTANT * _WARM_K)))
+        tables.append(
+            {
+                "reactants": step.reactants,
+                "products": step.products,
+                **({"catalysts": {step.catalyst: 1}} if step.catalyst else {}),
+                "pre_exponential": factor,
+                "activation_energy_j_mol": energy,
+                "source": f"{SOURCE}: {step.kind}, {warm:.2g} at {_WARM_K:g} K",
+            }
+        )
+    return tables
+
+
+def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) -> str:
+    """A shipped solvent far below the goals in boiling, of those in which everything dissolves best."""
+    shipped = shipped_materials()
+    lowest = min(materials[goal].boiling_point_k for goal in goals)
+    fitting = [name for name in SOLVENTS if shipped[name].boiling_point_k < lowest - _APART_K]
+
+    def worst(name: str) -> float:
+        return max(dilute_log(material, shipped[name], _WARM_K) for material in materials.values())
+
+    return draws.one_of(sorted(fitting, key=lambda name: (worst(name), name))[:2])
+
+
+def _mol(feeds: Sequence[str], materials: Mapping[str, Material]) -> float:
+    """How much there is of each feed, as much of all: the route uses them up."""
+    litres = sum(materials[name].molar_mass_g_mol / materials[name].density_kg_l for name in feeds) / 1000.0
+    return min(significant(_FEEDS_L / litres, 2), _MOL)
+
+
+def _paper(
+    head: Mapping[str, Any], network: Network, goals: list[str], materials: Mapping[str, Material], solvent: str
+) -> dict[str, Any]:
+    """A scenario of the tier ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
+    liquid, mol = shipped_materials()[solvent], _mol(network.feeds, materials)
+    feeds = dict.fromkeys(network.feeds, mol)
+    solvents = [
+        {solvent: significant(1000.0 * litres * liquid.density_kg_l / liquid.molar_mass_g_mol, 3)}
+        for litres in _SOLVENT_L
+    ]
+    others = {name: significant(0.1 * mol, 2) for name in (*network.byproducts, *network.coproducts)}
+    crude = {"capacity_l": _CAPACITY_L, "contents": {**solvents[0], **others}, "goal_mol": significant(0.7 * mol, 2)}
+    benches = {
+        "rxn": {
+            "kind": "reaction",
+            "step_limit": _STEPS,
+            "reagents": feeds,
+            "tick": _TICK_S,
+            "vessel_volume_l": _CAPACITY_L,
+            "start": {"capacity_l": _CAPACITY_L, "contents": solvents[0]},
+        },
+        "dit": {"kind": "distillation", "start": crude},
+    }
+    safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
+    return {
+        **head,
+        "goals": goals,
+        "lab_goals": goals,
+        "theoretical_maximum_mol": dict.fromkeys(goals, mol),
+        "stock": feeds,
+        "shelf": {"slots": 6, "vessel": [{"capacity_l": _CAPACITY_L, "contents": contents} for contents in solvents]},
+        "benches": benches,
+        "instruments": INSTRUMENTS,
+        "limits": {"manager_actions": 60, "ticks": 400, "budget": 0.2},
+        "costs": {
+            "waste_per_l": 0.002,
+            "tick": 0.0002,
+            "illegal_action": 0.005,
+            "stock_per_mol": dict.fromkeys(feeds, 0.005),
+        },
+        "safety": {"weights": safety},
+    }
+
+
+def _real(
+    head: Mapping[str, Any],
+    network: Network,
+    goals: list[str],
+    materials: Mapping[str, Material],
+    solvent: str,
+    family: Mapping[str, Any],
+) -> dict[str, Any]:
+    """A scenario of the tier ``real``, as ``chemlab new`` designs it."""
+    name, mol = str(head["name"]), _mol(network.feeds, materials)
+    checked: ReactionFamily = validated(ReactionFamily, family, name)
+    made = design(name, goals[-1], solvent, checked, materials, {}, mol, {}, wash=False)
+    most = dict.fromkeys(goals, made.tables["theoretical_maximum_mol"][goals[-1]])
+    return {**made.tables, **head, "goals": goals, "lab_goals": goals, "theoretical_maximum_mol": most}

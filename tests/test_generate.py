@@ -1,0 +1,378 @@
+"""Random chemistries: balanced, sensible, solvable, the same everywhere; and how hard they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.bench import reaction
+from chemlab.chemistry import element_matrix
+from chemlab.cli import app
+from chemlab.datafile import DataError
+from chemlab.laboratory.core import Laboratories
+from chemlab.materials import shipped_materials
+from chemlab.openchem.designs import feeds, steps_to
+from chemlab.openchem.difficulty import constant_conditions, difficulty
+from chemlab.openchem.generate import LEVELS, chemistry, generated
+from chemlab.openchem.invented import boiling_point, pair_rows
+from chemlab.openchem.networks import Draws, Size, chosen_size, draw_network
+from chemlab.pairs import load_pairs, log_activity_coefficients, pair_table
+from chemlab.record import scenario_hash
+from chemlab.scenario import Scenario, load_scenario
+
+R = 8.314462618
+
+
+@st.composite
+def sizes(draw: st.DrawFn) -> Size:
+    steps = draw(st.integers(1, 8))
+    others = draw(st.integers(0, 12))
+    return Size(steps, 2 * steps + 1 + others, draw(st.integers(max(steps, others), steps + 2 * others)))
+
+
+def weigh(side: Mapping[str, int], atoms: Mapping[str, Mapping[str, int]]) -> Counter[str]:
+    total: Counter[str] = Counter()
+    for name, number in side.items():
+        for element, count in atoms[name].items():
+            total[element] += number * count
+    return total
+
+
+# Networks -----------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**40), sizes())
+def test_a_network_has_its_size_balances_and_leads_from_the_feeds_to_the_goal(seed: int, size: Size) -> None:
+    network = draw_network(Draws(seed), size)
+    assert (len(network.route), len(network.atoms), len(network.steps)) == (size.steps, size.materials, size.reactions)
+    for step in network.steps:
+        assert weigh(step.reactants, network.atoms) == weigh(step.products, network.atoms)
+    # The route alone, each of its reactions once, turns one of each feed into one of the goal.
+    left = Counter(network.feeds)
+    for step in network.steps[: size.steps]:
+        assert all(left[name] >= n for name, n in step.reactants.items())
+        left.subtract(step.reactants)
+        left.update(step.products)
+    assert +left == Counter([network.route[-1], *network.coproducts])
+    # More there cannot be: every feed brings an atom that the goal has, and nothing else brings it.
+    goal = network.atoms[network.route[-1]]
+    assert all(goal[f"Q{i + 1}"] == 1 for i in range(len(network.feeds)))
+    assert {name for step in network.steps for name in (*step.reactants, *step.products)} == set(network.atoms)
+
+
+@given(st.sampled_from(sorted(LEVELS)), st.none() | st.integers(3, 40), st.none() | st.integers(1, 75))
+def test_a_size_is_what_was_asked_for_or_there_is_none(name: str, materials: int | None, reactions: int | None) -> None:
+    def exists(size: Size) -> bool:
+        least, most = max(size.steps, size.others), size.steps + 2 * size.others
+        return size.others >= 0 and least <= size.reactions <= most
+
+    try:
+        size = chosen_size(LEVELS[name].size, materials, reactions, None)
+    except DataError:
+        assert materials is not None
+        assert reactions is not None
+        assert not any(exists(Size(steps, materials, reactions)) for steps in range(1, 9))
+        return
+    assert exists(size)
+    assert materials in (None, size.materials)
+    assert reactions in (None, size.reactions)
+    if materials is reactions is None:
+        assert size == LEVELS[name].size
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"materials": 2}, "materials = 2: must be from 3 to 40"),
+        ({"reactions": 0}, "reactions = 0: must be from 1 to 75"),
+        ({"steps": 9}, "steps = 9: must be from 1 to 8"),
+        ({"materials": 5, "reactions": 9}, "materials = 5, reactions = 9: there is no such network"),
+        ({"materials": 5, "steps": 3}, "leave one of them out"),
+        ({"goals": 3}, "goals = 3: must be from 1 to 2"),
+        ({"difficulty": "dire"}, "difficulty = 'dire': must be one of easy, medium, hard"),
+        ({"physics": "none"}, "physics = 'none': must be one of paper, real"),
+        ({"seed": -1}, "seed = -1: must be a whole number from 0"),
+        ({"seed": 1.5}, "seed = 1.5: must be a whole number"),
+    ],
+)
+def test_what_there_is_not_is_said_with_what_to_do(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(DataError, match=re.escape(message)):
+        generated(**{"seed": 0, **arguments})
+
+
+# Materials ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "carbons"), [("hexane", 6), ("dodecane", 12)])
+def test_boiling_points_are_those_of_alkanes(name: str, carbons: int) -> None:
+    # Kinney's number of an alkane: 0.8 for each carbon, 1 for each hydrogen.
+    assert boiling_point(0.8 * carbons + 2 * carbons + 2) == pytest.approx(
+        shipped_materials()[name].boiling_point_k, abs=3.0
+    )
+
+
+@pytest.mark.parametrize("physics", ["paper", "real"])
+@pytest.mark.parametrize("name", LEVELS)
+@pytest.mark.parametrize("seed", range(4))
+def test_properties_are_sensible_and_consistent(seed: int, name: str, physics: str) -> None:
+    made = generated(seed, difficulty=name, physics=physics)
+    scenario = made.scenario()
+    invented = {key: m for key, m in scenario.materials.items() if key in made.materials}
+    assert set(invented) == set(made.materials)
+    liquids = [m for m in scenario.materials.values() if m.role in ("solvent", "solute")]
+    for goal in scenario.lab_goals:
+        boils = scenario.materials[goal].boiling_point_k
+        apart = [
+            abs(m.boiling_point_k - boils) for key, m in scenario.materials.items() if key != goal and m in liquids
+        ]
+        assert min(apart) >= LEVELS[name].gap_k[0] - 0.1
+    for key, material in invented.items():
+        assert 300.0 < material.boiling_point_k < (640.0 if key in scenario.goals else 800.0)  # of dimers: tars
+        assert 0.7 < material.density_kg_l < 1.2
+        assert 1.6 < material.heat_capacity_j_mol_k / material.molar_mass_g_mol < 2.3
+        assert 75.0 < material.vaporization_enthalpy_j_mol / material.boiling_point_k < 95.0  # Trouton: about 85
+        assert made.materials[key]["real"]["critical_temperature_k"] > material.boiling_point_k
+    for step in scenario.family.reaction:
+        mass = [sum(scenario.materials[k].molar_mass_g_mol * n for k, n in side.items())
+                for side in (step.reactants, step.products)]  # fmt: skip
+        assert mass[0] == pytest.approx(mass[1], abs=0.05)
+        formed = [sum(made.materials[k]["real"]["formation_enthalpy_j_mol"] * n for k, n in side.items())
+                  for side in (step.reactants, step.products)]  # fmt: skip
+        assert -250e3 < formed[1] - formed[0] < 0.0
+
+
+def test_a_vapour_pressure_has_the_boiling_point_and_the_heat_of_vaporization() -> None:
+    scenario = chemistry(3, physics="real")
+    for name in scenario.family.materials():
+        material = scenario.materials[name]
+        assert material.real is not None
+        assert material.real.vapor_pressure is not None
+        boils = material.boiling_point_k
+        pressure = material.real.vapor_pressure.pascal(np.array([boils - 0.01, boils, boils + 0.01]))
+        assert pressure[1] == pytest.approx(101_325.0, rel=1e-4)
+        slope = math.log(pressure[2] / pressure[0]) / (1.0 / (boils - 0.01) - 1.0 / (boils + 0.01))
+        assert R * slope == pytest.approx(material.vaporization_enthalpy_j_mol, rel=1e-3)  # Clausius-Clapeyron
+
+
+def test_pairs_are_regular_solutions(tmp_path: Path) -> None:
+    made = generated(5, physics="real", difficulty="hard")
+    made.write(tmp_path)
+    pairs = load_pairs([tmp_path / "chemistry_5_pairs.toml"])
+    scenario = made.scenario()
+    names = [name for name, m in scenario.materials.items() if m.role == "solvent"]
+    assert len(pairs) == math.comb(len(names), 2)
+    first, second = scenario.materials["A1"], scenario.materials["P1"]
+
+    def cohesion(name: str) -> tuple[float, float]:
+        m = scenario.materials[name]
+        assert m.real is not None
+        critical = m.real.critical_temperature_k
+        assert critical is not None
+        volume = m.molar_mass_g_mol / m.density_kg_l * 1e-6
+        watson = ((critical - 298.15) / (critical - m.boiling_point_k)) ** 0.38
+        return volume, (m.vaporization_enthalpy_j_mol * watson - R * 298.15) / volume
+
+    (v1, c1), (v2, c2) = cohesion("A1"), cohesion("P1")
+    table = pair_table(["A1", "P1"], pairs)
+    expected = math.sqrt(v1 * v2) * (math.sqrt(c1) - math.sqrt(c2)) ** 2 / (R * 360.0)
+    for x in ([1.0, 0.0], [0.0, 1.0]):
+        logs = log_activity_coefficients(np.array(x), table.tau(360.0), table.alpha)
+        assert logs[int(x[0])] == pytest.approx(expected, abs=1e-4)
+    (row,) = pair_rows({"A1": first, "P1": second})
+    assert frozenset(row["of"]) in pairs
+
+
+# Scenarios ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("physics", ["paper", "real"])
+@pytest.mark.parametrize("goals", [1, 3])
+def test_what_there_can_be_of_a_goal_follows_from_the_route(physics: str, goals: int) -> None:
+    scenario = chemistry(11, difficulty="hard", physics=physics, goals=goals)
+    assert len(scenario.lab_goals) == goals
+    for i, goal in enumerate(scenario.lab_goals):
+        most = scenario.theoretical_maximum_mol[goal]
+        assert len(steps_to(goal, scenario.family)) <= 3 - (goals - 1 - i)
+        assert (
+            feeds(goal, scenario.family, most).items()
+            <= {k: pytest.approx(n) for k, n in scenario.stock.items()}.items()
+        )
+
+
+@pytest.mark.parametrize("physics", ["paper", "real"])
+def test_files_are_the_scenario_and_are_written_once(physics: str, tmp_path: Path) -> None:
+    made = generated(2, physics=physics, name="mine")
+    path = made.write(tmp_path / "new")
+    assert path == tmp_path / "new" / "mine.toml"
+    loaded = load_scenario(path)
+    assert loaded.materials == made.scenario().materials
+    assert loaded.family == made.scenario().family
+    assert scenario_hash(loaded) == scenario_hash(made.scenario())
+    with pytest.raises(ValueError, match=r"mine\.toml: is already there"):
+        made.write(tmp_path / "new")
+    made.write(tmp_path / "new", force=True)
+
+
+FIRST = {
+    "paper": "76fa3444e06d86d01f7c5317e1a336acf6f96b0635b484f8576abd73c30a6388",
+    "real": "879f788821dbd81c9815cb5f822940410643d4e8dda2f60261734b1e45b20ce3",
+}
+"""Of the files of seed 1, without the version of chemlab. A change makes every seed another chemistry: it belongs into
+the changelog."""
+
+
+@pytest.mark.parametrize("physics", FIRST)
+def test_a_seed_is_the_same_files_everywhere(physics: str) -> None:
+    texts = generated(1, difficulty="hard", physics=physics).files()
+    lines = [line for text in texts.values() for line in text.splitlines() if not line.startswith("chemlab =")]
+    assert hashlib.sha256("\n".join(lines).encode()).hexdigest() == FIRST[physics]
+
+
+def test_seeds_are_different_chemistries_with_the_same_spaces() -> None:
+    made = [chemistry(seed, difficulty="hard") for seed in range(20)]
+    assert len({json.dumps(s.family.model_dump(mode="json")["reaction"]) for s in made}) == 20
+    spaces = set()
+    for scenario in made:
+        labs = Laboratories(scenario, 1)
+        spaces.add(tuple(str(space(i)) for i in range(len(labs.agents)) for space in (labs.observation_space,
+                                                                                     labs.action_space)))  # fmt: skip
+    assert len(spaces) == 1
+
+
+def test_gymnasium_takes_a_generated_scenario() -> None:
+    env = gymnasium.make("chemlab/Bench-v0", scenario=chemistry(7), bench="rxn")
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert env.action_space.shape == (2 + 3,)
+
+
+def test_it_needs_no_extra() -> None:
+    code = (
+        "import sys\nfor name in ('rdkit', 'thermo', 'chemicals', 'ugropy', 'torch'): sys.modules[name] = None\n"
+        "from chemlab.openchem.generate import chemistry\n"
+        "for physics in ('paper', 'real'): chemistry(0, physics=physics)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
+
+
+# Playing ------------------------------------------------------------------------------------------------------------
+
+
+def play(scenario: Scenario) -> float:
+    """The scripted agents' score of an episode, in which every atom stays somewhere."""
+    labs = Laboratories(scenario, 1)
+    labs.reset(labs.members)
+    atoms = element_matrix(scenario)
+    before = atoms @ labs.shelf.total()[0]
+    played = play_laboratory(labs, make_policies("heuristic", labs, 0), scenario.goals[-1], 0)
+    after = atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
+    np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-12)
+    return float(played.returns[0])
+
+
+def test_scripted_agents_play_and_atoms_stay() -> None:
+    scores = [play(chemistry(seed, difficulty=list(LEVELS)[seed % 2])) for seed in range(14)]
+    scores += [play(chemistry(seed, difficulty="easy", physics="real")) for seed in range(6)]
+    assert np.isfinite(scores).all()
+    assert np.mean(np.array(scores) > 0.5) > 0.6  # of 1,000: validate/chemistries.csv
+
+
+def test_kernels_are_compiled_for_no_chemistry_of_its_own() -> None:
+    play(chemistry(0, difficulty="easy"))
+    known = len(getattr(reaction._step, "overloads", ()))
+    for seed, steps in enumerate((1, 2, 5)):
+        play(chemistry(seed, steps=steps, materials=2 * steps + 4))
+    assert len(getattr(reaction._step, "overloads", ())) == known
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["paper", "real"])
+def test_many_chemistries_play(physics: str) -> None:
+    for seed in range(1000, 1060):
+        play(chemistry(seed, difficulty=list(LEVELS)[seed % 3], physics=physics))
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**40), sizes(), st.sampled_from(sorted(LEVELS)))
+def test_any_size_loads_and_plays(seed: int, size: Size, name: str) -> None:
+    play(chemistry(seed, size.materials, size.reactions, name, "paper", size.steps, 1))
+
+
+# Difficulty ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_harder_it_is_the_less_constant_conditions_reach() -> None:
+    medians = []
+    for name in LEVELS:
+        found = [constant_conditions(s, s.goals[-1]) for s in (chemistry(seed, difficulty=name) for seed in range(8))]
+        medians.append(float(np.median([conditions.reached for conditions in found if conditions is not None])))
+    assert medians == sorted(medians, reverse=True)
+    assert medians[0] > 0.9
+    assert medians[-1] < 0.8
+
+
+def test_a_route_without_side_reactions_is_selective() -> None:
+    scenario = chemistry(4, materials=5, reactions=2, difficulty="easy")
+    conditions = constant_conditions(scenario, scenario.goals[-1])
+    assert conditions is not None
+    # What has not become the goal is still on the way to it: an intermediate, which uses up its feeds.
+    assert conditions.selectivity == pytest.approx(1.0, abs=0.1)
+    single = chemistry(4, materials=3, reactions=1, difficulty="easy")
+    conditions = constant_conditions(single, single.goals[-1])
+    assert conditions is not None
+    assert conditions.selectivity == pytest.approx(1.0, abs=1e-6)
+    assert conditions.reached > 0.97
+
+
+def test_difficulty_of_a_shipped_scenario_says_what_is_known_of_it() -> None:
+    rows = {row.goal: row for row in difficulty("fictitious", episodes=1, plans=0)}
+    assert {goal: row.steps for goal, row in rows.items()} == {"E": 1, "F": 1, "G": 1, "H": 1, "I": 4}
+    # I is made of F, G and H; put together at once, their reagents become E, five times as fast.
+    assert rows["I"].conditions is not None
+    assert rows["I"].conditions.reached < 0.5 < 0.95 < rows["F"].conditions.reached  # type: ignore[union-attr]
+    assert (rows["F"].boils_apart_k, rows["F"].boils_next) == (15.0, "C")
+    assert rows["F"].plan is None
+    (salt,) = difficulty("salt_from_oil", episodes=1, plans=0)
+    assert (salt.steps, salt.conditions, salt.boils_apart_k) == (0, None, None)
+
+
+def test_commands_write_and_judge_a_chemistry(tmp_path: Path) -> None:
+    def run(*words: object) -> Any:
+        return CliRunner().invoke(app, [str(word) for word in words])
+
+    done = run("generate", "mine", "--seed", 3, "--materials", 6, "--reactions", 4, "-o", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.toml", "mine_materials.toml", "mine_reactions.toml"]
+    scenario = load_scenario(tmp_path / "mine.toml")
+    assert len(scenario.family.reaction) == 4
+    assert len(scenario.family.materials()) == 6
+    again = run("generate", "mine", "--seed", 3, "--materials", 6, "--reactions", 4, "-o", tmp_path)
+    assert again.exit_code == 2
+    assert "--force" in again.output
+    judged = run("difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 8, "--json")
+    assert judged.exit_code == 0, judged.output
+    (row,) = json.loads(judged.stdout)
+    assert row["goal"] == scenario.goals[-1]
+    assert 0.0 < row["conditions"]["reached"] <= row["conditions"]["selectivity"] <= 1.0
+    assert row["plan"] is not None
+    shown = run("difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 0)
+    assert shown.exit_code == 0
+    assert "selectivity" in shown.output

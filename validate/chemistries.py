@@ -1,0 +1,102 @@
+"""Random chemistries: do they load, conserve atoms and play, and how many does the general script solve?
+
+    python validate/chemistries.py                     # 1,000 of each tier; writes validate/chemistries.csv
+    python validate/chemistries.py --number 30         # fewer, nothing is written
+
+Chemistry i has seed i and the difficulty easy, medium or hard in turn. Each is generated, its files are written and
+loaded again, its hardest goal is played once by the scripted agents (what ``chemlab run`` plays), and its reaction
+bench under constant conditions (``chemlab difficulty``). ``atoms`` is the largest change of any element, relative to
+what there is of it, from the stock to what was submitted, thrown away and is left. ``solved``: a score of half of what
+there would be for all of the goal, pure, for nothing; ``solved_of_yield``: half of that times the yield that constant
+conditions reach. Scores, purities, yields and selectivities are medians, but for the yield that 5 % stay below.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.chemistry import element_matrix
+from chemlab.laboratory.core import Laboratories
+from chemlab.openchem.difficulty import constant_conditions
+from chemlab.openchem.generate import LEVELS, generated
+from chemlab.scenario import load_scenario
+
+SOLVED = 0.5
+NUMBER = 1000
+Row = tuple[str, float, float, float, float, float, float]
+
+
+def play(physics: str, seed: int) -> Row:
+    """Difficulty, then score, purity, yield and selectivity under constant conditions, change of atoms, seconds."""
+    begun = time.perf_counter()
+    difficulty = list(LEVELS)[seed % len(LEVELS)]
+    with tempfile.TemporaryDirectory() as folder:
+        spec = load_scenario(generated(seed, difficulty=difficulty, physics=physics).write(folder))
+    labs = Laboratories(spec, 1)
+    labs.reset(labs.members)
+    atoms = element_matrix(spec)
+    before = atoms @ labs.shelf.total()[0]
+    played = play_laboratory(labs, make_policies("heuristic", labs, 0), spec.goals[-1], 0)
+    after = atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
+    lasted = time.perf_counter() - begun
+    change = float(np.abs(after - before).max() / np.abs(before).max())
+    found = constant_conditions(spec, spec.goals[-1])
+    assert found is not None
+    score, purity = float(played.returns[0]), float(played.measures["purity"][0])
+    return difficulty, score, purity, found.reached, found.selectivity, change, lasted
+
+
+def rows(physics: str, number: int, processes: int) -> Iterator[tuple[object, ...]]:
+    """A row of the table for each difficulty."""
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        played = list(pool.map(play, [physics] * number, range(number), chunksize=10))
+    for difficulty in LEVELS:
+        numbers = np.array([row[1:] for row in played if row[0] == difficulty])
+        score, purity, reached, selectivity, change, lasted = numbers.T
+        yield (
+            physics,
+            difficulty,
+            len(numbers),
+            f"{change.max():.1e}",
+            f"{(score >= SOLVED).mean():.3f}",
+            f"{(score >= SOLVED * reached).mean():.3f}",
+            *(f"{np.median(x):.3f}" for x in (score, purity, reached, selectivity)),
+            f"{np.percentile(reached, 5):.3f}",
+        )
+        print(f"{physics} {difficulty}: median {np.median(lasted):.2f} s each", file=sys.stderr)
+
+
+def main() -> None:
+    """Play, print the table, and write it if it is of all."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--number", type=int, default=NUMBER)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--physics", nargs="*", default=["paper", "real"])
+    given = parser.parse_args()
+    columns = ("atoms", "solved", "solved_of_yield", "score", "purity", "yield", "selectivity", "yield_5_percent")
+    header = ("physics", "difficulty", "number", *columns)
+    print(*(f"{name:>15}" for name in header))
+    table = []
+    for physics in given.physics:
+        for row in rows(physics, given.number, given.processes):
+            table.append(row)
+            print(*(f"{cell!s:>15}" for cell in row), flush=True)
+    if (given.number, given.physics) == (NUMBER, ["paper", "real"]):
+        with Path(__file__).with_suffix(".csv").open("w", encoding="utf-8", newline="") as handle:
+            csv.writer(handle, lineterminator="\n").writerows([header, *table])
+
+
+if __name__ == "__main__":
+    main()
