@@ -39,7 +39,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.state import TERMINATED
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import Scenario, load_scenario, shipped_file
 
 __all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
 
@@ -254,8 +254,7 @@ def write_datasets(
 
 def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec | None:
     """The environment whose spaces and episodes a dataset has; None where the scenario is not one of chemlab's."""
-    shipped = scenario.name in scenario_names()
-    if not shipped or scenario_hash(load_scenario(scenario.name)) != scenario_hash(scenario):
+    if not shipped_file(scenario.name) or scenario_hash(load_scenario(scenario.name)) != scenario_hash(scenario):
         return None
     manager = agent == MANAGER_AGENT
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))

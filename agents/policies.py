@@ -28,9 +28,10 @@ from .heuristics.fractions import FractionHeuristic
 from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
 from .heuristics.manager import ManagerHeuristic
 from .heuristics.reaction import ReactionHeuristic
-from .heuristics.real import RealExtractionHeuristic, RealReactionHeuristic
+from .heuristics.real import RealReactionHeuristic
 from .heuristics.schedule import SchedulingManager, has_orders_to_schedule
 from .heuristics.upkeep import UpkeepManager, has_wearing_lines
+from .heuristics.workup import WorkupHeuristic
 from .plans import plan_for
 from .pretrained import pretrained_for
 from .roles import role_of
@@ -58,7 +59,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     },
     "real": {
         "reaction": RealReactionHeuristic,
-        "extraction": RealExtractionHeuristic,
+        "extraction": WorkupHeuristic,
         "distillation": FractionHeuristic,
         "crystallization": CrystallizationHeuristic,
     },

@@ -32,7 +32,7 @@ from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
 from chemlab.laboratory.policy import Memory, Policy
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import Scenario, shipped_file
 
 from .discrete import ChoosingPolicy
 
@@ -375,7 +375,7 @@ def _advice(workplace: Workplace) -> str:
 
 def given_as(scenario: Scenario) -> str:
     """What a command is given for a scenario: a shipped one's name, else the path of its file."""
-    shipped = scenario.name in scenario_names() and load_scenario(scenario.name).origin == scenario.origin
+    shipped = scenario.origin == str(shipped_file(scenario.name))
     return shlex.quote(scenario.origin if Path(scenario.origin).is_file() and not shipped else scenario.name)
 
 

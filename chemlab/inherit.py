@@ -16,7 +16,7 @@ from typing import Any
 
 from .datafile import DataError, dotted_key, read_toml
 
-__all__ = ["bench_defaults", "completed", "scenario_folder", "scenario_names"]
+__all__ = ["bench_defaults", "completed", "scenario_folder", "scenario_names", "shipped_file", "synthesis_names"]
 
 _BENCHES = Path(__file__).resolve().parent / "data" / "benches"
 _LONGEST_CHAIN = 16
@@ -34,8 +34,20 @@ def scenario_folder() -> Path:
 
 
 def scenario_names() -> list[str]:
-    """Names of the scenarios that come with chemlab."""
+    """Names of the scenarios that come with chemlab and that its benchmark is made of."""
     return sorted(path.stem for path in scenario_folder().glob("*.toml"))
+
+
+def synthesis_names() -> list[str]:
+    """Names of the syntheses that come with chemlab: scenarios after publications, beside the benchmark."""
+    return sorted(path.stem for path in (scenario_folder() / "syntheses").glob("*.toml"))
+
+
+def shipped_file(name: object) -> Path | None:
+    """The file of a scenario or synthesis that comes with chemlab; None for any other name."""
+    if name in scenario_names():
+        return scenario_folder() / f"{name}.toml"
+    return scenario_folder() / "syntheses" / f"{name}.toml" if name in synthesis_names() else None
 
 
 @functools.cache
@@ -86,11 +98,10 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
             raise DataError(f"{where}: remove: takes keys out of a base, and this scenario has none")
         return own
     base, remove = own.pop("base"), own.pop("remove", [])
-    path = scenario_folder() / f"{base}.toml" if base in scenario_names() else folder / str(base)
+    path = shipped_file(base) or folder / str(base)
     if path.suffix != ".toml" or not os.path.isfile(path):
-        raise DataError(
-            f"{where}: base: unknown {base!r:.200}; shipped: {', '.join(scenario_names())}; or the path of a .toml file"
-        )
+        shipped = ", ".join([*scenario_names(), *synthesis_names()])
+        raise DataError(f"{where}: base: unknown {base!r:.200}; shipped: {shipped}; or the path of a .toml file")
     if str(path.resolve()) in above:
         raise DataError(f"{where}: base: {base!r} has this scenario as its own base")
     if len(above) >= _LONGEST_CHAIN:

@@ -24,7 +24,7 @@ from pydantic import (
 )
 
 from .datafile import DataError, Grown, bounded, read_toml, validated
-from .inherit import completed, scenario_folder, scenario_names
+from .inherit import completed, scenario_names, shipped_file, synthesis_names
 from .materials import Material, load_materials, shipped_materials
 from .pairs import Pair, load_pairs, shipped_pairs
 from .reactions import (
@@ -76,6 +76,8 @@ __all__ = [
     "load_scenario",
     "restore_scenario",
     "scenario_names",
+    "shipped_file",
+    "synthesis_names",
 ]
 
 SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "dry_heating", "metal_in_water_mol")
@@ -582,7 +584,7 @@ class Scenario(Grown):
         """What ``chemlab`` commands take for this scenario: a shipped one's name, else the path it was loaded from,
         quoted for a shell; ``FILE.toml`` for one that has no file yet."""
         path = Path(self._origin)
-        shipped = path.parent == scenario_folder()
+        shipped = path == shipped_file(path.stem)
         if path.suffix != ".toml" or (shipped and path.stem != self.name):  # made or changed in code
             return "FILE.toml"
         return self.name if shipped else shlex.quote(self._origin)
@@ -836,8 +838,8 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     """Load and check a scenario.
 
     Args:
-        scenario: a shipped name (see :func:`scenario_names`), a path to a TOML file, the parsed content
-            of one as a mapping, or a loaded scenario (returned as it is).
+        scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
+            parsed content of one as a mapping, or a loaded scenario (returned as it is).
 
     Raises:
         DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
@@ -848,15 +850,15 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     if isinstance(scenario, Mapping):
         where = "(scenario given as a mapping)"
         return _resolve(bounded(scenario, where), where, Path.cwd())
-    if isinstance(scenario, str) and scenario in scenario_names():
-        return _load_file(scenario_folder() / f"{scenario}.toml")
+    if isinstance(scenario, str) and (file := shipped_file(scenario)):
+        return _load_file(file)
     if not isinstance(scenario, (str, Path)):
         raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
     path = Path(scenario)
     if path.suffix != ".toml":
         raise DataError(
-            f"scenario: unknown name {str(scenario)!r:.200}; shipped: {', '.join(scenario_names())}; "
-            "or give a path to a .toml file"
+            f"scenario: unknown name {str(scenario)!r:.200}; "
+            f"shipped: {', '.join([*scenario_names(), *synthesis_names()])}; or give a path to a .toml file"
         )
     return _resolve(read_toml(path), str(path), path.parent)
 

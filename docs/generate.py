@@ -60,6 +60,7 @@ from chemlab.scenario import (
     WearSpec,
     load_scenario,
     scenario_names,
+    synthesis_names,
 )
 from chemlab.world import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 
@@ -216,14 +217,15 @@ def _environments() -> dict[str, str]:
 
 
 def _results() -> dict[str, list[list[str]]]:
-    """README's results by scenario: rows of cells, the policy first."""
-    text = (HERE.parent / "README.md").read_text(encoding="utf-8")
-    block = text.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
+    """Results of README and of the page of syntheses by scenario: rows of cells, the policy first."""
     found: dict[str, list[list[str]]] = {}
-    for line in block.splitlines():
-        cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        if cells[0].startswith("`"):
-            found.setdefault(cells[0].strip("`"), []).append(cells[1:])
+    for page in (HERE.parent / "README.md", HERE / "syntheses.md"):
+        text = page.read_text(encoding="utf-8")
+        block = text.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
+        for line in block.splitlines():
+            cells = [cell.strip() for cell in line.strip("| ").split("|")]
+            if cells[0].startswith("`"):
+                found.setdefault(cells[0].strip("`"), []).append(cells[1:])
     return found
 
 
@@ -362,9 +364,13 @@ def _scenario_page(spec: Scenario) -> str:
     return "\n".join(parts)
 
 
+_PLAYED = ("heuristic", "random")
+
+
 def _scenarios() -> dict[str, str]:
     specs = [load_scenario(name) for name in scenario_names()]
-    found = {spec.name: _scenario_page(spec) for spec in specs}
+    syntheses = [load_scenario(name) for name in synthesis_names()]
+    found = {spec.name: _scenario_page(spec) for spec in (*specs, *syntheses)}
     scores = {name: {row[0]: row[3] for row in rows} for name, rows in _results().items()}
     rows = [
         (
@@ -405,10 +411,23 @@ def _scenarios() -> dict[str, str]:
             "costs. The last three are of an [audit](../../worlds.md): 0 is random play, 1 a planner that knows",
             "everything; where blind play comes close to the reference, a scenario asks for no eyes.",
             "",
+            "## Syntheses",
+            "",
+            "Scenarios after publications, beside the benchmark; what they were held against:",
+            "[Syntheses](../../syntheses.md).",
+            "",
+            _table(
+                ("synthesis", "what it is", "scripted score", "random score"),
+                [
+                    (f"[`{s.name}`]({s.name}.md)", s.summary, *(scores.get(s.name, {}).get(p, "") for p in _PLAYED))
+                    for s in syntheses
+                ],
+                (2, 3),
+            ),
             "```{toctree}",
             ":hidden:",
             "",
-            *(spec.name for spec in specs),
+            *(spec.name for spec in (*specs, *syntheses)),
             "```",
             "",
         ]

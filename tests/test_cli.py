@@ -24,7 +24,7 @@ from chemlab.files import replace_between, write_text
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import DataError, shipped_materials
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.scenario import load_scenario, scenario_names, synthesis_names
 
 FIELDS = {
     "scenario",
@@ -48,10 +48,11 @@ runner = CliRunner()
 def test_list_names_every_scenario() -> None:
     """People and programs see the same scenarios."""
     rows = json.loads(runner.invoke(app, ["list", "--json"]).stdout)
-    assert [row["name"] for row in rows] == scenario_names()
+    assert [row["name"] for row in rows] == [*scenario_names(), *synthesis_names()]
+    assert [row["name"] for row in rows if row["synthesis"]] == synthesis_names()
     assert all(row["agents"][0] == "manager_0" for row in rows)
     shown = runner.invoke(app, ["list"]).stdout
-    assert all(name in shown for name in scenario_names())
+    assert all(name in shown for name in (*scenario_names(), *synthesis_names()))
 
 
 @pytest.mark.parametrize("policy", ["heuristic", "random"])

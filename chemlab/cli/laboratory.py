@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..files import check_marks, check_target, replace_between
-from ..scenario import Scenario, load_scenario, scenario_names
+from ..scenario import Scenario, load_scenario, scenario_names, synthesis_names
 from .common import (
     EpisodesOption,
     JsonOption,
@@ -38,25 +38,28 @@ __all__: list[str] = []
 
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
-    """List the scenarios that come with chemlab."""
+    """List the scenarios that come with chemlab, and the syntheses."""
     scenarios = [load_scenario(name) for name in scenario_names()]
+    syntheses = [load_scenario(name) for name in synthesis_names()]
     if as_json:
         rows = [
             {
                 "name": s.name,
+                "synthesis": s in syntheses,
                 "title": s.title,
                 "summary": s.summary,
                 "agents": ["manager_0", *s.bench_agents()],
                 "goals": list(s.lab_goals),
                 "file": s.origin,
             }
-            for s in scenarios
+            for s in (*scenarios, *syntheses)
         ]
         typer.echo(json.dumps(rows, indent=2))
         return
-    title = "Scenarios (play one: chemlab run NAME; what is in it: chemlab describe NAME)"
-    cells = [(s.name, ", ".join(s.benches), len(s.lab_goals), s.summary) for s in scenarios]
-    show_table(title, ("name", "benches", "goals", "summary"), cells, right=(2,))
+    first = "Scenarios (play one: chemlab run NAME; what is in it: chemlab describe NAME)"
+    for title, listed in ((first, scenarios), ("Syntheses, played likewise", syntheses)):
+        cells = [(s.name, ", ".join(s.benches), len(s.lab_goals), s.summary) for s in listed]
+        show_table(title, ("name", "benches", "goals", "summary"), cells, right=(2,))
 
 
 @app.command()

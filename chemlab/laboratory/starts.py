@@ -23,7 +23,7 @@ from ..datafile import DataError, read_json, validated
 from ..files import write_text
 from ..jit import inner
 from ..rng import uniform
-from ..scenario import Scenario, scenario_names
+from ..scenario import Scenario, shipped_file
 from ..shelf import Shelf
 from ..tables import Table
 
@@ -136,7 +136,7 @@ def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
 def starts_file(scenario: Scenario) -> Path:
     """Where a scenario's recorded starting states are: with chemlab, or beside the user's scenario file."""
     shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
-    return shipped if scenario.name in scenario_names() else Path(scenario.origin).with_suffix(_SUFFIX)
+    return shipped if shipped_file(scenario.name) else Path(scenario.origin).with_suffix(_SUFFIX)
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:

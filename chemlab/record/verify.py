@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 from .. import __version__
 from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import Scenario, load_scenario, scenario_names
+from ..scenario import Scenario, load_scenario, shipped_file
 from .format import Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
 from .recorder import Witness, environment_here
 from .replay import Replay
@@ -243,7 +243,7 @@ def _other_version(record: Record) -> str:
 def _foreign(spec: Scenario, asked: Scenario | None) -> str:
     """What to say of a record on a scenario that nobody but the record vouches for."""
     actual = scenario_hash(spec)
-    if asked is None and spec.name not in scenario_names():
+    if asked is None and not shipped_file(spec.name):
         return f"scenario {spec.name} is the record's own (hash {actual}), none that chemlab ships"
     expected, origin = _shipped(spec.name) if asked is None else (scenario_hash(asked), asked.origin)
     return "" if expected == actual else f"its scenario {spec.name} (hash {actual}) is not {origin}"
