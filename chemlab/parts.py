@@ -13,19 +13,20 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
+from .datafile import DataError
 
-from .materials import DataError
-from .scenario import Scenario
+if TYPE_CHECKING:
+    from .arrays import FloatArray
+    from .scenario import Scenario
 
 __all__ = ["Part", "PartError", "blamed", "checked", "load_part", "may_run", "strangers_code"]
 
@@ -168,8 +169,8 @@ def blamed(name: str) -> Iterator[None]:
 
 
 def checked(
-    values: Any, shape: tuple[int, ...], name: str, low: float = -np.inf, high: float = np.inf
-) -> npt.NDArray[np.float64]:
+    values: Any, shape: tuple[int, ...], name: str, low: float = -math.inf, high: float = math.inf
+) -> FloatArray:
     """What a part has returned, as an array.
 
     Args:
@@ -181,6 +182,8 @@ def checked(
     Raises:
         PartError: another shape, a number that is not finite or out of bounds.
     """
+    import numpy as np
+
     try:
         given = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -191,7 +194,7 @@ def checked(
     if wrong.any():
         at = np.argwhere(wrong)[0].tolist()
         bounds = (
-            "finite" if low == -np.inf else f"from {low:g} to {high:g}: scale it, and cut off what is past its range"
+            "finite" if low == -math.inf else f"from {low:g} to {high:g}: scale it, and cut off what is past its range"
         )
         raise PartError(f"{name}: must be {bounds}; given {given[tuple(at)]:g} at {at}")
-    return given if low == -np.inf else np.clip(given, low, high)
+    return given if low == -math.inf else np.clip(given, low, high)

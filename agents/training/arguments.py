@@ -21,8 +21,7 @@ from dataclasses import Field, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
-from chemlab.materials import read_toml
-from chemlab.world import Split
+from chemlab.datafile import read_toml
 
 __all__ = [
     "ALGORITHMS",
@@ -141,6 +140,8 @@ class Arguments:
     )
 
     def __post_init__(self) -> None:
+        from chemlab.world import Split
+
         Split.of(self.split)
         for f in fields(self):
             value = getattr(self, f.name)

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder, check_target, write_text
-from ..scenario import load_scenario
 from .common import JsonOption, ScenarioArgument, app, out, readable_errors
 from .screen import counting, show_table
 
@@ -36,6 +35,7 @@ def audit(
     with readable_errors():
         from ..agents.evaluation.audit import BUDGETS, job_count
         from ..agents.evaluation.audit import audit as measure
+        from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
         if budget not in BUDGETS:

@@ -9,8 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder
-from ..scenario import load_scenario
-from ..world import Split
 from .common import JsonOption, SplitOption, TrustOption, app, out, readable_errors
 from .screen import counting, show_table
 
@@ -48,6 +46,8 @@ def benchmark(
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
         from ..agents.evaluation.audit import BUDGETS
+        from ..scenario import load_scenario
+        from ..world import Split
 
         Split.of(split)
         specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]

@@ -8,15 +8,16 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..files import check_target, write_text
-from ..materials import Material, load_materials, shipped_materials
-from ..scenario import load_scenario
 from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
 from .screen import counting, plain, show_table
+
+if TYPE_CHECKING:
+    from ..materials import Material
 
 __all__: list[str] = []
 
@@ -57,6 +58,8 @@ def _command(*words: object) -> str:
 
 
 def _known(files: Sequence[Path] | None) -> dict[str, Material]:
+    from ..materials import load_materials, shipped_materials
+
     return {**shipped_materials(), **load_materials(files or ())}
 
 
@@ -98,7 +101,7 @@ def material(
     wanted = compounds.compounds(what or [], _named(name))
     if not wanted:
         raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
-    shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, shipped_materials()))}
+    shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, _known(None)))}
     new = [compound for compound in wanted if compound.key not in shipped]
     words = [*(what or []), *itertools.chain.from_iterable(("--name", pair) for pair in name or ())]
     tables: dict[str, Any] = {}
@@ -109,9 +112,9 @@ def material(
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
         write_text(output, material_text(tables, _command("material", *words)))
     keys = [*shipped.values(), *tables]
-    two = _missing_pairs(keys, {**shipped_materials(), **(load_materials([output]) if new else {})})
+    two = _missing_pairs(keys, _known([output] if new else None))
     if pairs is not None:
-        known = {**shipped_materials(), **(load_materials([output]) if new else {})}
+        known = _known([output] if new else None)
         _write_pairs(pairs, two, known, _command("pairs", *keys))
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
@@ -294,6 +297,7 @@ def new(
     from ..openchem import designs
     from ..pairs import load_pairs, shipped_pairs
     from ..reactions import load_reactions
+    from ..scenario import load_scenario
 
     path = output or Path(f"{name}.toml")
     own = path.with_name(f"{path.stem}_pairs.toml")
@@ -391,6 +395,7 @@ def difficulty(
     """
     with readable_errors():
         from ..openchem.difficulty import difficulty as measure
+        from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
         rows = measure(spec, episodes, plans, seed)

@@ -10,13 +10,13 @@ import typer
 from typer.core import TyperGroup
 
 from .. import __version__
-from ..materials import DataError
+from ..datafile import DataError
 from ..parts import strangers_code
-from ..scenario import Scenario, load_scenario
 from .screen import err, out, page, plain
 
 if TYPE_CHECKING:
     from ..laboratory.aec import raw_env
+    from ..scenario import Scenario
 
 __all__ = [
     "EpisodesOption",
@@ -137,6 +137,8 @@ def _options(
 
 def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:
     """Load the scenario, say so, and build its laboratory."""
+    from ..scenario import load_scenario
+
     spec = load_scenario(scenario)
     if not quiet:
         page.print(f"[bold]{plain(spec.name)}[/bold]: {plain(spec.summary)}")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..files import check_marks, check_target, replace_between
-from ..scenario import Scenario, load_scenario, scenario_names, synthesis_names
 from .common import (
     EpisodesOption,
     JsonOption,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from ..laboratory.core import Laboratories
     from ..laboratory.describe import FactTable
     from ..record import Recorder
+    from ..scenario import Scenario
 
 __all__: list[str] = []
 
@@ -39,6 +39,8 @@ __all__: list[str] = []
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
     """List the scenarios that come with chemlab, and the syntheses."""
+    from ..scenario import load_scenario, scenario_names, synthesis_names
+
     scenarios = [load_scenario(name) for name in scenario_names()]
     syntheses = [load_scenario(name) for name in synthesis_names()]
     if as_json:
@@ -298,6 +300,8 @@ def compare(
 ) -> None:
     """Compare policies over many episodes with the same seeds; also regenerates README's table."""
     from rich.progress import Progress
+
+    from ..scenario import scenario_names
 
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []

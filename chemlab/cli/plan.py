@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import check_target
-from ..scenario import load_scenario
 from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, TrustOption, app, out, readable_errors
 from .screen import counting, plain
 
@@ -46,6 +45,7 @@ def plan(
     """
     with readable_errors():
         from ..agents.evaluation.plans import plan_budget, search_plan
+        from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
         most = plan_budget(budget)
