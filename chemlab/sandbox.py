@@ -32,10 +32,10 @@ from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemis
 from .instruments.table import InstrumentTable
 from .materials import DataError, load_materials, shipped_materials
 from .physics import laws, transfer
-from .physics.boiling import Surroundings, react_open
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.layers import profile
+from .physics.surroundings import Surroundings
 from .scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
 from .shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
 
@@ -438,7 +438,7 @@ class Flask:
             through = 0.0
         around = Surroundings(jacket, through, -1.0 if closed else condenser, _RTOL, _ATOL)
         waste = self._shelf.waste[0]
-        if react_open(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
+        if laws.react(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
             hottest = self.temperature_k
             self._row[:], self._shelf.waste[:], self._events[:] = before, lost, counted
             raise ArithmeticError(

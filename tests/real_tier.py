@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from chemlab.jit import kernel
 from chemlab.physics.laws.real.chemistry import RealChemistry
 from chemlab.physics.laws.real.fields import independent_reactions, padded
 from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
+from chemlab.physics.laws.real.kinetics import integrate, react_work_size
+from chemlab.physics.surroundings import Surroundings
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
@@ -154,3 +157,13 @@ def network(
 
 
 __all__ = ["enthalpy_of", "filled", "give_enthalpy", "network", "real_table"]
+
+
+def react(
+    row: FloatArray, table: Table[Any], dt: float, jacket: float, transfer: float, tolerance: tuple[float, float]
+) -> int:
+    """Let a vessel react that nothing boils in; returns the number of steps."""
+    around, work = Surroundings(jacket, transfer, -1.0, *tolerance), np.zeros(react_work_size(table.arrays))
+    steps, passed = integrate(row, dt, around, math.inf, table.handle, work)
+    assert passed == (dt if steps >= 0 else 0.0)
+    return int(steps)

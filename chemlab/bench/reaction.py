@@ -28,9 +28,9 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
-from ..physics.boiling import Surroundings, react_open
-from ..physics.laws import partition, settle_phases, vent
+from ..physics.laws import partition, react, settle_phases, vent
 from ..physics.spectra import spectrum
+from ..physics.surroundings import Surroundings
 from ..physics.thermal import pressure, seal
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
 from ..scenario import Scenario
@@ -190,7 +190,7 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
     jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
     around = Surroundings(jacket, rules.transfer * state.gain[m, HEAT], rules.condenser, rules.rtol, rules.atol)
     tick = rules.tick * state.gain[m, STIR]
-    return react_open(row, tick, around, chem, shelf.waste[m], state.events[m], rules.work)
+    return react(row, tick, around, chem, shelf.waste[m], state.events[m], rules.work)
 
 
 @inner

@@ -9,6 +9,7 @@ from ..bench.base import ExperimentState, goal_amount, weighted_amount
 from ..chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from ..jit import helper, inner, kernel, opened
 from ..physics.laws import elapse, partition, react, settle_phases
+from ..physics.surroundings import Surroundings
 from ..physics.transfer import clear, move, remove_fraction, spill, volume
 from ..shelf import CLOCK_SETTLED, ShelfArrays
 from .actions import CALIBRATE, DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT
@@ -459,7 +460,8 @@ def age_on_shelf(
         for s in range(rules.slots):
             row = arrays.rows[base + s]
             if time > 0.0 and row[PRESENT] > 0.0:
-                if react(row, chem, time, row[TEMPERATURE], -1.0, _RTOL, _ATOL, rules.work) < 0:
+                around = Surroundings(row[TEMPERATURE], -1.0, -1.0, _RTOL, _ATOL)
+                if react(row, time, around, chem, arrays.waste[n], state.safety_totals[n], rules.work) < 0:
                     stiff = n
                 settle_phases(row, chem, arrays.waste[n], state.safety_totals[n], rules.work)
                 spill(row, chem, arrays.waste[n], state.safety_totals[n])  # reacting changes the volume

@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from real_tier import filled, network
 
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.kinetics import react, react_work_size
+from chemlab.physics.laws.real.kinetics import integrate, react_work_size
+from chemlab.physics.surroundings import Surroundings
 
 _ENERGY = 60e3
 
@@ -75,7 +76,8 @@ def main() -> None:
                 def tick(
                     row: np.ndarray = row, table: Any = table, work: np.ndarray = work, u: float = transfer
                 ) -> int:
-                    return react(row, table.handle, 1.0, 298.15, u, 1e-3, 1e-9, work)
+                    around = Surroundings(298.15, u, -1.0, 1e-3, 1e-9)
+                    return integrate(row, 1.0, around, math.inf, table.handle, work)[0]
 
                 def fresh(row: np.ndarray = row, start: np.ndarray = start, tick: Callable[[], int] = tick) -> int:
                     row[:] = start
@@ -92,7 +94,8 @@ def main() -> None:
             print(f"{reactions:9d} {name:>10} {steps:6.0f} {first:9.1f} {then:8.1f}")
     table, amounts = stiff_network(10, 0)
     row, work = filled(table, 0.0 * amounts), np.zeros(react_work_size(table.arrays))
-    nothing = microseconds(lambda: react(row, table.handle, 1.0, 298.15, 0.0, 1e-3, 1e-9, work), 10_000)
+    around = Surroundings(298.15, 0.0, -1.0, 1e-3, 1e-9)
+    nothing = microseconds(lambda: integrate(row, 1.0, around, math.inf, table.handle, work)[0], 10_000)
     print(f"a vessel in which nothing can react: {nothing:.2f} us, the call from Python included")
 
 

@@ -15,6 +15,7 @@ from chemlab.physics import laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.laws.real.heats import enthalpy
 from chemlab.physics.laws.real.partition import place_new
+from chemlab.physics.surroundings import Surroundings
 from chemlab.physics.thermal import pressure
 from chemlab.physics.transfer import pour
 from chemlab.scenario import Scenario, load_scenario
@@ -308,7 +309,10 @@ def test_random_operations_keep_atoms_and_energy() -> None:
                 laws.elapse(row, rng.uniform(0, 5), glass.chem, glass.waste, glass.events, glass.work)
                 balance = None  # heat goes to the room
             elif kind == 4:
-                laws.react(row, glass.chem, rng.uniform(0, 300), 300.0, 0.0, 1e-3, 1e-6, glass.work)
+                condenser = float(rng.choice([-1.0, 0.0, 20.0]))
+                around = Surroundings(300.0, 0.0, condenser, 1e-3, 1e-6)
+                balance = None if condenser > 0.0 else 0.0  # what it takes is not told
+                laws.react(row, rng.uniform(0, 300), around, glass.chem, glass.waste, glass.events, glass.work)
             else:
                 pour(row, glass.rows[other], rng.uniform(), glass.chem, glass.waste, glass.events)
             assert np.isfinite(glass.rows).all()

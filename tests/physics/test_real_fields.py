@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import composition
-from real_tier import enthalpy_of, filled, real_table
+from real_tier import enthalpy_of, filled, react, real_table
 
 from chemlab.chemistry import AMOUNTS, TEMPERATURE, build_chemistry
 from chemlab.jit import kernel
 from chemlab.materials import DataError, shipped_materials
 from chemlab.physics.laws.real.acids import acid_work_size, ph, settle_acids
 from chemlab.physics.laws.real.fields import acid_fields, independent_reactions, kinetic_fields
-from chemlab.physics.laws.real.kinetics import react, react_work_size
 from chemlab.scenario import PHYSICS_TIERS, Scenario, dump_scenario, load_scenario, restore_scenario
 from chemlab.tables import Table
 
@@ -181,10 +180,10 @@ def test_an_esterification_runs_with_its_acids_and_keeps_atoms_charge_and_energy
         dissolved = {int(i): [mol[i]] for i in table.arrays.dissolved}
         row = filled(table, mol, 330.0, dissolved)
         before = enthalpy_of(row, table.handle)
-        work, acid_work = np.zeros(react_work_size(table.arrays)), np.zeros(acid_work_size(table.arrays))
+        acid_work = np.zeros(acid_work_size(table.arrays))
         for _ in range(200):
             settle_acids(row, table.handle, acid_work)
-            assert react(row, table.handle, 500.0, 298.15, 0.0, 1e-5, 1e-8, work) >= 0
+            assert react(row, table, 500.0, 298.15, 0.0, (1e-5, 1e-8)) >= 0
         after = row[AMOUNTS : AMOUNTS + len(names)]
         np.testing.assert_allclose(after @ atoms, mol @ atoms, rtol=1e-12, atol=1e-12)
         assert enthalpy_of(row, table.handle) == pytest.approx(before, rel=1e-9)

@@ -11,13 +11,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from real_tier import enthalpy_of, filled, give_enthalpy, network
+from real_tier import enthalpy_of, filled, give_enthalpy, network, react
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 from chemlab.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.kinetics import react, react_work_size
 from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
@@ -47,7 +46,7 @@ def run(
 ) -> Result:
     """Let a vessel react: amounts in mol, 1 L for each mol."""
     row = filled(table, amounts, start)
-    steps = react(row, table.handle, dt, jacket, transfer, *tolerance, np.zeros(react_work_size(table.arrays)))
+    steps = react(row, table, dt, jacket, transfer, tolerance)
     return Result(steps, row[AMOUNTS:].copy(), float(row[TEMPERATURE]))
 
 
@@ -361,8 +360,7 @@ def test_atoms_and_energy_are_conserved_and_nothing_is_negative(seed: int, toler
     row = filled(table, case.amounts, 300.0)
     before = enthalpy_of(row, table.handle)
     for part in (0.01, 0.09, 0.9):
-        work = np.zeros(react_work_size(table.arrays))
-        assert react(row, table.handle, part * case.dt, 300.0, 0.0, *tolerance, work) >= 0
+        assert react(row, table, part * case.dt, 300.0, 0.0, tolerance) >= 0
         assert np.isfinite(row).all()
         assert row[AMOUNTS:].min() >= 0.0
     scale = np.abs(case.formation) @ case.amounts
@@ -390,7 +388,7 @@ def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
     table = network([{"reactants": {0: 1, 1: 1}, "products": {2: 1}, "k": 5.0}], 3, role=np.full(3, 3))
     assert run(table, [0.3, 0.2, 0.1], 1.0) == (0, pytest.approx([0.3, 0.2, 0.1], abs=0.0), ROOM)
     empty = np.zeros(AMOUNTS + 3)
-    assert react(empty, table.handle, 1.0, 350.0, math.inf, *USUAL, np.zeros(react_work_size(table.arrays))) == 0
+    assert react(empty, table, 1.0, 350.0, math.inf, USUAL) == 0
     assert not empty.any()
 
 
@@ -405,7 +403,7 @@ def test_crystals_do_not_react_and_layers_keep_their_shares() -> None:
         molar_volume=np.array([0.2, 0.2, 0.2]),
     )
     row = filled(table, [2.0, 0.0, 3.0], ROOM, {0: [0.4, 0.1], 2: [1.0, 2.0]})
-    react(row, table.handle, 0.7, ROOM, math.inf, *TIGHT, np.zeros(react_work_size(table.arrays)))
+    react(row, table, 0.7, ROOM, math.inf, TIGHT)
     left = 0.5 * np.exp(-0.7)
     assert row[AMOUNTS : AMOUNTS + 3] == pytest.approx([1.5 + left, 0.5 - left, 3.0], rel=1e-6)
     assert row[AMOUNTS + 3 : AMOUNTS + 5] == pytest.approx([0.8 * left, 0.2 * left], rel=1e-6)

@@ -23,6 +23,7 @@ from ...arrays import SLOT, FloatArray, Handle, IntArray, declared
 from ...chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
 from ...compiling import compile_first
 from ...jit import COMPILED, INLINED
+from ..surroundings import Surroundings
 
 if COMPILED:
     from ...jit import address, calling
@@ -32,7 +33,6 @@ __all__ = [
     "drain_layer",
     "dry",
     "elapse",
-    "enthalpy",
     "find_layers",
     "headspace_gas",
     "heat",
@@ -43,7 +43,6 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
-    "reflux",
     "settle_phases",
     "solid_mol",
     "solid_volume",
@@ -98,7 +97,9 @@ def _compilations(dimensions: int) -> list[Callable[[], int]]:
 def _numba_type(name: str, annotation: str) -> Any:
     """The numba type of a law's parameter, by its annotation; None for the chemistry."""
     array = numba.types.Array(numba.types.float64, 2 if name == "work" else 1, "C")
-    known = {"FloatArray": array, "float": numba.types.float64, "int": numba.types.int64, "Handle": None}
+    types: Any = numba.types
+    around = types.NamedUniTuple(types.float64, len(Surroundings._fields), Surroundings)
+    known = {"FloatArray": array, "float": types.float64, "int": types.int64, "Handle": None, "Surroundings": around}
     return known[annotation]
 
 
@@ -273,45 +274,32 @@ def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     raise NotImplementedError
 
 
-@law
-def enthalpy(row: FloatArray, chem: Handle) -> float:
-    """Enthalpy of the contents of a vessel without air, J; only differences mean something."""
-    raise NotImplementedError
-
-
 @distant_law
 def react(
     row: FloatArray,
-    chem: Handle,
     dt: float,
-    jacket: float,
-    transfer: float,
-    rtol: float,
-    atol: float,
+    around: Surroundings,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Let the contents of one vessel react for ``dt``.
+    """Let the contents of one vessel react for ``dt``. Of what boils meanwhile in a vessel that is not sealed, the
+    condenser's share runs back; vapour beyond that is lost, and is an event.
 
     Args:
         row: vessel row, changed in place.
-        chem: the chemistry.
         dt: time, in the unit of the rate constants.
-        jacket: K, temperature of what the vessel stands in.
-        transfer: W/K, how well heat passes to it; below 0: at once, so that the contents keep its temperature.
-        rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
-        work: scratch of shape :func:`work_size`; its first number is the highest temperature on the way then, K.
+        around: what it stands in and under.
+        chem: the chemistry.
+        waste: [M] mol, receives what flies.
+        events: safety events row.
+        work: scratch of shape :func:`work_size`; its last row is for a copy of the vessel's.
 
     Returns:
-        Number of steps taken, rejected ones included; -1 where that would have been too many (nothing has changed
-        then).
+        Number of steps taken, rejected ones included; -1 where that would have been too many: then the rest of ``dt``
+        has not passed.
     """
-    raise NotImplementedError
-
-
-@distant_law
-def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """A condenser above a boiling vessel, open to the room: it takes up to ``joules`` from what is above its boiling
-    point and lets it run back; vapour beyond that is lost to ``waste`` [M], and is an event."""
     raise NotImplementedError
 
 

@@ -8,14 +8,13 @@ from .boiling import heat
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
 from .phases import settle_phases
-from .rates import elapse, enthalpy, react, reflux, work_size
+from .rates import elapse, react, work_size
 from .vapor import dry, headspace_gas, vapor_pressure, vent
 
 __all__ = [
     "drain_layer",
     "dry",
     "elapse",
-    "enthalpy",
     "find_layers",
     "headspace_gas",
     "heat",
@@ -24,7 +23,6 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
-    "reflux",
     "settle_phases",
     "solid_mol",
     "solid_volume",

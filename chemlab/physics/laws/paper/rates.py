@@ -6,32 +6,24 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import TEMPERATURE, Chemistry
 from ....jit import helper
 from ...kinetics import integrate, react_work_size
-from ...transfer import heat_capacity, liquid_volume
+from ...surroundings import Surroundings
+from ...transfer import liquid_volume
 
-__all__ = ["elapse", "enthalpy", "react", "reflux", "work_size"]
+__all__ = ["elapse", "react", "work_size"]
 
 
 @helper
 def react(
     row: FloatArray,
-    chem: Handle,
     dt: float,
-    jacket: float,
-    transfer: float,
-    rtol: float,
-    atol: float,
+    around: Surroundings,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Mass action at the temperature of the contents: reactions have no heat, so that of the jacket is theirs."""
-    steps = integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, rtol, atol, work)
-    work[0, 0] = row[TEMPERATURE]
-    return steps
-
-
-@helper
-def enthalpy(row: FloatArray, chem: Handle) -> float:
-    """Warmth alone: reactions have no heat."""
-    return float(heat_capacity(row, chem) * row[TEMPERATURE])
+    """Mass action at the temperature of the contents: reactions have no heat, so nothing comes to a boil."""
+    return integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, around.rtol, around.atol, work)
 
 
 @helper
@@ -40,11 +32,6 @@ def elapse(
 ) -> bool:
     """Nothing happens in a vessel that nobody works on."""
     return False
-
-
-@helper
-def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """Nothing: a reaction does not heat."""
 
 
 def work_size(chemistry: Chemistry) -> tuple[int, int]:

@@ -8,12 +8,11 @@ from .boiling import heat
 from .chemistry import RealChemistry as DECLARATION
 from .chemistry import build
 from .drying import dry
-from .heats import enthalpy
-from .kinetics import react
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
 from .phases import elapse, settle_phases, work_size
-from .vapor import headspace_gas, reflux, vapor_pressure, vent
+from .reacting import react
+from .vapor import headspace_gas, vapor_pressure, vent
 
 __all__ = [
     "DECLARATION",
@@ -21,7 +20,6 @@ __all__ = [
     "drain_layer",
     "dry",
     "elapse",
-    "enthalpy",
     "find_layers",
     "headspace_gas",
     "heat",
@@ -30,7 +28,6 @@ __all__ = [
     "partition",
     "rate_constant",
     "react",
-    "reflux",
     "settle_phases",
     "solid_mol",
     "solid_volume",

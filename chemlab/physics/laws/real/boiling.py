@@ -21,7 +21,7 @@ from .heats import enthalpy, set_enthalpy
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .partition import crystallizes
 from .salts import settle_salts
-from .vapor import bubble_point, write_back
+from .vapor import bubble_point, latent_heat, write_back
 
 __all__ = ["evaporate", "heat"]
 
@@ -45,17 +45,6 @@ def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: F
     for a in range(n):
         rate = partial[a] / (total * at[a]) if at[a] > 0.0 else 0.0
         liquids.mol[a] = before[a] * math.exp(-min(rate * mol, 700.0))
-
-
-@inner
-def _latent(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
-    """J/mol of a vapour with the composition ``partial``."""
-    vaporizing = opened(RealChemistry, chem).vaporizing
-    total, latent = 0.0, 0.0
-    for a in range(n):
-        total += partial[a]
-        latent += partial[a] * on_curve(vaporizing, int(liquids.who[a]), temperature, chem)
-    return latent / total
 
 
 class _Still(NamedTuple):
@@ -84,7 +73,7 @@ def _boil(
         before[a] = liquids.mol[a]
         mol += _STEP * liquids.mol[a]
     for attempt in range(_MOST_ATTEMPTS):
-        price = (1.0 + still.returned) * _latent(n, boiling, partial, chem, liquids)
+        price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, liquids)
         mol = min(mol, left / price)
         if still.trays > 0:
             overhead(n, still.trays, still.returned, begun or attempt > 0, chem, liquids, still.ladder, partial)

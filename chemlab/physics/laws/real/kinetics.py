@@ -15,14 +15,15 @@ from typing import NamedTuple
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, ROLE_ION, TEMPERATURE
-from ....jit import helper, inner, kernel, opened
+from ....jit import helper, inner, opened
 from ...constants import GAS_CONSTANT
 from ...kinetics import arrhenius as rate_constant
+from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
 from .chemistry import RealChemistry
 from .fields import STANDARD_K
 
-__all__ = ["react", "react_work_size"]
+__all__ = ["integrate", "react_work_size"]
 
 _GAMMA = 0.5
 _MOST_STEPS = 100_000
@@ -31,23 +32,29 @@ _USED_UP = 1e-15
 _ROUNDING = 4e-15
 """mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
 where what a species catalyses itself would run away."""
+_LEAST_ERROR, _LONGEST_RATIO = 1e-3, 8.0
+"""An error below which steps grow no further, and by how much they may at once."""
 _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
 _HEAT_SCALE_K = 10.0
 """Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
-_SMALL = 0.01
-"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, become 1."""
+_SMALL, _SMALL_SHARE = 0.01, 0.1
+"""Times the absolute tolerance, and times the relative one of what there was: the concentration below which orders
+under 1, with an infinite slope at 0, become 1, and a relative error is not looked at. What is used up in time, as a
+surface is, would else be followed through ever shorter steps."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
 """Of e in a rate constant; what is beyond is as good as zero or at once."""
+_OVERSHOT_K = 1.0
+"""Beyond the temperature at which it is to end, as far as a step may go."""
 _COLDEST_K, _HOTTEST_K = 50.0, 5000.0
 """Between which rate constants are worked out: a trial step may err further."""
 
 # Rows of the scratch: of length B + 1, the unknowns; R, reactions; S, species. The Jacobian and its factors follow.
 _EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT, _HEAT, _CAPACITY = range(10)
 _FORWARD, _BACKWARD = range(10, 12)
-_START, _NOW, _CONC = range(12, 15)
-_VECTORS = 15
+_START, _NOW, _CONC, _LITTLE, _POWERS = range(12, 17)
+_VECTORS = 17
 
 
 class _Vessel(NamedTuple):
@@ -61,13 +68,16 @@ class _Vessel(NamedTuple):
     """K"""
     transfer: float
     """W/K/L; < 0: the contents are as warm as the jacket"""
-    small: float
-    """mol/L, below which orders under 1 become 1"""
+    rtol: float
+    atol: float
+    """mol/L"""
+    hottest: float
+    """K, at which it ends"""
     work: FloatArray
 
 
 def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
-    """Shape of the scratch array :func:`react` needs."""
+    """Shape of the scratch array :func:`integrate` needs."""
     unknowns = chemistry.independent.shape[0] + 1
     return _VECTORS + 2 * unknowns, max(unknowns, *chemistry.stoichiometry.shape)
 
@@ -115,15 +125,22 @@ def _can_react(row: FloatArray, chem: Handle) -> bool:
 
 
 @helper
-def _exchange_heat(row: FloatArray, chem: Handle, dt: float, jacket: float, transfer: float) -> None:
-    """Let the contents come to the jacket's temperature; without a reaction that has a closed form."""
-    if transfer == 0.0 or row[TEMPERATURE] == jacket or dt <= 0.0:
-        return
+def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surroundings, hottest: float) -> float:
+    """Let the contents come to the jacket's temperature, or until they are as hot as ``hottest`` (K); without a
+    reaction that has a closed form. Returns the time that has passed."""
+    at, jacket, transfer = row[TEMPERATURE], around.jacket, around.transfer
+    if transfer == 0.0 or at == jacket or dt <= 0.0:
+        return dt
     capacity = heat_capacity(row, chem)
     if capacity <= 0.0:
-        return
-    left = math.exp(-transfer * dt / capacity) if 0.0 < transfer < math.inf else 0.0
-    row[TEMPERATURE] = jacket + (row[TEMPERATURE] - jacket) * left
+        return dt
+    passed, left = dt, 0.0
+    if 0.0 < transfer < math.inf:
+        if at < hottest < jacket:
+            passed = min(dt, capacity / transfer * math.log((jacket - at) / (jacket - hottest)))
+        left = math.exp(-transfer * passed / capacity)
+    row[TEMPERATURE] = jacket + (at - jacket) * left
+    return passed
 
 
 @inner
@@ -183,8 +200,8 @@ def _power(concentration: float, order: float, small: float) -> float:
 
 
 @helper
-def _slope(concentration: float, order: float, small: float) -> float:
-    """Derivative of :func:`_power` with the concentration."""
+def _slope(concentration: float, order: float, small: float, power: float) -> float:
+    """Derivative with the concentration of its ``power`` (:func:`_power`)."""
     if order == 1.0:
         return 1.0
     if order < 1.0 and concentration < small:
@@ -192,9 +209,7 @@ def _slope(concentration: float, order: float, small: float) -> float:
         return float(small ** (order - 1.0) * (2.0 - order + bend))
     if concentration <= 0.0:
         return 0.0
-    if order == 2.0:
-        return 2.0 * concentration
-    return float(order * concentration ** (order - 1.0))
+    return order * power / concentration
 
 
 @inner
@@ -282,12 +297,12 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
         for f in range(chemistry.forward.shape[1]):
             j = chemistry.forward[r, f]
             if j >= 0:
-                ahead *= _power(work[_CONC, j], chemistry.forward_order[r, f], vessel.small)
+                ahead *= _power(work[_CONC, j], chemistry.forward_order[r, f], work[_LITTLE, j])
         if back > 0.0:
             for f in range(chemistry.backward.shape[1]):
                 j = chemistry.backward[r, f]
                 if j >= 0:
-                    back *= _power(work[_CONC, j], chemistry.backward_order[r, f], vessel.small)
+                    back *= _power(work[_CONC, j], chemistry.backward_order[r, f], work[_LITTLE, j])
         rate = (ahead - back) * _slowing(chem, work, r)
         for p in range(chemistry.parts.shape[1]):
             if chemistry.parts[r, p] >= 0:
@@ -313,17 +328,27 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
     chemistry = opened(RealChemistry, chem)
     factors = chemistry.backward if backward else chemistry.forward
     orders = chemistry.backward_order if backward else chemistry.forward_order
-    matrix = vessel.work[_VECTORS:]
+    matrix, conc, little, powers = (
+        vessel.work[_VECTORS:],
+        vessel.work[_CONC],
+        vessel.work[_LITTLE],
+        vessel.work[_POWERS],
+    )
     rate = constant
+    for f in range(factors.shape[1]):
+        powers[f] = 1.0
+        j = factors[r, f]
+        if j >= 0:
+            powers[f] = _power(conc[j], orders[r, f], little[j])
+            rate *= powers[f]
     for f in range(factors.shape[1]):
         j = factors[r, f]
         if j < 0:
             continue
-        rate *= _power(vessel.work[_CONC, j], orders[r, f], vessel.small)
-        slope = constant * _slope(vessel.work[_CONC, j], orders[r, f], vessel.small)
+        slope = constant * _slope(conc[j], orders[r, f], little[j], powers[f])
         for g in range(factors.shape[1]):
-            if g != f and factors[r, g] >= 0:
-                slope *= _power(vessel.work[_CONC, factors[r, g]], orders[r, g], vessel.small)
+            if g != f:
+                slope *= powers[g]
         if slope != 0.0:
             _spread(chem, matrix, r, j, slope)
     return rate
@@ -438,7 +463,7 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
 
 
 @inner
-def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
+def _error(chem: Handle, vessel: _Vessel) -> float:
     """Error of a trial step over what is allowed: root mean square over the concentrations, or the temperature's."""
     chemistry = opened(RealChemistry, chem)
     n, n_species = chemistry.independent.shape[0], chemistry.species.shape[0]
@@ -446,7 +471,8 @@ def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
     _concentrations(chem, work, work[_TRIAL])
     total = 0.0
     for j in range(n_species):
-        ratio = _change(chem, work[_K4], j) / (atol + rtol * max(work[_NOW, j], work[_CONC, j]))
+        held = max(work[_NOW, j], work[_CONC, j], work[_LITTLE, j])
+        ratio = _change(chem, work[_K4], j) / (vessel.atol + vessel.rtol * held)
         total += ratio * ratio
     worst = math.sqrt(total / n_species)
     if vessel.transfer >= 0.0:
@@ -454,7 +480,7 @@ def _error(chem: Handle, vessel: _Vessel, rtol: float, atol: float) -> float:
         heat = work[_K4, n] if vessel.transfer > 0.0 else 0.0
         for b in range(n):
             heat -= (work[_HEAT, b] + work[_CAPACITY, b] * (temperature - STANDARD_K)) * work[_K4, b]
-        off = abs(heat / capacity) / (rtol * _HEAT_SCALE_K)
+        off = abs(heat / capacity) / (vessel.rtol * _HEAT_SCALE_K)
         # Not max(): it would hide what is no number.
         worst = off if not off <= worst else worst
     return worst
@@ -501,6 +527,7 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
     for j in range(chemistry.species.shape[0]):
         work[_START, j] = _available(row, chem, j) / litres
         work[_NOW, j] = work[_START, j]
+        work[_LITTLE, j] = max(_SMALL * vessel.atol, _SMALL_SHARE * vessel.rtol * work[_START, j])
     for b in range(n):
         r = chemistry.independent[b]
         work[_HEAT, b], work[_CAPACITY, b] = 0.0, 0.0
@@ -524,21 +551,34 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
     for j in range(chemistry.species.shape[0]):
         change = _change(chem, rates, j)
         if change < 0.0:
-            h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.small / _SMALL) / -change)
+            h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.atol) / -change)
     return h
 
 
 @inner
-def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: float, atol: float) -> tuple[int, float]:
-    """Bring the extents from 0 to ``dt``; returns the number of steps, -1 where there would be too many, and the
-    highest temperature on the way, K."""
+def _next_step(error: float, last_error: float, ratio: float) -> float:
+    """How much longer than a step of an ``error`` the next one may be, after one of ``last_error`` (0: none) over which
+    it was longer by ``ratio``. Errors that have grown will go on to (Gustafsson, ACM Trans. Math. Softw. 20 (1994)
+    496)."""
+    error, last_error = max(error, _LEAST_ERROR), max(last_error, _LEAST_ERROR) if last_error > 0.0 else 0.0
+    longer = 0.9 * error ** (-1.0 / 3.0)
+    if last_error > 0.0:
+        longer = min(longer, longer * ratio * (last_error / error) ** (1.0 / 3.0))
+    return float(min(longer, _LONGEST_RATIO))
+
+
+@inner
+def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[int, float]:
+    """Bring the extents from 0 to ``dt``, or until the contents are too hot; returns the number of steps, -1 where
+    there would be too many, and the time that has passed."""
     chemistry = opened(RealChemistry, chem)
     n, work = chemistry.independent.shape[0] + (1 if vessel.transfer > 0.0 else 0), vessel.work
-    h, done, steps, fresh, hottest = first, 0.0, 0, True, 0.0
+    h, done, steps, fresh, last_error, last_step = first, 0.0, 0, True, 0.0, 1.0
+    temperature = _temperature(chem, vessel, work[_EXTENT])[0]
     while done < dt:
         steps += 1
         if steps > _MOST_STEPS:
-            return -1, hottest
+            return -1, done
         last = h >= dt - done
         h = min(h, dt - done)
         if fresh:
@@ -548,79 +588,77 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float, rtol: flo
             h *= 0.25
             continue
         _take_stages(chem, vessel, n, h)
-        error = _error(chem, vessel, rtol, atol)
+        error = _error(chem, vessel)
         if not error < math.inf:
             h *= 0.25
             continue
         if error > 1.0:
             h *= max(0.1, 0.9 * error ** (-1.0 / 3.0))
             continue
-        if not _hold_back(chem, work, rtol, atol):
+        if not _hold_back(chem, work, vessel.rtol, vessel.atol):
             h *= 0.5
+            continue
+        before, temperature = temperature, _temperature(chem, vessel, work[_TRIAL])[0]
+        if vessel.transfer >= 0.0 and temperature > vessel.hottest + _OVERSHOT_K and before < vessel.hottest:
+            h *= (vessel.hottest + 0.5 * _OVERSHOT_K - before) / (temperature - before)
+            temperature = before
             continue
         done = dt if last else done + h
         for u in range(n):
             work[_EXTENT, u] = work[_TRIAL, u]
         for j in range(chemistry.species.shape[0]):
             work[_NOW, j] = max(work[_CONC, j], 0.0)
+        if vessel.transfer >= 0.0 and temperature >= vessel.hottest:
+            break
         _rates(chem, vessel, work[_EXTENT], work[_RATES])
-        hottest = max(hottest, _temperature(chem, vessel, work[_EXTENT])[0])
         fresh = True
-        h *= 8.0 if error < 1e-3 else min(8.0, 0.9 * error ** (-1.0 / 3.0))
-    return steps, hottest
+        ratio = _next_step(error, last_error, h / last_step)
+        last_error, last_step = error, h
+        h *= ratio
+    return steps, done
 
 
-@kernel
-def react(
-    row: FloatArray,
-    chem: Handle,
-    dt: float,
-    jacket: float,
-    transfer: float,
-    rtol: float,
-    atol: float,
-    work: FloatArray,
-) -> int:
-    """Let the contents of one vessel react for ``dt`` and exchange heat with a jacket, at constant volume.
+@helper
+def integrate(
+    row: FloatArray, dt: float, around: Surroundings, hottest: float, chem: Handle, work: FloatArray
+) -> tuple[int, float]:
+    """Let the contents of one vessel react and exchange heat with a jacket, at constant volume, as if nothing could
+    boil.
 
     Args:
         row: vessel row; its amounts (mol) and temperature (K) change in place.
+        dt: time, in the unit of the rate constants, which is the second where heat passes through the wall.
+        around: jacket and tolerances, that of temperature being ``rtol`` times 10 K. A transfer of 0 is a perfect
+            insulator, infinity (or a negative number) keeps the contents as warm as the jacket.
+        hottest: K, at which (or up to 1 K beyond) this ends before ``dt``; contents that are to have the jacket's
+            temperature do not look at it.
         chem: the chemistry.
-        dt: time, in the unit of the rate constants, which is the second where ``transfer`` is in W/K.
-        jacket: K.
-        transfer: W/K through the vessel's wall: 0 is a perfect insulator, infinity (or a negative number) keeps the
-            contents as warm as the jacket.
-        rtol, atol: error tolerances on concentrations (relative; mol/L), and on temperature (``rtol`` times 10 K).
-        work: scratch of shape :func:`react_work_size`; its first number is the highest temperature on the way then, K.
+        work: scratch of shape :func:`react_work_size`.
 
     Returns:
-        Number of steps taken, rejected ones included; -1 where that would have been more than 100,000 (nothing has
-        changed then).
+        (number of steps taken, rejected ones included; time that has passed). The number is -1 where it would have been
+        more than 100,000: nothing has changed then.
     """
     chemistry = opened(RealChemistry, chem)
     litres = 0.0
     if dt > 0.0 and _can_react(row, chem):
         litres = liquid_volume(row, chem)
     if litres <= 0.0:
-        _exchange_heat(row, chem, dt, jacket, transfer)
-        work[0, 0] = row[TEMPERATURE]
-        return 0
+        return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres
-    through = transfer / litres if transfer < math.inf else -1.0
-    vessel = _Vessel(capacity * (row[TEMPERATURE] - STANDARD_K), capacity, jacket, through, _SMALL * atol, work)
+    through = around.transfer / litres if around.transfer < math.inf else -1.0
+    energy = capacity * (row[TEMPERATURE] - STANDARD_K)
+    vessel = _Vessel(energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, work)
     first = _begin(row, chem, vessel, litres, dt)
     if first <= 0.0:
-        _exchange_heat(row, chem, dt, jacket, transfer)
-        work[0, 0] = row[TEMPERATURE]
-        return 0
-    steps, hottest = _integrate(chem, vessel, first, dt, rtol, atol)
+        return 0, _exchange_heat(row, chem, dt, around, hottest)
+    steps, passed = _integrate(chem, vessel, first, dt)
     if steps < 0:
-        return -1
+        return -1, 0.0
     temperature = _temperature(chem, vessel, work[_EXTENT])[0]
     for j in range(chemistry.species.shape[0]):
         change = _change(chem, work[_EXTENT], j)
         if change != 0.0:
             _add_species(row, chem, j, litres * change)
     row[TEMPERATURE] = temperature
-    work[0, 0] = hottest
-    return steps
+    return steps, passed

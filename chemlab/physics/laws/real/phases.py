@@ -8,10 +8,11 @@ from typing import Any
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
 from ....jit import inner, kernel, opened
-from ...boiling import Surroundings, react_open
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
+from ...surroundings import Surroundings
 from ...transfer import heat_capacity, spill, volume
+from .. import react
 from .acids import acid_work_size, settle_acids
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .heats import crystals, enthalpy, set_enthalpy
@@ -89,7 +90,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
         return  # sealed
     _let_out(row, chem, waste)
     if changed:
-        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, chem, waste)
+        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, 0.0, 0.0, chem, waste)
         spill(row, chem, waste, events)
 
 
@@ -184,7 +185,7 @@ def elapse(
     place_new(row, chem)
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
     around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
-    changed = react_open(row, seconds, around, chem, waste, events, work) != 0
+    changed = react(row, seconds, around, chem, waste, events, work) != 0
     if _crystallize(row, seconds, chem):
         changed = True
     if changed:

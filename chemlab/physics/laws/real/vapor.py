@@ -13,18 +13,30 @@ from ...transfer import heat_capacity, volume
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split
 
-__all__ = ["bubble_point", "flash_off", "headspace_gas", "reflux", "vapor_pressure", "vent", "write_back"]
+__all__ = [
+    "boiling_point",
+    "bubble_point",
+    "flash_off",
+    "headspace_gas",
+    "latent_heat",
+    "vapor_pressure",
+    "vent",
+    "write_back",
+]
 
 _NO_BOILING = 1e4
 """K: returned where nothing boils."""
-_CLOSE_K = 1e-4
+_CLOSE_K = 1e-3
 _SAME_K = 0.1
 """Change of temperature that leaves activities as they are."""
 _MOST_ROUNDS = 40
 _FLASHED_K = 0.01
 """Above the boiling point, where flashing is over."""
+_AT_ONCE = 0.05
+"""Of the liquids, what may boil off at one composition of the vapour."""
+_MOST_FLASHES = 200
 _LONGEST_K = 30.0
-_HOTTEST_K = 890.0
+_COLDEST_K, _HOTTEST_K = 160.0, 890.0
 
 
 @helper
@@ -50,35 +62,59 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
 
 
 @inner
+def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """J/mol of a vapour with the composition ``partial``."""
+    vaporizing = opened(RealChemistry, chem).vaporizing
+    total, latent = 0.0, 0.0
+    for a in range(n):
+        total += partial[a]
+        latent += partial[a] * on_curve(vaporizing, int(liquids.who[a]), temperature, chem)
+    return latent / max(total, 1e-300)
+
+
+@inner
+def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
+    """K at which the vapour has ``pressure`` by its pressure and its heat ``at`` a temperature (K): of a
+    vapour pressure the logarithm falls with the inverse of the temperature (Clausius and Clapeyron)."""
+    total = max(partial_pressures(n, at, chem, liquids, partial), 1e-300)
+    latent = max(latent_heat(n, at, partial, chem, liquids), 1.0)
+    inverse = 1.0 / at + GAS_CONSTANT * math.log(total / pressure) / latent
+    there = 1.0 / inverse if inverse > 0.0 else _HOTTEST_K
+    return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
+
+
+@inner
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
     """K at which the liquids' vapour has ``pressure`` (kPa); 10,000 where nothing boils. Then ``partial`` [n] says
     whose vapour it is, and ``liquids`` how they share out between the phases there."""
-    chemistry = opened(RealChemistry, chem)
-    temperature = guess
+    temperature, known, shared = guess, guess, guess
     split(n, temperature, chem, liquids)
     for _round in range(_MOST_ROUNDS):
-        # With the activities as they are, the temperature; at that temperature, the activities.
         before = temperature
-        for _again in range(_MOST_ROUNDS):
-            total = partial_pressures(n, temperature, chem, liquids, partial)
-            slope = 0.0
-            for a in range(n):
-                slope += partial[a] * on_curve(chemistry.vaporizing, int(liquids.who[a]), temperature, chem)
-            slope /= GAS_CONSTANT * temperature * temperature * max(total, 1e-300)
-            step = math.log(pressure / max(total, 1e-300)) / max(slope, 1e-6)
-            step = max(min(step, _LONGEST_K), -_LONGEST_K)
-            if temperature >= _HOTTEST_K and step > 0.0:
-                return _NO_BOILING
-            temperature = max(min(temperature + step, _HOTTEST_K), 160.0)
-            if abs(step) < _CLOSE_K:
-                break
-        if abs(temperature - before) < _SAME_K:
+        temperature = _boils_at(n, pressure, temperature, chem, liquids, partial)
+        if before >= _HOTTEST_K and temperature >= _HOTTEST_K:
+            return _NO_BOILING
+        if abs(temperature - before) < _CLOSE_K:
             break
-        if abs(temperature - before) > _LONGEST_K:
+        # Activities of a temperature close by will do.
+        if abs(temperature - shared) > _LONGEST_K:
             split(n, temperature, chem, liquids)
-        else:
+            known, shared = temperature, temperature
+        elif abs(temperature - known) > _SAME_K:
             activities(n, temperature, chem, liquids)
+            known = temperature
     return temperature
+
+
+@kernel
+def boiling_point(row: FloatArray, chem: Handle) -> float:
+    """K at which the contents of an open vessel boil; 10,000 where nothing does."""
+    liquids = clear_liquids()
+    n = gather(row, chem, liquids)
+    if n == 0:
+        return _NO_BOILING
+    pressure = opened(RealChemistry, chem).ambient_pressure
+    return bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
 
 
 @inner
@@ -94,46 +130,73 @@ def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
         row[at + AQUEOUS] = max(liquids.mol[a] - row[at + ORGANIC], 0.0)
 
 
+@inner
+def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """``mol`` of vapour with the composition ``partial`` leave the contents, or all; what they held is left in
+    ``liquids.work``. Returns the joules that this takes beside the heat of the liquids at the vessel's temperature."""
+    vaporizing = opened(RealChemistry, chem).vaporizing
+    total, everything, taken = 0.0, 0.0, 0.0
+    for a in range(n):
+        total += partial[a]
+        everything += liquids.mol[a]
+    for a in range(n):
+        held = liquids.mol[a]
+        gone = held * -math.expm1(-mol * partial[a] / (total * held)) if mol < everything else held
+        taken += gone * on_curve(vaporizing, int(liquids.who[a]), row[TEMPERATURE], chem)
+        liquids.work[a] = gone
+        liquids.mol[a] -= gone
+    write_back(row, n, chem, liquids)
+    return taken
+
+
 @kernel
-def flash_off(row: FloatArray, pressure: float, chem: Handle, waste: FloatArray) -> float:
-    """What is hotter than its boiling point at ``pressure`` (kPa) boils from its own heat until it is not; the vapour
-    goes to ``waste`` [M]. Returns mol lost."""
-    chemistry = opened(RealChemistry, chem)
-    liquids = clear_liquids()
-    partial = scratch(MOST_FLUIDS)
-    n = gather(row, chem, liquids)
-    lost = 0.0
-    for _round in range(200):
+def flash_off(
+    row: FloatArray, pressure: float, heat: float, condenser: float, chem: Handle, waste: FloatArray
+) -> float:
+    """Give the contents of an open vessel some heat (J). What comes above its boiling point at ``pressure`` (kPa) gives
+    up to ``condenser`` joules to a condenser, from which it runs back, and boils until it is not; the vapour goes to
+    ``waste`` [M]. Returns mol lost."""
+    liquids, partial = clear_liquids(), scratch(MOST_FLUIDS)
+    n, capacity = gather(row, chem, liquids), heat_capacity(row, chem)
+    warm = row[TEMPERATURE] + heat / capacity if capacity > 0.0 else row[TEMPERATURE]
+    # Most of the time nothing boils, which one look at the pressure tells.
+    if n > 0:
+        activities(n, warm, chem, liquids)
+    if n == 0 or partial_pressures(n, warm, chem, liquids, partial) <= pressure:
+        row[TEMPERATURE] = warm
+        return 0.0
+    lost, mol, left, boiling = 0.0, 0.0, heat, row[TEMPERATURE]
+    for flashed in range(_MOST_FLASHES):
+        before = boiling
+        boiling = bubble_point(n, pressure, boiling, chem, liquids, partial)
+        capacity = heat_capacity(row, chem)
+        excess = left + (row[TEMPERATURE] - boiling) * capacity
+        if flashed == 0:
+            left -= min(max(excess, 0.0), condenser)
+            excess -= min(max(excess, 0.0), condenser)
+        if excess <= _FLASHED_K * capacity:
+            break
+        warming = min(left, max(boiling - row[TEMPERATURE], 0.0) * capacity)
+        row[TEMPERATURE] += warming / capacity
+        left -= warming
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        # With what has gone the boiling point rises, which keeps some of the heat.
+        rise = max((boiling - before) / mol, 0.0) if mol > 0.0 else 0.0
+        mol = min(excess / (latent_heat(n, boiling, partial, chem, liquids) + rise * capacity), _AT_ONCE * everything)
+        taken = _flash(row, n, everything if everything <= 1e3 * TRACE_MOL else mol, partial, chem, liquids)
+        for a in range(n):
+            waste[int(liquids.who[a])] += liquids.work[a]
+            lost += liquids.work[a]
+        spent = max(min(left, taken), 0.0)
+        left -= spent
+        row[TEMPERATURE] -= (taken - spent) / max(heat_capacity(row, chem), 1e-9)
+        n = gather(row, chem, liquids)
         if n == 0:
             break
-        boiling = bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, partial)
-        excess = (row[TEMPERATURE] - boiling) * heat_capacity(row, chem)
-        if row[TEMPERATURE] - boiling <= _FLASHED_K:
-            break
-        latent, total, everything = 0.0, 0.0, 0.0
-        for a in range(n):
-            total += partial[a]
-            latent += partial[a] * on_curve(chemistry.vaporizing, int(liquids.who[a]), boiling, chem)
-            everything += liquids.mol[a]
-        mol = min(excess / (latent / total), 0.05 * everything)
-        if everything <= 1e3 * TRACE_MOL:
-            mol = everything
-        cooled = 0.0
-        for a in range(n):
-            i = int(liquids.who[a])
-            gone = (
-                liquids.mol[a] * -math.expm1(-mol * partial[a] / (total * liquids.mol[a]))
-                if mol < everything
-                else liquids.mol[a]
-            )
-            # The vapour leaves with the heat of a liquid at the vessel's temperature, and with its latent heat.
-            cooled += gone * on_curve(chemistry.vaporizing, i, row[TEMPERATURE], chem)
-            liquids.mol[a] -= gone
-            waste[i] += gone
-            lost += gone
-        write_back(row, n, chem, liquids)
-        row[TEMPERATURE] -= cooled / max(heat_capacity(row, chem), 1e-9)
-        n = gather(row, chem, liquids)
+    capacity = heat_capacity(row, chem)
+    row[TEMPERATURE] += left / capacity if capacity > 0.0 else 0.0
     return lost
 
 
@@ -158,23 +221,4 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
                 waste[i] += gone
                 events[RELIEF] += gone
     if vapor > rated:
-        events[RELIEF] += flash_off(row, rated, chem, waste)
-
-
-@kernel
-def reflux(row: FloatArray, joules: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """What is hotter than its boiling point gives up to ``joules`` to the condenser above it; then it boils off."""
-    pressure = opened(RealChemistry, chem).ambient_pressure
-    liquids = clear_liquids()
-    n = gather(row, chem, liquids)
-    if n == 0:
-        return
-    # Most of the time nothing boils, which one look at the pressure tells.
-    activities(n, row[TEMPERATURE], chem, liquids)
-    partial = scratch(MOST_FLUIDS)
-    if partial_pressures(n, row[TEMPERATURE], chem, liquids, partial) <= pressure:
-        return
-    boiling = bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, partial)
-    capacity = heat_capacity(row, chem)
-    row[TEMPERATURE] -= min((row[TEMPERATURE] - boiling) * capacity, joules) / capacity
-    events[RELIEF] += flash_off(row, pressure, chem, waste)
+        events[RELIEF] += flash_off(row, rated, 0.0, 0.0, chem, waste)

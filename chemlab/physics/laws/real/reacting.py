@@ -1,0 +1,142 @@
+"""Reactions with their heat in a vessel that is sealed, open, or open through a condenser.
+
+An open vessel is followed to its boiling point, and from there in parts. In each it reacts at the temperature that
+boiling keeps; the heat that the condenser does not take goes into vapour, half of it beforehand, by what the part
+before tells: so temperature and composition are those of the middle of the part (midpoint rule, of second order).
+"""
+
+from __future__ import annotations
+
+import math
+
+from ....arrays import FloatArray, Handle
+from ....chemistry import TEMPERATURE
+from ....jit import inner, kernel, opened
+from ...events import RELIEF
+from ...surroundings import Surroundings
+from ...transfer import heat_capacity
+from .. import vapor_pressure
+from .chemistry import RealChemistry
+from .heats import enthalpy
+from .kinetics import integrate
+from .vapor import boiling_point, flash_off
+
+__all__ = ["react"]
+
+_HEAT_K = 20.0
+"""By which the heat of a part would warm the contents, at most, if nothing boiled."""
+_RISE_K = 6.0
+"""Of the boiling point, at most, in a part."""
+_MOST_PARTS = 512
+_LONGEST_RATIO, _STEEPEST = 2.0, 1.5
+"""By which a part may be longer than the one before, and vapour be foreseen to come faster."""
+_NEARLY_K = 0.3
+"""Below the boiling point, from where on contents boil."""
+_ABOVE_K = 1.0
+"""Over jacket and contents, where it takes a look at the boiling point."""
+_COOLED_K = 1.0
+"""By which contents that were boiling may have cooled at the end of a part."""
+
+
+@inner
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    for x in range(min(source.shape[0], target.shape[0])):
+        target[x] = source[x]
+
+
+@inner
+def _far_from_boiling(row: FloatArray, jacket: float, chem: Handle) -> float:
+    """K to which the contents may come without boiling, by a look at their pressure there; 0 where they would boil."""
+    at = row[TEMPERATURE]
+    row[TEMPERATURE] = max(at, jacket) + _ABOVE_K
+    hot, pressure = row[TEMPERATURE], vapor_pressure(row, chem)
+    row[TEMPERATURE] = at
+    return hot if pressure < opened(RealChemistry, chem).ambient_pressure else 0.0
+
+
+@inner
+def _foreseen(now: float, before: float, part: float, last: float, following: float) -> float:
+    """W that will make vapour in the first half of the part that is ``following``, by those of a ``part`` and the one
+    before, if they go on to change as they do."""
+    trend = (now - before) * (part + 0.5 * following) / (part + last)
+    return min(max(now + trend, 0.0), _STEEPEST * max(now, 0.0))
+
+
+@kernel
+def react(
+    row: FloatArray,
+    dt: float,
+    around: Surroundings,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+    work: FloatArray,
+) -> int:
+    """Let the contents of one vessel react for ``dt``; what boils runs back from the condenser, vapour that is too much
+    for it is lost and an event."""
+    pressure = opened(RealChemistry, chem).ambient_pressure
+    kept = work[work.shape[0] - 1]
+    follows = around.condenser >= 0.0 and 0.0 <= around.transfer < math.inf
+    hottest, boils = math.inf, False
+    if follows:
+        hottest = _far_from_boiling(row, around.jacket, chem)
+        if hottest == 0.0:
+            hottest = boiling_point(row, chem)
+            boils = row[TEMPERATURE] >= hottest - _NEARLY_K
+    left, part, total, known = dt, dt / _MOST_PARTS, 0, False
+    ahead, climb, rate, last = 0.0, 0.0, 0.0, part
+    while left > 0.0:
+        part = min(part, left)
+        at, content = row[TEMPERATURE], 0.0
+        if boils:
+            _copy(row, kept)
+            content = enthalpy(row, chem)
+        jacket, transfer = (at, -1.0) if boils else (around.jacket, around.transfer)
+        there = Surroundings(jacket, transfer, -1.0, around.rtol, around.atol)
+        steps, passed = integrate(row, part if boils else left, there, hottest, chem, work)
+        if steps < 0:
+            return steps
+        total += steps
+        if not boils:
+            left -= passed
+            if left > 0.0:
+                hottest = boiling_point(row, chem)
+                boils = row[TEMPERATURE] >= hottest - _NEARLY_K
+                part, ahead, climb, known = left / _MOST_PARTS, 0.0, 0.0, False
+            continue
+        capacity = heat_capacity(row, chem)
+        heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
+        surplus = heat - around.condenser * part
+        most = _HEAT_K * capacity
+        if not known:
+            # All that a short part tells is how long the first may be, and how fast it boils.
+            _copy(kept, row)
+            known, rate, last = True, surplus / part, part
+            longer = min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
+            part, ahead = part * longer, 0.5 * max(surplus, 0.0) * longer
+            if ahead > 0.0:
+                events[RELIEF] += flash_off(row, pressure, ahead, 0.0, chem, waste)
+                climb = max(row[TEMPERATURE] - at, 0.0) / (0.5 * part)
+                part = min(part, _RISE_K / max(climb, 1e-9))
+            continue
+        if part * _MOST_PARTS > dt and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
+            _copy(kept, row)
+            part *= 0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)
+            continue
+        left -= part
+        following = min(left, _LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(climb, 1e-9))
+        owed, ahead = ahead, 0.5 * following * _foreseen(surplus / part, rate, part, last, following)
+        rate, last = surplus / part, part
+        hot = at + (heat - owed + ahead) / capacity
+        events[RELIEF] += flash_off(row, pressure, heat - owed + ahead, around.condenser * part, chem, waste)
+        climb = max(row[TEMPERATURE] - at, 0.0) / part
+        if row[TEMPERATURE] >= hot - 1e-9:  # nothing boils any more
+            row[TEMPERATURE] -= ahead / heat_capacity(row, chem)
+            hottest = boiling_point(row, chem)
+            boils = row[TEMPERATURE] >= hottest - _NEARLY_K
+            part, ahead, climb, known = left / _MOST_PARTS, 0.0, 0.0, False
+            continue
+        part = following
+    if around.condenser >= 0.0 and not follows:
+        events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * dt, chem, waste)
+    return total
