@@ -47,7 +47,7 @@ def benchmark(
     """
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
-        from ..agents.evaluation.audit import BUDGETS
+        from ..agents.evaluation.jobs import BUDGETS
 
         Split.of(split)
         specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
