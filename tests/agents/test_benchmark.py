@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +207,9 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
         find_rows(["heuristic", "heuristic"])
 
 
-def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It goes on from what has been played, but for what it is asked for besides.
+    shutil.copytree(played[1] / "parts", tmp_path / "parts")
     monkeypatch.setitem(BUDGETS, "small", TINY)
     words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--processes", "1", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, words)
