@@ -65,7 +65,7 @@ except ImportError:  # not on Windows
     fcntl = None
 
 _LONGEST_TURN = 600.0
-"""Seconds that a process waits for another's kernel before it compiles its own: the largest takes half a minute, and many
+"""Seconds that a process waits for another's kernel before it compiles its own: the largest takes half a minute, many
 times that on a busy machine. A process that ends keeps nobody waiting."""
 
 F = TypeVar("F", bound=Callable[..., Any])
