@@ -19,6 +19,7 @@ from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
 from .discrete import NearestPolicy
+from .heuristics.base import Setting
 from .heuristics.campaign import CampaignManager, has_unknown_rate
 from .heuristics.crystallization import CrystallizationHeuristic
 from .heuristics.distillation import DistillationHeuristic
@@ -347,20 +348,20 @@ def manager_heuristic(
     """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
-    given = labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip
+    setting = Setting(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
     if has_orders_to_schedule(labs.scenario) and remember:
-        return SchedulingManager(*given, schedule=schedule)
+        return SchedulingManager(setting, schedule=schedule)
     if not schedule:
         raise ValueError(f"serial: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:
-        return CampaignManager(*given, remember=remember)
+        return CampaignManager(setting, remember=remember)
     if foresees(labs.scenario):
-        return ForeseeingManager(*given, remember=remember, script=bench_heuristic)
+        return ForeseeingManager(setting, remember=remember, script=bench_heuristic)
     if has_wearing_lines(labs.scenario):
-        return UpkeepManager(*given, remember=remember)
+        return UpkeepManager(setting, remember=remember)
     if not remember:
         raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} has nothing to forget")
-    return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(*given)
+    return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(setting)
 
 
 def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:

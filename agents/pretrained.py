@@ -27,7 +27,7 @@ from scipy.special import expit
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
-from chemlab.bench.discrete import discretised_twin
+from chemlab.bench.kinds import discretised_twin
 from chemlab.datafile import DataError, read_json, validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole

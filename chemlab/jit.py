@@ -64,8 +64,9 @@ try:
 except ImportError:  # not on Windows
     fcntl = None
 
-_LONGEST_TURN = 120.0
-"""Seconds that a process waits for another's kernel before it compiles its own."""
+_LONGEST_TURN = 600.0
+"""Seconds that a process waits for another's kernel before it compiles its own: the largest takes half a minute, many
+times that on a busy machine. A process that ends keeps nobody waiting."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -128,17 +129,25 @@ INLINED: dict[str, Any] = {
 
 
 @functools.cache
-def _fingerprint(own: str) -> str:
-    """Hash of every source file kernels are written in, and of a kernel's ``own`` file."""
+def _sources() -> Any:
+    """Hash of every source file of chemlab's that kernels are written in, to be gone on with in a copy."""
     root = Path(__file__).resolve().parent
     made_of = {root / name for name in ("arrays.py", "chemistry.py", "jit.py", "shelf.py")}
     digest = hashlib.blake2b(digest_size=16)
-    for path in [*sorted(root.rglob("*.py")), Path(own)]:
+    for path in sorted(root.rglob("*.py")):
         source = path.read_bytes()
         # An edit to a file without kernels, or what they are made of, must not have all of them compiled again.
         if path in made_of or (root / "physics") in path.parents or b"jit import" in source:
             digest.update(source)
-    return digest.hexdigest()
+    return digest
+
+
+@functools.cache
+def _fingerprint(own: str) -> str:
+    """Hash of every source file kernels are written in, and of a kernel's ``own`` file."""
+    digest = _sources().copy()
+    digest.update(Path(own).read_bytes())
+    return str(digest.hexdigest())
 
 
 def kernel(function: F, **options: Any) -> F:

@@ -20,7 +20,7 @@ from chemlab.physics.constants import SOLIDS
 from chemlab.physics.laws import heat, partition, settle_phases
 from chemlab.physics.layers import profile
 from chemlab.physics.transfer import add, drain, pour, turn_clock
-from chemlab.scenario import SAFETY_EVENTS, Scenario, load_scenario
+from chemlab.scenario import SAFETY_EVENTS, Scenario, load_scenario, scenario_names
 from chemlab.shelf import T_MIX, Shelf
 from chemlab.tables import Table
 
@@ -32,8 +32,20 @@ TRACE = 1e-9
 
 
 def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
-    """Cases of a test of which only ``quick`` run by default; with ``-m ""`` all of them do."""
-    return [value if value in quick else pytest.param(value, marks=pytest.mark.slow) for value in values]
+    """Cases of a test of which only ``quick`` run by default; with ``-m ""`` all of them do. A tuple is a case's
+    arguments."""
+    return [
+        value
+        if value in quick
+        else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.slow)
+        for value in values
+    ]
+
+
+FEATURED = ("crude", "failing", "recrystallization", "relay", "runaway", "unlabelled", "wurtz_two_lines")
+"""Shipped scenarios that together have every feature of them all: ``tests/test_scenario.py`` says which."""
+EVERY_SCENARIO = slow_but(scenario_names(), *FEATURED)
+"""Cases of a test of what holds in any scenario."""
 
 
 def mapping(name: str) -> dict[str, Any]:
@@ -299,6 +311,8 @@ class Careless:
 
 __all__ = [
     "CLOCK_WAS",
+    "EVERY_SCENARIO",
+    "FEATURED",
     "PIXELS",
     "TRACE",
     "Careless",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import mapping
+from helpers import EVERY_SCENARIO, mapping, slow_but
 from rich.text import Text
 from typer.testing import CliRunner
 
@@ -55,7 +55,7 @@ def test_list_names_every_scenario() -> None:
     assert all(name in shown for name in (*scenario_names(), *synthesis_names()))
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "random"])
+@pytest.mark.parametrize("policy", slow_but(["heuristic", "random"], "heuristic"))
 def test_json_is_one_object_an_episode_and_nothing_else(policy: str) -> None:
     """Standard output is machine-readable line by line, with consecutive seeds."""
     done = subprocess.run(
@@ -317,7 +317,7 @@ def test_rounding_is_no_accident() -> None:
 # -- describe ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_a_scenario_is_described_as_it_is(name: str) -> None:
     """Observations index by index without a gap, actions by number: those of the laboratory itself."""
     told = json.loads(runner.invoke(app, ["describe", name, "--json"]).stdout)
@@ -349,7 +349,7 @@ def test_what_is_described_is_what_is_seen() -> None:
         np.testing.assert_allclose(seen[channels[name]["start"]], value, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_descriptions_are_for_people(name: str) -> None:
     """80 columns hold every line, and each action of an agent has a line with its number."""
     labs = Laboratories(name)

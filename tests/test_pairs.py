@@ -3,6 +3,7 @@ measured azeotropes."""
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import subprocess
@@ -181,10 +182,17 @@ APART = [
 ]
 
 
-def unifac(one: str, other: str, temperature: float, x: float) -> np.ndarray:
-    """ln gamma by the form that the pair names as its source."""
+@functools.cache
+def loaded_thermo() -> Any:
+    """thermo with the tables of UNIFAC, which it reads anew whenever it is asked."""
     thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
     thermo.unifac.load_unifac_ip()
+    return thermo
+
+
+def unifac(one: str, other: str, temperature: float, x: float) -> np.ndarray:
+    """ln gamma by the form that the pair names as its source."""
+    thermo = loaded_thermo()
     source = shipped_pairs()[frozenset((one, other))].source
     assert source in ("UNIFAC (Dortmund)", "UNIFAC")
     dortmund = source == "UNIFAC (Dortmund)"

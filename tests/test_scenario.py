@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import FEATURED
 from scipy.integrate import solve_ivp
 from scipy.optimize import linprog, minimize
 
@@ -462,6 +463,35 @@ def test_the_shipped_scenarios_are_those_of_the_folder() -> None:
     assert {"wurtz_dodecane", "wurtz_dodecane_direct", "wurtz_any", "fictitious", "salt_from_oil"} <= set(
         scenario_names()
     )
+
+
+def features(scenario: Scenario) -> set[str]:
+    """What makes a difference to agents and to tests of what holds in any scenario."""
+    benches, instruments = scenario.benches.values(), scenario.instruments.values()
+    there = {
+        "several of a bench": any(bench.count > 1 for bench in benches),
+        "wear": any(bench.wear is not None for bench in benches),
+        "reports": any(bench.report is not None for bench in benches),
+        "drift": any(spec.drift is not None for spec in instruments),
+        "several orders": scenario.orders > 1,
+        "orders that come": bool(scenario.demand.order),
+        "grades": bool(scenario.grades),
+        "specifications": bool(scenario.specifications),
+        "several goals": len(scenario.lab_goals) > 1,
+    }
+    return {
+        *(name for name, has_it in there.items() if has_it),
+        *(f"{bench.kind}, {scenario.physics}" for bench in benches),
+        *(spec.kind for spec in instruments),
+        *(f"{draw.what} drawn" for draw in scenario.world.draws.values()),
+    }
+
+
+def test_a_few_scenarios_have_every_feature() -> None:
+    """Tests of what holds in any scenario run by default in these."""
+    every = set[str]().union(*(features(load_scenario(name)) for name in scenario_names()))
+    few = set[str]().union(*(features(load_scenario(name)) for name in FEATURED))
+    assert every == few
 
 
 LINES = {"failing": ["east", "west"], "relay": ["rxn", "fin"]}

@@ -55,7 +55,8 @@ from ..plans import ConstantPlan
 from ..policies import make_policies
 from ..runs import Run, differences, find_runs, versions
 from . import statistics
-from .audit import _CHUNK, AUDIT_SEED, BUDGETS, AuditBudget, _Crew, _Job, _Scale, _told
+from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, planner_jobs
+from .scale import Scale, interval
 
 __all__ = [
     "DEFAULT_ROWS",
@@ -187,28 +188,22 @@ def _file_name(text: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)[-120:]
 
 
-def _reference_jobs(spec: Scenario, split: str) -> list[_Job]:
+def _reference_jobs(spec: Scenario, split: str) -> list[Job]:
     test = {"split": split, "seed": AUDIT_SEED}
     plan = {} if split == "test" else {"split": split}  # as an audit has it, which may have played it already
-    return [_Job("plan", "plan", plan), _Job("random", "play", {"policy": "random", **test})]
+    return [Job("plan", "plan", plan), Job("random", "play", {"policy": "random", **test})]
 
 
-def _planner_jobs(budget: AuditBudget, split: str, plans: list[Any]) -> list[_Job]:
-    other = {} if split == "test" else {"split": split}
-    firsts = range(0, budget.episodes, _CHUNK)
-    return [_Job(f"foresee-{first}", "foresee", {"first": first, "plans": plans, **other}) for first in firsts]
-
-
-def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[_Job]:
+def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[Job]:
     jobs = []
     for row in rows:
         for block in blocks:
             policy = row.policies[block.number % len(row.policies)]
             own = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
             name = f"row-{_file_name(row.name)}-{block.first}-{block.count}"
-            jobs.append(_Job(name, "play", {**own, "split": split}))
+            jobs.append(Job(name, "play", {**own, "split": split}))
             if spec.world.draws and split != "train":
-                jobs.append(_Job(f"{name}-train", "play", {**own, "split": "train"}))
+                jobs.append(Job(f"{name}-train", "play", {**own, "split": "train"}))
     return jobs
 
 
@@ -217,7 +212,7 @@ def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: Audit
     blocks = _blocks(budget.episodes, seeds)
     return sum(
         len(_reference_jobs(spec, split))
-        + len(_planner_jobs(budget, split, []))
+        + len(planner_jobs(budget, [], split))
         + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
         for spec in scenarios
     )
@@ -261,9 +256,7 @@ def benchmark(
         DataError: no such scenario.
         ValueError: unknown budget or baseline, or more replications than episodes.
     """
-    if isinstance(budget, str) and budget not in BUDGETS:
-        raise ValueError(f"budget: known: {', '.join(BUDGETS)}; given {budget!r}")
-    chosen = BUDGETS[budget] if isinstance(budget, str) else budget
+    chosen = budget_of(budget)
     specs = [load_scenario(scenario) for scenario in scenarios]
     names = ["random", "plan", *(row.name for row in rows), "clairvoyant"]
     if baseline not in names:
@@ -272,11 +265,11 @@ def benchmark(
     found = {}
     for spec in specs:
         folder = None if keep is None else keep / spec.name
-        crew = _Crew(spec, chosen, folder, processes or os.cpu_count() or 1, watch or (lambda _: None))
+        crew = Crew(spec, chosen, folder, processes or os.cpu_count() or 1, watch or (lambda _: None))
         fitting = _fitting(spec, rows)
         try:
             played = crew.run([*_reference_jobs(spec, split), *_row_jobs(spec, fitting, blocks, split)])
-            planned = crew.run(_planner_jobs(chosen, split, played["plan"]["plans"]))
+            planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
         finally:
             crew.close()
         found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split)
@@ -334,7 +327,7 @@ def _cells(
     # Whoever knows the world can do what the others did there.
     known = [values for values in scores.values() if not isinstance(values, str)]
     scores["clairvoyant"] = np.maximum.reduce([foreseen, *known])
-    scale = _Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
+    scale = Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
     # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
     scales = [
         {"first": b.first, "count": b.count}
@@ -347,13 +340,13 @@ def _cells(
             cells[name] = {"value": None, "low": None, "high": None, "reason": values}
             continue
         cells[name] = {
-            **_told(scale.mean(values)),
+            **interval(scale.mean(values)),
             "score": float(values.mean()),
             "replications": [float(part.mean()) for part in _scaled(values, scales)],
             "scores": values.tolist(),
         }
         if name in gaps:
-            cells[name]["generalization"] = _told(scale.mean(values) - scale.mean(gaps[name]))
+            cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {
         "scenario_hash": scenario_hash(spec),
         "replications": scales,

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Channel, channel_slices
+from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 
-__all__ = ["ScriptedManager", "cheapest"]
+__all__ = ["ScriptedManager", "Setting", "cheapest"]
 
 M = TypeVar("M")
 
@@ -26,19 +27,39 @@ def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
 
 
+class Setting(NamedTuple):
+    """What a scripted manager is told of its laboratory, and what it is to do without.
+
+    Attributes:
+        scenario: the public scenario.
+        channels: the manager's observation channels.
+        actions: the manager's actions.
+        instruments: the scenario's instruments.
+        positions: how many vessels each bench works on.
+        careful: False leaves out what only safety and measuring are for.
+        skip: benches it does without.
+    """
+
+    scenario: Scenario
+    channels: Sequence[Channel]
+    actions: ManagerActions
+    instruments: InstrumentTable
+    positions: Mapping[str, int]
+    careful: bool = True
+    skip: Collection[str] = ()
+
+
 class ScriptedManager(Generic[M]):
     """A manager that decides for one laboratory at a time, by what it keeps of it.
 
     Args:
-        scenario: the public scenario.
-        channels: the manager's observation channels.
-        actions: the manager's actions.
+        setting: what it is told.
     """
 
-    def __init__(self, scenario: Scenario, channels: Sequence[Channel], actions: ManagerActions) -> None:
-        self._scenario, self._actions = scenario, actions
-        self._slices = channel_slices(channels)
-        self._orders = [name for name, _ in order_channels(scenario)]
+    def __init__(self, setting: Setting) -> None:
+        self._scenario, self._actions = setting.scenario, setting.actions
+        self._slices = channel_slices(setting.channels)
+        self._orders = [name for name, _ in order_channels(setting.scenario)]
         self._kept: dict[int, M] = {}
 
     def act(

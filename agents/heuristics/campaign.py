@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel
 from chemlab.bench.reaction import ReactionBench
-from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario
 from chemlab.world import quantiles
 
-from .base import ScriptedManager, cheapest
+from .base import ScriptedManager, Setting, cheapest
 from .reaction import ReactionHeuristic
 
 __all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
@@ -70,29 +67,13 @@ class CampaignManager(ScriptedManager[_Belief]):
     where the gain that is to be expected of knowing more, for this batch and those to come, is above the price.
 
     Args:
-        scenario: the public scenario.
-        channels: the manager's observation channels.
-        actions: the manager's actions.
-        instruments: the scenario's instruments.
-        positions: how many vessels each bench works on.
-        careful: False never measures.
-        skip: benches it does without.
+        setting: what it is told; not careful, it never measures.
         remember: False forgets what it knew when a batch is over.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-        remember: bool = True,
-    ) -> None:
-        del instruments, positions  # as of other managers: this one asks the scenario
-        super().__init__(scenario, channels, actions)
+    def __init__(self, setting: Setting, remember: bool = True) -> None:
+        super().__init__(setting)
+        scenario, careful, skip = setting.scenario, setting.careful, setting.skip
         self._remember = remember
         kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
         self._rxn = f"{kinds['reaction']}_0" if "reaction" in kinds else None

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,15 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Bench, Channel, channel_slices
-from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import ManagerActions
+from chemlab.bench.base import Bench, channel_slices
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import Scenario
 from chemlab.world import VESSEL_QUANTITIES
 
-from .base import ScriptedManager, cheapest
+from .base import ScriptedManager, Setting, cheapest
 
 __all__ = ["ForeseeingManager", "foresees", "run_experiment"]
 
@@ -135,27 +133,14 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     """Looks at vessels, does with the most promising what promises most, and looks again where that pays.
 
     Args:
-        scenario, channels, actions, instruments, positions, careful, skip: as for
-            :class:`~.manager.ManagerHeuristic`; not careful, it never measures.
+        setting: what it is told; not careful, it never measures.
         script: who operates a bench in what it foresees.
         remember: False concludes from the last look at each vessel that is left, and from nothing before it.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-        remember: bool = True,
-        *,
-        script: Callable[[Bench], Policy],
-    ) -> None:
-        del instruments, positions  # as of other managers: this one asks the scenario
-        super().__init__(scenario, channels, actions)
+    def __init__(self, setting: Setting, remember: bool = True, *, script: Callable[[Bench], Policy]) -> None:
+        super().__init__(setting)
+        scenario, careful, skip = setting.scenario, setting.careful, setting.skip
         self._remember = remember
         specs = scenario.instruments
         chosen = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis"))

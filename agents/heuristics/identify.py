@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel
 from chemlab.chemistry import AMOUNTS
 from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import ManagerActions
 from chemlab.scenario import Scenario
 from chemlab.shelf import Shelf
 from chemlab.world import Draw, Permutation, quantiles
 
-from .base import cheapest
+from .base import Setting, cheapest
 from .manager import ManagerHeuristic
 
 __all__ = ["IdentifyingManager", "has_unlabelled_vessels"]
@@ -81,20 +79,12 @@ class IdentifyingManager(ManagerHeuristic):
     long as that is more than its price: the expected gain of choosing after it over choosing now.
 
     Args:
-        scenario, channels, actions, instruments, positions, careful, skip: as for :class:`ManagerHeuristic`.
+        setting: what it is told; not careful, it never measures.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-    ) -> None:
-        super().__init__(scenario, channels, actions, instruments, positions, careful, skip)
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        scenario, careful = setting.scenario, setting.careful
         (identity, *_) = _identities(scenario)
         self._vessels = [int(name[5:]) for name in identity.of if name.startswith("slot_")]
         self._options = list(dict.fromkeys(str(option) for option in getattr(identity.distribution, "options", ())))

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from chemlab.arrays import MaskArray, ObservationArray
-from chemlab.bench.base import Channel
 from chemlab.instruments.balance import RANGE_KG
-from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import ManagerActions
-from chemlab.scenario import Scenario
 
 from ..roles import role_of
-from .base import ScriptedManager
+from .base import ScriptedManager, Setting
 
 __all__ = ["ManagerHeuristic"]
 
@@ -52,30 +47,17 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
     they were last, how full they are, and readings once it has paid for them.
 
     Args:
-        scenario: the public scenario.
-        channels: the manager's observation channels.
-        actions: the manager's actions.
-        instruments: the scenario's instruments.
-        positions: how many vessels each bench works on.
-        careful: False skips what only safety and measuring are for: metal is not decanted, nothing is analysed.
-        skip: benches it does without.
+        setting: what it is told; not careful, it skips what only safety and measuring are for: metal is not decanted,
+            nothing is analysed.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-    ) -> None:
-        super().__init__(scenario, channels, actions)
-        self._careful = careful
-        self._positions = positions
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        scenario, instruments = setting.scenario, setting.instruments
+        self._careful = setting.careful
+        self._positions = setting.positions
         self._keys = list(scenario.benches)
-        kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in skip}
+        kinds = {bench.kind: key for key, bench in scenario.benches.items() if key not in setting.skip}
         self._rxn, self._ext, self._dit, self._cry = (
             kinds.get(kind) for kind in ("reaction", "extraction", "distillation", "crystallization")
         )

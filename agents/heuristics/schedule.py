@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
 
 import numpy as np
 
 from chemlab.arrays import FloatArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel
-from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import MEASURE, ManagerActions
+from chemlab.laboratory.actions import MEASURE
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.view import terms_channels
 from chemlab.scenario import DemandSpec, Scenario
 from chemlab.world import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, quantiles
 
-from .base import ScriptedManager
+from .base import ScriptedManager, Setting
 from .campaign import run_once
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
@@ -92,29 +90,13 @@ class SchedulingManager(ScriptedManager[_Shop]):
     paid for where it is worth more than its price. Orders are met with what is ready, the best paying first.
 
     Args:
-        scenario: the public scenario.
-        channels: the manager's observation channels.
-        actions: the manager's actions.
-        instruments: the scenario's instruments.
-        positions: how many vessels each bench works on.
-        careful: False never measures.
-        skip: benches it does without.
+        setting: what it is told; not careful, it never measures.
         schedule: False takes one order at a time, as they come, and lets none go but what cannot be met any more.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-        schedule: bool = True,
-    ) -> None:
-        del positions  # as of other managers: reaction benches have one vessel
-        super().__init__(scenario, channels, actions)
+    def __init__(self, setting: Setting, schedule: bool = True) -> None:
+        super().__init__(setting)
+        scenario, channels, _, instruments, _, careful, skip = setting
         self._schedule = schedule
         self._high = {channel.name: channel.high for channel in channels}
         self._stages = list(scenario.benches)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from chemlab.arrays import FloatArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel
-from chemlab.instruments.table import InstrumentTable
-from chemlab.laboratory.actions import ManagerActions
 from chemlab.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.world import quantiles
 
-from .base import ScriptedManager, cheapest
+from .base import ScriptedManager, Setting, cheapest
 from .campaign import foreseen
 
 __all__ = ["UpkeepManager", "has_wearing_lines"]
@@ -109,23 +105,13 @@ class UpkeepManager(ScriptedManager[_Belief]):
     that a repaired one would make more of the time that is left.
 
     Args:
-        scenario, channels, actions, instruments, positions, careful, skip, remember: as for
-            :class:`~.campaign.CampaignManager`.
+        setting: what it is told; not careful, it never measures.
+        remember: False forgets what it knew when a batch is over.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: Sequence[Channel],
-        actions: ManagerActions,
-        instruments: InstrumentTable,
-        positions: Mapping[str, int],
-        careful: bool = True,
-        skip: Collection[str] = (),
-        remember: bool = True,
-    ) -> None:
-        del instruments, positions  # as of other managers: this one asks the scenario
-        super().__init__(scenario, channels, actions)
+    def __init__(self, setting: Setting, remember: bool = True) -> None:
+        super().__init__(setting)
+        scenario, actions, careful, skip = setting.scenario, setting.actions, setting.careful, setting.skip
         self._remember = remember
         self._benches = [agent for agent in actions.bench_agents if agent.rpartition("_")[0] not in skip]
         self._instrument = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis")) if careful else None

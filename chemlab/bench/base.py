@@ -38,10 +38,9 @@ from ..tables import Table
 from .grades import Grades, GradeState, best_vessel, noisy
 
 if TYPE_CHECKING:
-    from .models import ReactionModel, SeparationModel
+    pass
 
 __all__ = [
-    "BENCH_KINDS",
     "CAMERA_PIXELS",
     "HEAT",
     "STIR",
@@ -52,7 +51,6 @@ __all__ = [
     "Experiments",
     "Goals",
     "Observation",
-    "build_bench",
     "channel_slices",
     "check_box",
     "check_discrete",
@@ -66,14 +64,6 @@ CAMERA_PIXELS = 100
 
 STIR, HEAT = range(2)
 """Actuators of a bench that may err."""
-
-BENCH_KINDS: dict[str, str] = {
-    "reaction": "chemlab.bench.reaction:ReactionBench",
-    "extraction": "chemlab.bench.extraction:ExtractionBench",
-    "distillation": "chemlab.bench.distillation:DistillationBench",
-    "crystallization": "chemlab.bench.crystallization:CrystallizationBench",
-}
-"""Bench kinds that a scenario may name in short."""
 
 
 @dataclass(frozen=True)
@@ -651,28 +641,3 @@ def check_box(agent: str, action: Any, size: int) -> FloatArray:
     ):
         raise ValueError(f"{agent}: action must be {size} finite numbers from 0 to 1, given {action!r}")
     return value.astype(np.float64)
-
-
-def build_bench(
-    key: str,
-    scenario: Scenario,
-    chemistry: ChemistryTable,
-    reaction_model: ReactionModel | None = None,
-    separation_model: SeparationModel | None = None,
-) -> Bench:
-    """The bench ``key`` of a scenario; models replace the built-in physics of benches that use them.
-
-    Raises:
-        DataError: the bench kind cannot be found, or its options are wrong.
-    """
-    cls = load_part(scenario.benches[key].kind, scenario, f"benches.{key}.kind", BENCH_KINDS, Bench)
-    bench: Bench = cls(key, scenario, chemistry)
-    if bench.spec.actions == "discrete" and not bench.action_count:
-        from .discrete import discretised
-
-        bench = discretised(cls)(key, scenario, chemistry)
-    if reaction_model is not None and hasattr(bench, "reaction_model"):
-        bench.reaction_model = reaction_model
-    if separation_model is not None and hasattr(bench, "separation_model"):
-        bench.separation_model = separation_model
-    return bench

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IntArray, MaskArray
-from ..scenario import Scenario
 from ..shelf import Shelf
-from .base import Bench, Experiments, build_bench, check_discrete
+from .base import Bench, Experiments, check_discrete
 
-__all__ = ["Discretised", "discretised", "discretised_twin"]
+__all__ = ["Discretised", "discretised"]
 
 
 class Discretised(Bench):
@@ -66,12 +65,3 @@ def discretised(kind: type[Bench]) -> type[Bench]:
 def _empty(kind: type[Bench]) -> Bench:
     cls = discretised(kind)
     return cls.__new__(cls)
-
-
-def discretised_twin(bench: Bench) -> Discretised | None:
-    """The same bench with discrete actions; None where they are discrete already."""
-    if bench.action_count:
-        return None
-    scenario: Scenario = bench.scenario.with_actions("discrete")
-    twin = build_bench(bench.key, scenario, bench.chemistry)
-    return twin if isinstance(twin, Discretised) else None

@@ -33,8 +33,9 @@ def audit(
     what a scenario with a world has to prove.
     """
     with readable_errors():
-        from ..agents.evaluation.audit import BUDGETS, job_count
         from ..agents.evaluation.audit import audit as measure
+        from ..agents.evaluation.audit import job_count
+        from ..agents.evaluation.jobs import BUDGETS
         from ..scenario import load_scenario
 
         spec = load_scenario(scenario)

@@ -45,7 +45,7 @@ def benchmark(
     """
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
-        from ..agents.evaluation.audit import BUDGETS
+        from ..agents.evaluation.jobs import BUDGETS
         from ..scenario import load_scenario
         from ..world import Split
 

@@ -19,11 +19,11 @@ from ..bench.base import (
     Channel,
     Experiments,
     Goals,
-    build_bench,
     check_discrete,
     load_observations,
     load_terms,
 )
+from ..bench.kinds import build_bench
 from ..bench.models import ReactionModel, SeparationModel
 from ..chemistry import tier_dimensions
 from ..compiling import Rehearsal, compile_first

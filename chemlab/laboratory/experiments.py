@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
-from ..bench.base import Bench, Experiments, ExperimentState, build_bench
+from ..bench.base import Bench, Experiments, ExperimentState
+from ..bench.kinds import build_bench
 from ..bench.models import ReactionModel, SeparationModel
 from ..bench.wear import wear_out
 from ..chemistry import tier_dimensions

@@ -14,18 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.evaluation.audit import (
-    AuditBudget,
-    _Crew,
-    _first_jobs,
-    _Job,
-    _Scale,
-    _second_jobs,
-    _told,
-    audit,
-    verdict,
-)
+from chemlab.agents.evaluation.audit import audit, choosing_jobs, measuring_jobs, verdict
+from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
 from chemlab.agents.evaluation.plans import best_in_episode
+from chemlab.agents.evaluation.scale import Scale, interval
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory.core import Laboratories
@@ -43,11 +35,11 @@ MEASURES = (
 def test_the_scale_has_random_at_0_and_the_clairvoyant_at_1() -> None:
     draw = np.random.default_rng(1)
     random, clairvoyant = draw.normal(-0.1, 0.1, 50), draw.normal(0.9, 0.1, 50)
-    scale = _Scale(random, clairvoyant)
-    assert _told(scale.mean(random)) == {"value": 0.0, "low": 0.0, "high": 0.0}
-    assert _told(scale.mean(clairvoyant)) == {"value": 1.0, "low": 1.0, "high": 1.0}
+    scale = Scale(random, clairvoyant)
+    assert interval(scale.mean(random)) == {"value": 0.0, "low": 0.0, "high": 0.0}
+    assert interval(scale.mean(clairvoyant)) == {"value": 1.0, "low": 1.0, "high": 1.0}
     # Half way between the two, episode by episode, is half way in every resample.
-    assert _told(scale.mean(0.5 * (random + clairvoyant)))["low"] == pytest.approx(0.5, rel=1e-12)
+    assert interval(scale.mean(0.5 * (random + clairvoyant)))["low"] == pytest.approx(0.5, rel=1e-12)
     assert scale.deviation(clairvoyant)[0] == pytest.approx(clairvoyant.std() / (clairvoyant.mean() - random.mean()))
 
 
@@ -56,7 +48,7 @@ def test_intervals_hold_what_they_promise() -> None:
     draw, inside = np.random.default_rng(2), 0
     for _ in range(100):
         scores = draw.normal(0.3, 0.2, 60)
-        told = _told(_Scale(np.zeros(60), np.ones(60)).mean(scores))
+        told = interval(Scale(np.zeros(60), np.ones(60)).mean(scores))
         inside += told["low"] <= 0.3 <= told["high"]
     assert 88 <= inside <= 100
 
@@ -109,8 +101,8 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
 def killed(words: list[str], parts: Path, least: int) -> None:
     """Run a command with tiny budgets, and kill it (as ``kill -9`` does) once it has kept so many parts."""
     code = (
-        "from chemlab.agents.evaluation import audit\nfrom chemlab.cli import main\n"
-        f"audit.BUDGETS['small'] = audit.{TINY}\nmain()\n"
+        "from chemlab.agents.evaluation import jobs\nfrom chemlab.cli import main\n"
+        f"jobs.BUDGETS['small'] = jobs.{TINY}\nmain()\n"
     )
     with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.DEVNULL) as process:
         while len(list(parts.rglob("*.json"))) < least:
@@ -151,12 +143,12 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
 def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """With the stamp it had, so that it is the content alone which gives it away."""
     _, keep = unlabelled
-    crew = _Crew(load_scenario("unlabelled"), TINY, keep, 1, lambda _: None)
-    job = next(job for job in _first_jobs(load_scenario("unlabelled")) if job.name == "plan")
+    crew = Crew(load_scenario("unlabelled"), TINY, keep, 1, lambda _: None)
+    job = next(job for job in choosing_jobs(load_scenario("unlabelled")) if job.name == "plan")
     path, whole = keep / "plan.json", (keep / "plan.json").read_text()
     part = json.loads(whole)
     result = part["result"]
-    assert crew._kept(job) == result
+    assert crew.kept(job) == result
     worse: list[Any] = [
         {**result, "scores": [1.0]}, {**result, "scores": None}, {**result, "scores": [float("nan")] * TINY.episodes},
         {**result, "scores": ["a"] * TINY.episodes}, {**result, "plans": [[]]}, {**result, "more": 1}, [], None,
@@ -167,10 +159,10 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
     try:
         for other in worse:
             path.write_text(json.dumps({**part, "result": other}))
-            assert crew._kept(job) is None, other
+            assert crew.kept(job) is None, other
         for text in ("[" * 100_000, "", "null", "\0", '{"stamp": 1}', " " * 20_000_000):
             path.write_text(text)
-            assert crew._kept(job) is None
+            assert crew.kept(job) is None
     finally:
         path.write_text(whole)
     # Rows that are not all as long would be no table.
@@ -179,16 +171,16 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
         part = json.loads(path.read_text())
         rows = part["result"][table]
         assert {len(row) for row in rows} == {width}
-        jobs = _second_jobs(load_scenario("unlabelled"), TINY, "heuristic", result["plans"])
+        jobs = measuring_jobs(load_scenario("unlabelled"), TINY, "heuristic", result["plans"])
         (job,) = (job for job in jobs if job.name == name)
-        assert crew._kept(job) == part["result"]
+        assert crew.kept(job) == part["result"]
         whole = path.read_text()
         for other in ([rows[0][1:], *rows[1:]], [[*row, 0.0] for row in rows], [[] for _ in rows]):
             path.write_text(json.dumps({**part, "result": {**part["result"], table: other}}))
-            assert crew._kept(job) is None
+            assert crew.kept(job) is None
         path.write_text(whole)
     # Another policy under the same name, as after more training, is another job.
-    assert crew._kept(_Job("plan", "plan", {"without": "rxn"})) is None
+    assert crew.kept(Job("plan", "plan", {"without": "rxn"})) is None
 
 
 def test_where_nothing_is_hidden_a_blind_plan_does() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from test_audit import killed
 from typer.testing import CliRunner
 
 from chemlab.agents.evaluation import statistics
-from chemlab.agents.evaluation.audit import AUDIT_SEED, BUDGETS, AuditBudget
 from chemlab.agents.evaluation.benchmark import (
     Row,
     benchmark,
@@ -22,6 +22,7 @@ from chemlab.agents.evaluation.benchmark import (
     part_count,
     write_benchmark,
 )
+from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
@@ -206,8 +207,10 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
         find_rows(["heuristic", "heuristic"])
 
 
-def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("chemlab.agents.evaluation.audit", fromlist=["BUDGETS"]).BUDGETS, "small", TINY)
+def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It goes on from what has been played, but for what it is asked for besides.
+    shutil.copytree(played[1] / "parts", tmp_path / "parts")
+    monkeypatch.setitem(BUDGETS, "small", TINY)
     words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--processes", "1", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output

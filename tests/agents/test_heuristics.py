@@ -5,21 +5,26 @@ from __future__ import annotations
 import copy
 import functools
 import gc
+import json
 import os
 import subprocess
 import sys
 import weakref
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import EVERY_SCENARIO
 
 from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
+from chemlab.agents.evaluation.plans import best_in_episode
+from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import Policy, make_policies
 from chemlab.laboratory.aec import raw_env
-from chemlab.scenario import scenario_names
+from chemlab.laboratory.core import Laboratories
 
-SCENARIOS = scenario_names()
+AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
 
 
@@ -57,14 +62,28 @@ def test_random_actions_make_next_to_nothing() -> None:
     assert float(np.mean([result.submitted_mol * result.purity for result in found])) < 0.05
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
-    # Of a result that is 1 at best: by three tenths, in the mean over as many episodes as there are goals, and more.
-    margin = 0.25 if name in ("crude", "selectivity") else 0.3  # where some worlds have next to nothing to sell
+    """In the mean over as many episodes as there are goals, and more."""
+    # Of a result that is 1 at best; where even a planner that knows the world is far from that, of the planner's.
+    margin = 0.3
+    if (audit := AUDITS / f"{name}.json").exists():
+        found = json.loads(audit.read_text(encoding="utf-8"))
+        margin = min(0.3, 0.6 * (found["clairvoyant"]["score"] - found["random"]["score"]))
     assert mean_score(results(name, "heuristic", 21)) > mean_score(results(name, "random", 21)) + margin
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), [("crude", 4), ("crude", 7), ("runaway", 0), ("selectivity", 1)])
+def test_there_are_worlds_with_nothing_to_sell(name: str, seed: int) -> None:
+    """Nobody earns anything there, not even a planner that knows the world."""
+    labs = Laboratories(name, 1)
+    assert play_laboratory(labs, make_policies("heuristic", labs), None, seed).returns[0] < 0.0
+    best, _ = best_in_episode(labs.scenario, seed, "train", 240, {})
+    assert best <= 0.0
+
+
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_scripted_chemists_are_safe(name: str) -> None:
     for result in results(name, "heuristic", 21):
         assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
@@ -79,7 +98,7 @@ def test_random_actions_are_not_safe() -> None:
     assert sum(result.safety_events.get("spill_l", 0.0) for result in found) > 1.0
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_heuristics_play_legal_actions_alone(name: str) -> None:
     env = raw_env(name)
     policies = make_policies("heuristic", env.laboratories)
@@ -142,7 +161,7 @@ def recorded(name: str, seeds: range) -> list[list[Call]]:
     return found
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_heuristics_need_no_laboratory(name: str) -> None:
     """Given what they were given, they decide the same when laboratory, shelf and experiments are gone."""
     episodes = recorded(name, range(3))
@@ -163,7 +182,7 @@ def test_heuristics_need_no_laboratory(name: str) -> None:
                 np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
     """Episodes side by side in one batch, whose members come and go, get the actions each gets alone."""
     episodes = recorded(name, range(4))
@@ -186,7 +205,7 @@ def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
     assert batched > 10
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_step_zero_makes_a_policy_forget(name: str) -> None:
     """Policies in the middle of an episode play the next one like fresh ones."""
     env = raw_env(name)

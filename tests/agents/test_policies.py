@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import EVERY_SCENARIO
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import RandomPolicy, make_policies, policy_names
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import Scenario, load_scenario
 
 
 def chi_square(counts: Any) -> float:
@@ -84,7 +85,7 @@ def test_acting_on_a_batch_is_acting_one_by_one(continuous: bool) -> None:
 
 
 @pytest.mark.parametrize("policy", policy_names())
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     env = raw_env(name)
     try:

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from helpers import EVERY_SCENARIO
 
 import chemlab
 from chemlab.agents.background import background_policies, focal_env, focal_vector_env
@@ -15,7 +16,6 @@ from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, p
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
 from chemlab.laboratory.text import named_costs
-from chemlab.scenario import scenario_names
 
 assert chemlab.__version__, "importing chemlab registers the ids"
 LINES = "wurtz_two_lines"
@@ -43,7 +43,7 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
 # -- by id ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scenario", scenario_names())
+@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
 def test_ids_make_views_of_any_scenario(scenario: str) -> None:
     env = gymnasium.make("chemlab/LabManager-v0", scenario=scenario)
     assert isinstance(env.unwrapped, FocalEnv)

@@ -13,7 +13,8 @@ import pytest
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluation.play import BenchTarget
 from chemlab.agents.policies import RandomPolicy, make_policies
-from chemlab.bench.discrete import Discretised, discretised_twin
+from chemlab.bench.discrete import Discretised
+from chemlab.bench.kinds import discretised_twin
 from chemlab.laboratory import parallel_env, raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv

@@ -11,12 +11,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
+from helpers import FEATURED, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.scenario import load_scenario, scenario_names
 
 MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"
 VIEWS = [(name, agent) for name in scenario_names() for agent in ("manager_0", *load_scenario(name).bench_agents())]
+EVERY_VIEW = slow_but(VIEWS, *(view for view in VIEWS if view[0] in FEATURED))
 
 
 def legal(env: Any, rng: np.random.Generator) -> Any:
@@ -26,7 +28,7 @@ def legal(env: Any, rng: np.random.Generator) -> Any:
     return rng.random(env.action_space.shape, dtype=np.float32)
 
 
-@pytest.mark.parametrize(("name", "agent"), VIEWS)
+@pytest.mark.parametrize(("name", "agent"), EVERY_VIEW)
 def test_checker(name: str, agent: str) -> None:
     env = gymnasium.make(AGENT, scenario=name, agent=agent, disable_env_checker=True)
     with warnings.catch_warnings():

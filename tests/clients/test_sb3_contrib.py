@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import EVERY_SCENARIO
 
 pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install "chemlab-marl[train]"')
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
@@ -29,7 +30,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import chemlab  # noqa: F401 - registers the environments
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.scenario import load_scenario
 
 SMALL: dict[str, Any] = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0, "device": "cpu"}
 
@@ -76,7 +77,7 @@ def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
 
 
 @pytest.mark.filterwarnings("error::UserWarning", "ignore:.*symmetric and normalized Box action space")
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_checker(name: str) -> None:
     check_env(gymnasium.make("chemlab/LabManager-v0", scenario=name).unwrapped, skip_render_check=True)
     for agent in load_scenario(name).bench_agents():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from helpers import EVERY_SCENARIO
 
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
 
@@ -19,9 +20,7 @@ from torchrl.objectives.value import GAE
 
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env
-from chemlab.scenario import scenario_names
 
-SCENARIOS = scenario_names()
 FACTORIES = {"aec": laboratory_env, "parallel": parallel_env}
 
 pytestmark = pytest.mark.filterwarnings(
@@ -55,7 +54,7 @@ def played(api: str, rollout: TensorDictBase, env: PettingZooWrapper) -> dict[st
 
 
 @pytest.mark.parametrize("api", FACTORIES)
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_specs(name: str, api: str) -> None:
     env = wrapped(api, name, return_state=True)
     env.set_seed(0)
@@ -71,7 +70,7 @@ def test_specs(name: str, api: str) -> None:
 
 
 @pytest.mark.parametrize("api", FACTORIES)
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     env = wrapped(api, name)
     env.set_seed(1)

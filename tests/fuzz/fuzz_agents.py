@@ -29,9 +29,9 @@ from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, main, 
 from run_files import write_run
 
 import chemlab.agents.pretrained
-from chemlab.agents.evaluation.audit import AuditBudget, _Crew, _Job
 from chemlab.agents.evaluation.benchmark import _write_leaderboard, find_rows, leaderboard_lines
 from chemlab.agents.evaluation.curves import group_tasks
+from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
 from chemlab.agents.evaluation.laboratory import collect_count, write_laboratory
 from chemlab.agents.evaluation.results import read_runs, write_runs
 from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_plans
@@ -256,17 +256,17 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
     """A finished part of an audit or a benchmark: what cannot be one is played again, which is no error."""
     budget = AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1)
     labs = laboratory(SCENARIO)
-    crew = _Crew(labs.scenario, budget, folder, 1, lambda _: None)
+    crew = Crew(labs.scenario, budget, folder, 1, lambda _: None)
     plain = {"scores": [0.0, 0.5, 1.0]}
     plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
-    jobs: list[tuple[_Job, dict[str, Any]]] = [
-        (_Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0]}),
-        (_Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
-        (_Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
+    jobs: list[tuple[Job, dict[str, Any]]] = [
+        (Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0]}),
+        (Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
+        (Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
     ]
     job, result = jobs[rng.integers(len(jobs))]
     write_json(folder / "a.json", {"stamp": crew._stamp(job), "result": result}, rng)
-    kept = crew._kept(job)
+    kept = crew.kept(job)
     if kept is None:
         raise ValueError(f"{folder}: is played again")
     assert set(kept) == set(result)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from benchmarks.soak import broken, soak
-from helpers import slow_but
+from helpers import EVERY_SCENARIO, slow_but
 
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, WAIT
@@ -111,7 +111,7 @@ def compare_infos(infos: dict[str, dict[str, Any]], member: int, own: dict[str, 
             np.testing.assert_array_equal(info["action_mask"][member], own[agent]["action_mask"])
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
     """Without ``idle_observations`` agents with the turn see the same, and results are the same."""
     whole, fast = BatchedLaboratory(5, name, idle_observations=True), BatchedLaboratory(5, name, copy=False)

@@ -24,13 +24,14 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from helpers import EVERY_SCENARIO
 
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.laboratory.starts import lab_starts
 from chemlab.materials import DataError
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.scenario import load_scenario
 
 IDS = sorted(
     name for name, spec in gymnasium.registry.items() if name.startswith("chemlab/") and "bench" in (spec.kwargs or {})
@@ -695,7 +696,7 @@ def test_any_integers_will_do(dtype: Any) -> None:
 # -- the generic id, starting states, rendering -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_any_bench_of_any_scenario(name: str) -> None:
     laboratories = Laboratories(name)
     for agent, bench in enumerate(laboratories.benches, start=1):

@@ -41,6 +41,8 @@ CASES = [
     ("wurtz_two_lines", "dit_0"),
     ("fictitious", "manager_0"),
 ]
+BACKGROUNDS = ("heuristic", "random")
+MEMBERS = [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
 
 
 def choose(labs: Laboratories, number: int, member: int, rng: np.random.Generator) -> Any:
@@ -161,8 +163,13 @@ def check_step(found: dict[str, Any], step: Any) -> None:
         np.testing.assert_array_equal(info["action_mask"], found["mask"])
 
 
-@pytest.mark.parametrize("background", ["heuristic", "random"])
-@pytest.mark.parametrize(("name", "agent"), CASES)
+@pytest.mark.parametrize(
+    ("name", "agent", "background"),
+    slow_but(
+        [(*case, background) for case in CASES for background in BACKGROUNDS],
+        *((*case, BACKGROUNDS[i % 2]) for i, case in enumerate(CASES)),
+    ),
+)
 def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str) -> None:
     env, hand = focal_env(name, agent, background), ByHand(name, agent, background)
     rng = np.random.default_rng(5)
@@ -264,10 +271,13 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
 # -- batches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("background", slow_but(["heuristic", "random"], "heuristic"))
+@pytest.mark.parametrize("background", slow_but(BACKGROUNDS, "heuristic"))
 @pytest.mark.parametrize(
-    ("name", "agent"), [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
+    ("name", "agent", "mode"),
+    slow_but(
+        [(*case, mode) for case in MEMBERS for mode in AutoresetMode],
+        *((*case, mode) for case, mode in zip(MEMBERS, AutoresetMode, strict=True)),
+    ),
 )
 def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
     """Member i of N = 1, 3 or 8 is the environment with seed s + i, whichever way it is reset."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import allowed, laboratory, litres, manager, mapping
+from helpers import EVERY_SCENARIO, allowed, laboratory, litres, manager, mapping
 
 from chemlab.bench.base import channel_slices
 from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS
@@ -20,7 +20,7 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.state import COST_ITEMS
 from chemlab.laboratory.text import named_costs, named_events
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.scenario import load_scenario
 from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
 WURTZ = "wurtz_dodecane"
@@ -45,7 +45,7 @@ def occupied(env: raw_env) -> list[int]:
 # -- the action table -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     scenario = load_scenario(name)
     actions = ManagerActions.of(scenario)
@@ -503,7 +503,7 @@ def test_the_manager_sees_vessels_from_outside_alone() -> None:
         assert not alike(), f"{instrument} tells nothing"
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_no_number_of_a_vessels_inside_is_shown(name: str) -> None:
     """Whatever fills a vessel to the same height, and however it is spread over layers, the manager sees the same."""
     env = laboratory(name)

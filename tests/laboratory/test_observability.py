@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import litres
+from helpers import EVERY_SCENARIO, litres
 
 from chemlab.bench.base import channel_slices
 from chemlab.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.scenario import Scenario, load_scenario
 from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
-SCENARIOS = scenario_names()
 WURTZ = "wurtz_dodecane"
 
 
@@ -75,7 +74,7 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> None:
     """Whatever the manager does but measuring the disguised vessels, legal or not: equal observations, masks, costs."""
     scenario = load_scenario(name)
@@ -168,7 +167,7 @@ def test_submitting_and_discarding_others_tells_nothing() -> None:
     assert not np.array_equal(seen[0], seen[1])
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
     labs = Laboratories(name)
@@ -209,7 +208,7 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
 # -- benches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)
@@ -253,7 +252,7 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
     assert (looked > 0).all()
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_channels_are_all_there_is(name: str) -> None:
     """An observation is its declared channels and nothing else; the goal is the experiment's, one-hot, at the end."""
     labs = Laboratories(name)
@@ -349,24 +348,24 @@ def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
         np.testing.assert_array_equal(reading(env, 1, instrument)[0], kept[instrument])
 
 
-def test_an_empty_slot_shows_nothing() -> None:
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
+def test_an_empty_slot_shows_nothing(name: str) -> None:
     """In random play: no vessel, no reading, no history."""
     rng = np.random.default_rng(0)
-    for name in SCENARIOS:
-        labs = Laboratories(name)
-        labs.seed(0, 0)
-        labs.reset(labs.members)
-        at = channel_slices(labs.channels)
-        for _ in range(200):
-            if play(labs, rng) is None:
-                labs.reset(labs.members)
-            seen = labs.observe(0, labs.members)[0]
-            for slot in range(labs.scenario.shelf.slots):
-                if labs.shelf.vessels[0, slot, PRESENT] > 0.0:
-                    continue
-                parts = [part for part in at if part.startswith(f"slot_{slot}_")]
-                for part in parts:
-                    assert (seen[at[part]] == float(part.endswith("_age"))).all(), (name, part)
+    labs = Laboratories(name)
+    labs.seed(0, 0)
+    labs.reset(labs.members)
+    at = channel_slices(labs.channels)
+    for _ in range(200):
+        if play(labs, rng) is None:
+            labs.reset(labs.members)
+        seen = labs.observe(0, labs.members)[0]
+        for slot in range(labs.scenario.shelf.slots):
+            if labs.shelf.vessels[0, slot, PRESENT] > 0.0:
+                continue
+            parts = [part for part in at if part.startswith(f"slot_{slot}_")]
+            for part in parts:
+                assert (seen[at[part]] == float(part.endswith("_age"))).all(), part
 
 
 def test_hidden_states_differ_and_scores_with_them() -> None:

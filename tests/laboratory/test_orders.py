@@ -352,7 +352,7 @@ def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.r
 
 
 @pytest.mark.parametrize("rewards", MIXES, ids=str)
-@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_safe", LINES])
+@pytest.mark.parametrize("name", slow_but(["wurtz_dodecane", "wurtz_safe", LINES], "wurtz_safe", LINES))
 def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
     mix = mix_of(rewards)

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import slow_but
+from helpers import EVERY_SCENARIO, slow_but
 from pettingzoo.test import parallel_api_test
 
 from chemlab.laboratory import parallel_env
@@ -19,9 +19,8 @@ from chemlab.laboratory.actions import SUBMIT, WAIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.text import named_costs
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.scenario import load_scenario
 
-SCENARIOS = scenario_names()
 WURTZ = "wurtz_dodecane"
 
 
@@ -106,7 +105,7 @@ def a_round(
 
 
 @pytest.mark.parametrize("seed", slow_but(range(3), 0))
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_one_script_is_one_episode(name: str, seed: int) -> None:
     """Rewards, costs, scores, infos, observations, masks and the whole state, after every round."""
     aec, parallel = raw_env(name), parallel_env(name)
@@ -162,7 +161,7 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
         np.testing.assert_array_equal(infos["manager_0"][key], aec.infos["manager_0"][key])
 
 
-@pytest.mark.parametrize("name", ["wurtz_any", "wurtz_two_lines", "wurtz_safe"])
+@pytest.mark.parametrize("name", slow_but(["wurtz_any", "wurtz_two_lines", "wurtz_safe"], "wurtz_two_lines"))
 def test_a_round_is_its_turns(name: str) -> None:
     """``act_round`` on a batch leaves what ``act``, agent by agent, leaves."""
     whole, single = Laboratories(name, 6), Laboratories(name, 6)
@@ -209,7 +208,7 @@ def test_a_round_is_its_turns(name: str) -> None:
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_who_has_no_turn_has_one_action(name: str) -> None:
     """Without the turn the mask allows ``wait`` or ``end`` alone; playing by masks alone loses no turn by it."""
     env = parallel_env(name)
@@ -366,7 +365,7 @@ def test_a_step_without_an_episode_is_refused() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*reset options")
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_api(name: str) -> None:
     env = parallel_env(name)
     for i, agent in enumerate(env.possible_agents):
@@ -374,7 +373,7 @@ def test_api(name: str) -> None:
     parallel_api_test(env, num_cycles=100)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_spaces_are_those_of_aec(name: str) -> None:
     parallel, aec = parallel_env(name), raw_env(name)
     assert parallel.possible_agents == aec.possible_agents

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,10 +24,24 @@ START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na
 TEMPERATURE_K = 320.0
 
 
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "physics-tier.md"
+
+
+@pytest.fixture(scope="module")
+def laws(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the page's tier, to the letter: kernels are compiled once for what the page does with it and for what
+    is tested here."""
+    folder = tmp_path_factory.mktemp("laws")
+    found = re.search(r"^# file: brisk_laws\.py\n.*?(?=^```$)", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+    assert found is not None
+    (folder / "brisk_laws.py").write_text(found[0], encoding="utf-8")
+    return folder
+
+
 @pytest.fixture
-def brisk(monkeypatch: pytest.MonkeyPatch) -> Scenario:
-    """The shipped scenario with the physics of ``brisk_laws.py``."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+def brisk(laws: Path, monkeypatch: pytest.MonkeyPatch) -> Scenario:
+    """The shipped scenario with the physics of ``brisk_laws.py``, in which every rate constant is twice as large."""
+    monkeypatch.syspath_prepend(str(laws))
     monkeypatch.setitem(TIERS, "brisk", "brisk_laws")
     return load_scenario("wurtz_dodecane").model_copy(update={"physics": "brisk"})
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from helpers import FEATURED, slow_but
 
 from chemlab.agents.episodes import Turn, play_episode
 from chemlab.agents.policies import bench_heuristic, make_policies
@@ -17,13 +18,14 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.render.scene import Scene, bench_scene, laboratory_scene
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
-SCENARIOS = scenario_names()
-BENCHES = [(name, key) for name in SCENARIOS for key in load_scenario(name).benches]
+BENCHES = [(name, key) for name in scenario_names() for key in load_scenario(name).benches]
+EVERY_BENCH = slow_but(BENCHES, *(bench for bench in BENCHES if bench[0] in FEATURED))
+"""Cases of a test of what holds of any bench."""
 _EVERY = 7
 """Turns from one look at an episode to the next."""
 
 
-@functools.lru_cache(maxsize=len(SCENARIOS))
+@functools.lru_cache(maxsize=len(scenario_names()))
 def episode(name: str) -> tuple[Scene, ...]:
     """A heuristic episode of a shipped scenario: its first scene, some in between, its last."""
     env = raw_env(name)

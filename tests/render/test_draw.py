@@ -14,7 +14,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
-from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
+from helpers import EVERY_SCENARIO
+from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
 from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.render import draw as drawing
@@ -75,7 +76,7 @@ def check_proportions(scene: Scene, width: int = 960, height: int = 540) -> int:
     return checked
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_layers_are_as_high_as_their_volumes(name: str) -> None:
     # A short episode with few pictures.
     least = 3 if name == "recrystallization" else 5
@@ -127,13 +128,13 @@ def check_text(texts: Sequence[TextBox], width: int, height: int) -> None:
 
 
 @pytest.mark.parametrize("size", [(960, 540), (480, 270), (800, 800)])
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_no_text_overlaps_in_a_laboratory(name: str, size: tuple[int, int]) -> None:
     for scene in episode(name):
         check_text(paint(scene, *size).texts, *size)
 
 
-@pytest.mark.parametrize(("name", "key"), BENCHES)
+@pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
 def test_no_text_overlaps_on_a_bench(name: str, key: str) -> None:
     for scene in experiment(name, key):
         check_text(paint(scene).texts, 960, 540)
@@ -247,7 +248,7 @@ def test_too_small_a_picture_is_refused() -> None:
         draw(episode("wurtz_dodecane")[0], 479, 540)
 
 
-@pytest.mark.parametrize(("name", "key"), BENCHES)
+@pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
 def test_a_bench_renders_arrays(name: str, key: str) -> None:
     env = gymnasium.make("chemlab/Bench-v0", scenario=name, bench=key, render_mode="rgb_array")
     env.reset(seed=0)

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from helpers import laboratory, manager, mapping, molar_volume
-from moments import BENCHES, SCENARIOS, crowd, episode, experiment, filled
+from helpers import EVERY_SCENARIO, laboratory, manager, mapping, molar_volume
+from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
 from chemlab.agents.episodes import Turn, play_episode
 from chemlab.agents.policies import make_policies
@@ -87,7 +87,7 @@ def test_while_it_settles_every_liquid_keeps_its_volume_and_the_denser_one_sinks
         assert share > 0.5
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
     seen = 0
     for scene in episode(name):
@@ -212,7 +212,7 @@ def test_every_laboratory_has_a_scene_of_its_own() -> None:
 # -- nothing changes, everything can be told ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_a_look_changes_nothing(name: str) -> None:
     env = raw_env(name)
     env.reset(seed=3)
@@ -227,7 +227,7 @@ def test_a_look_changes_nothing(name: str) -> None:
     play_episode(env, make_policies("random", labs, 3), 3, watch=watch)
 
 
-@pytest.mark.parametrize(("name", "key"), BENCHES)
+@pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
 def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
     batch = ExperimentBatch(name, key)
     batch.seed(0, 0)
@@ -246,7 +246,7 @@ def test_scenes_are_json() -> None:
         assert told["result"] == pytest.approx(scene.result, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_materials_have_tags_and_colours_of_their_own(name: str) -> None:
     scenario = load_scenario(name)
     pictures = material_pictures(scenario)
