@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +93,121 @@ def snar() -> list[Row]:
     return rows
 
 
-SYNTHESES: dict[str, Callable[[], list[Row]]] = {"snar": snar}
+# -- fischer ----------------------------------------------------------------------------------------------------------
+
+ACID, ALCOHOL, ESTER, WATER, CATALYST = "acetic_acid", "ethanol", "ethyl_acetate", "water", ("H+", "Cl-")
+BERTHELOT = ((0.05, 0.05), (0.18, 0.171), (0.33, 0.293), (0.5, 0.414), (1.0, 0.665), (2.0, 0.858), (8.0, 0.966))
+"""mol of ethanol to one of acetic acid, mol of ester in the end."""
+_BERTHELOT_SOURCE = "Berthelot and Pean de Saint-Gilles (1862), as Nernst's Theoretical Chemistry has it, as remembered"
+SMITH = (3.91, 10.2, 17.56)
+"""mol/L of acid, alcohol and water of a charge at 100 degrees C."""
+_SMITH_SOURCE = "Smith, Chemical Engineering Kinetics, 2nd ed. (1970), chapter 4, as remembered"
+AZEOTROPES = ((ALCOHOL, 0.54, 344.96), (WATER, 0.69, 343.53))
+"""With what, mole fraction of the ester, K at 101.325 kPa."""
+_AZEOTROPE_SOURCE = "CRC Handbook, azeotropic data, as remembered"
+
+
+def ester_at(start: tuple[float, float, float], seconds: float, k: float, equilibrium: float) -> float:
+    """mol/L of ester from some of acid, alcohol and water, by SciPy; k in L/mol/s."""
+    acid, alcohol, water = start
+
+    def rate(_: float, c: np.ndarray) -> list[float]:
+        return [k * ((acid - c[0]) * (alcohol - c[0]) - c[0] * (water + c[0]) / equilibrium)]
+
+    return float(solve_ivp(rate, (0.0, seconds), [0.0], method="LSODA", rtol=1e-10, atol=1e-12).y[0, -1])
+
+
+def _formed(name: str) -> float:
+    real = MATERIALS[name].real
+    assert real is not None
+    return real.formation_enthalpy_j_mol
+
+
+def _boiled(other: str, fraction: float) -> tuple[float, float]:
+    """K at which a mixture boils, and the mole fraction of the ester in what comes over."""
+    flask = Flask({ESTER: 2.0 * fraction, other: 2.0 * (1.0 - fraction)})
+    receiver = flask.another()
+    while not receiver.volume_l > 1e-3:
+        flask.heat(500.0, receiver)
+    over = receiver.amounts
+    return flask.temperature_k, over[ESTER] / (over[ESTER] + over[other])
+
+
+def fischer() -> list[Row]:
+    """Equilibria, a conversion curve, azeotropes."""
+    rows = []
+    for alcohol, published in BERTHELOT:
+        flask = Flask({ACID: 1.0, ALCOHOL: alcohol, **dict.fromkeys(CATALYST, 1e-3)}, reactions="fischer")
+        flask.react(1e11, temperature_k=298.15)
+        total = 1.0 + alcohol
+        expected = (4.0 * total - math.sqrt(16.0 * total**2 - 48.0 * alcohol)) / 6.0  # K = 4
+        what = f"ester of 1 mol of acid and {alcohol:g} mol of alcohol"
+        rows.append(Row("fischer", what, "mol", published, expected, flask.amounts[ESTER], _BERTHELOT_SOURCE))
+    heat = _formed(ESTER) + _formed(WATER) - _formed(ACID) - _formed(ALCOHOL)
+    equilibrium = 4.0 * math.exp(-heat / GAS * (1.0 / 373.15 - 1.0 / 298.15))
+    rows.append(Row("fischer", "K at 100 C", "", 4.76 / 1.63, equilibrium, math.nan, _SMITH_SOURCE))
+    contents = dict(zip((ACID, ALCOHOL, WATER), SMITH, strict=True))
+    litre = litres(contents)  # more than the 1 L that it is said to be: volumes add up here
+    start = SMITH[0] / litre, SMITH[1] / litre, SMITH[2] / litre
+    for minutes, published in ((30, math.nan), (60, math.nan), (120, 0.35), (100_000, 0.54)):
+        flask = Flask({**contents, **dict.fromkeys(CATALYST, 0.1 * litre)}, reactions="fischer", capacity_l=2.0)
+        litre_now = flask.volume_l  # with the catalyst's
+        flask.react(60.0 * minutes, temperature_k=373.15)
+        k = 1.86e4 * math.exp(-59780.0 / GAS / 373.15) * 0.1 * litre / litre_now
+        thinned = (start[0] * litre / litre_now, start[1] * litre / litre_now, start[2] * litre / litre_now)
+        expected = ester_at(thinned, 60.0 * minutes, k, equilibrium) / thinned[0]
+        what = f"conversion of the acid after {minutes} min at 100 C"
+        rows.append(Row("fischer", what, "", published, expected, flask.amounts[ESTER] / SMITH[0], _SMITH_SOURCE))
+    for other, fraction, kelvin in AZEOTROPES:
+        boils, over = _boiled(other, fraction)
+        what = f"azeotrope of ethyl acetate and {other}"
+        rows.append(Row("fischer", f"{what}, boils at", "K", kelvin, math.nan, boils, _AZEOTROPE_SOURCE))
+        rows.append(Row("fischer", f"{what}, ester in its vapour", "", fraction, math.nan, over, _AZEOTROPE_SOURCE))
+    return rows
+
+
+# -- benzoic ----------------------------------------------------------------------------------------------------------
+
+BENZOIC, BASE, RETURNS = "benzoic_acid", "NaOH", "sodium_bisulfate"
+_OWN = str(Path(__file__).parent.parent / "scenarios" / "syntheses" / "materials" / "bisulfate.toml")
+_CHARGE_SOURCE = "balance of charge: the ions of a base that is short are those of the acid"
+_SEIDELL = "Seidell, 3.4 g/L, as remembered"
+
+
+def _shaken(contents: Mapping[str, float], base: float) -> Flask:
+    """Contents dissolved (a day), then shaken with water and some mol of sodium hydroxide."""
+    flask = Flask(contents, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask.wait(86400.0)
+    flask.add(WATER, 20.0)
+    flask.add(BASE, base)
+    flask.mix()
+    return flask
+
+
+def benzoic() -> list[Row]:
+    """Into water with a base, out of it with an acid."""
+    rows = []
+    for base in (0.05, 0.1, 0.2):
+        made = _shaken({"toluene": 4.0, BENZOIC: 0.25, "naphthalene": 0.25}, base).amounts["benzoate"]
+        what = f"benzoate in water of 0.25 mol of acid in toluene and {base:g} mol of sodium hydroxide"
+        rows.append(Row("benzoic", what, "mol", math.nan, base, made, _CHARGE_SOURCE))
+    flask = Flask({WATER: 55.0, BENZOIC: 0.1}, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask.wait(86400.0)
+    layer = next(one for one in flask.layers if one.name == "aqueous")
+    dissolved = (layer.contents[BENZOIC] + layer.contents.get("benzoate", 0.0)) / layer.volume_l
+    rows.append(Row("benzoic", "solubility in water at 25 C", "mol/L", 0.0278, math.nan, dissolved, _SEIDELL))
+    flask = _shaken({BENZOIC: 0.25}, 0.3)
+    flask.add(RETURNS, 0.36)
+    flask.mix()
+    flask.wait(86400.0)
+    layer = next(one for one in flask.layers if one.name == "aqueous")
+    left = layer.contents[BENZOIC] + layer.contents.get("benzoate", 0.0)
+    what = "acid that 0.36 mol of sodium bisulfate gives back of 0.25 mol"
+    rows.append(Row("benzoic", what, "", math.nan, math.nan, 1.0 - left / 0.25, "solubility and pKa, as above"))
+    return rows
+
+
+SYNTHESES: dict[str, Callable[[], list[Row]]] = {"snar": snar, "fischer": fischer, "benzoic": benzoic}
 
 
 def main() -> None:

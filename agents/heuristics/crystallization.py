@@ -35,6 +35,8 @@ _STILL = 0.01
 """Relative change of the solids' volume in a step, below which nothing dissolves or grows any more."""
 _LEAST_SOLIDS = 5e-4
 """Of the volume: solids worth a filter."""
+_MOSTLY_SOLID = 0.8
+"""Solids' share of the volume below which crystals stand in their liquor: they are collected, not dissolved anew."""
 _DRY = 0.9999
 """Solids' share of the volume of what counts as dry."""
 _WASHES = 2
@@ -90,8 +92,9 @@ class _Batch:
 
 
 class CrystallizationHeuristic:
-    """Takes as much hot water as the crude product needs, by the goal's solubility; filters off what is left; cools,
-    seeds just past saturation and waits until no more comes down; filters, washes twice with a little, dries.
+    """Collects, washes and dries crystals that come in their liquor. Of a crude product takes as much hot water as it
+    needs, by the goal's solubility; filters off what is left; cools, seeds just past saturation and waits until no more
+    comes down; filters, washes twice with a little, dries.
 
     Args:
         bench: the bench it is for.
@@ -139,7 +142,9 @@ class CrystallizationHeuristic:
         for o, m, s, i in zip(observation, mask, step.tolist(), members.tolist(), strict=True):
             read = {name: self._read(o, name) for name in ("temperature", "volume", "solids")}
             if s == 0:
-                self._memory[i] = self._begin(read["volume"], int(o[self._slices["goal"]].argmax()))
+                goal = int(o[self._slices["goal"]].argmax())
+                slurry = _LEAST_SOLIDS < read["solids"] < _MOSTLY_SOLID
+                self._memory[i] = _Batch(phase=COOL, seeded=True) if slurry else self._begin(read["volume"], goal)
             action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)
             chosen.append(action if mask is not None and m[action] else self._bench.end_action)
         return np.array(chosen, dtype=np.int64)

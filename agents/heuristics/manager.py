@@ -11,6 +11,7 @@ from chemlab.instruments.balance import RANGE_KG
 
 from ..roles import role_of
 from .base import ScriptedManager, Setting
+from .workup import keeps_apart
 
 __all__ = ["ManagerHeuristic"]
 
@@ -81,7 +82,16 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             decant = self._careful and self._rxn is not None and metals
             # Washing takes a salt away: where it is the goal, only the metal has to go.
             plan += [self._ext] * (2 if decant and goal not in self._salts else 1)
+        if self._distils_first(goal):
+            plan.insert(len(plan) - 1, str(self._dit))
         return [*plan, *(bench for bench in (self._dit, self._cry) if bench)]
+
+    def _distils_first(self, goal: str) -> bool:
+        """Whether the goal is taken over before it is washed, too: with what it stands in, water would be one layer."""
+        spec = self._scenario
+        if spec.physics == "paper" or not (self._ext and self._dit) or not keeps_apart(spec, goal):
+            return False
+        return not any(keeps_apart(spec, name) for vessel in spec.shelf.vessel for name in vessel.contents)
 
     def _occupied(self, observation: ObservationArray) -> list[int]:
         return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
@@ -131,6 +141,9 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
                     line.slot = beakers[0]  # the salt went into the washing water
                 elif beakers and mask[self._actions.encode("discard", beakers[0])]:
                     return self._actions.encode("discard", beakers[0])
+            elif ended == self._dit and self._ext in line.plan[line.stage :]:
+                taken_over = [s for s in line.mine if self._history(observation, s) == (self._dit, 1)]
+                line.slot = min(set(taken_over) & set(self._occupied(observation)), default=line.slot)
         if line.stage < len(line.plan):
             return self._start(observation, mask, line, lines, line.plan[line.stage])
         return self._finish(observation, mask, line, lines)

@@ -22,6 +22,10 @@ _ROOM_K = 298.15
 _APART = 30.0
 """Activity coefficient, highly dilute in water, above which a liquid does not mix with it."""
 _SOLVENT_L = 0.3
+_AIR = 0.05
+"""Grey values this close to air's are no liquid's."""
+_DISSOLVING = 5
+"""Steps that crystals are given to dissolve before a base is added."""
 _EXCESS = 1.2
 """Of base over the most of the goal that there can be, and of acid over that base."""
 
@@ -59,12 +63,13 @@ class WorkupHeuristic(RealExtractionHeuristic):
         added = {p.material: i for i, p in enumerate(processes) if p.kind == "add" and p.material is not None}
         poured = {(p.vessel, p.target): i for i, p in enumerate(processes) if p.kind == "pour"}
         self._organic_shade: float | None = None
+        self._air_shade = scenario.materials["air"].shade
         self._before: list[int] = []
         self._after: list[int] = []
         """Actions before the first wash and after the last one."""
         base, acid = self._base_and_acid(bench, list(added))
         present = {name for vessel in scenario.shelf.vessel for name in vessel.contents}
-        solvent = next((name for name in added if keeps_apart(scenario, name)), None)
+        solvent: str | None = next((name for name in added if keeps_apart(scenario, name)), None)
         if base and acid:
             most = max(scenario.theoretical_maximum_mol.get(goal, 0.0) for goal in bench.goals.names)
             for name, excess, into in ((base, _EXCESS, self._before), (acid, _EXCESS**2, self._after)):
@@ -72,10 +77,16 @@ class WorkupHeuristic(RealExtractionHeuristic):
                 litres = excess * most * material.molar_mass_g_mol / material.density_kg_l / 1000.0
                 into.append(choose(added[name], litres))
             back = [choose(poured[pour], 1.0) for pour in (("EV", "B2"), ("B1", "EV"))]
-            self._after = [*back, *self._after, self._mix]
-        elif solvent is not None and not any(keeps_apart(scenario, name) for name in present):
-            self._before = [choose(added[solvent], _SOLVENT_L)]
-            self._organic_shade = scenario.materials[solvent].shade
+            self._before = [self._mix, *[self._settle] * _DISSOLVING, *self._before]
+            self._after = [*back, *self._after, self._mix, self._settle]
+        elif not any(keeps_apart(scenario, name) for name in present):
+            if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
+                self._organic_shade = scenario.materials[bench.goals.names[0]].shade
+                # The goal is a solvent itself, some of which every wash takes along: with little, and once less.
+                self._add, self._washes_wanted = choose(added[WATER], 0.0), self._washes_wanted - 1
+            elif solvent is not None:
+                self._organic_shade = scenario.materials[solvent].shade
+                self._before = [choose(added[solvent], _SOLVENT_L)]
         self._done: dict[int, int] = {}
 
     @staticmethod
@@ -106,6 +117,8 @@ class WorkupHeuristic(RealExtractionHeuristic):
         if self._organic_shade is None:
             return super()._boundary(picture)
         organic = np.abs(picture - self._organic_shade) < np.abs(picture - self._wash_shade)
+        organic &= np.abs(picture - self._air_shade) > _AIR
+        # Without a second layer nothing is drained: it is not water alone.
         return int(organic.argmax()) if organic.any() else 0
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
-from ....jit import helper, kernel, opened
+from ....jit import helper, inner, kernel, opened
 from ....shelf import CLOCK_SETTLED, T_MIX
 from ...constants import TRACE_MOL
+from .acids import settle_acids
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .liquids import clear_liquids, gather, split
 
 __all__ = ["crystallizes", "partition", "place_new"]
 
+_STIRRED = 0.99
+"""Share of the way to equilibrium from which acids and bases find each other across the layers, too."""
+_MOST_ROUNDS, _CLOSE = 60, 1e-7
+"""Of that; and the share of all molecules of which no more goes on moving."""
 _LEAST_SHARE = 1e-9
 """Of a fluid; where less of it has a place, that says nothing about where the rest belongs."""
 
@@ -53,6 +58,16 @@ def place_new(row: FloatArray, chem: Handle) -> float:
     return moved
 
 
+@helper
+def _is_acid(material: int, chem: Handle) -> bool:
+    chemistry = opened(RealChemistry, chem)
+    for a in range(chemistry.acid.shape[0]):
+        for p in range(chemistry.acid.shape[1]):
+            if chemistry.acid[a, p] == material:
+                return True
+    return False
+
+
 @kernel
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring the phases from CLOCK_WAS to CLOCK: the more the layers are stirred, the closer to equal activities.
@@ -67,24 +82,49 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     row[CLOCK_WAS] = row[CLOCK]
     if way <= 1e-12 and fresh <= TRACE_MOL:
         return
+    moved = _share_out(row, way, fresh, 1.0, chem)
+    if way < _STIRRED or chemistry.ionization[0] < 0:
+        return
+    # What becomes ions in the water makes room there for more of the acid, as long as there is a base.
+    push = 1.0
+    for _ in range(_MOST_ROUNDS):
+        settle_acids(row, chem, work)
+        before = moved
+        moved = _share_out(row, way, 0.0, push, chem)
+        if abs(moved) < _CLOSE:
+            return
+        push = 2.0 * push if moved * before > 0.0 else 1.0
+
+
+@inner
+def _share_out(row: FloatArray, way: float, fresh: float, push: float, chem: Handle) -> float:
+    """Take molecules ``way`` of the way to where they belong, acids ``push`` times as far; what is ``fresh`` (mol)
+    counts as stirred. Returns the acids' mol that went into the organic phase, as a share of all molecules."""
+    chemistry = opened(RealChemistry, chem)
     liquids = clear_liquids()
     n = gather(row, chem, liquids)
     if n == 0:
-        return
+        return 0.0
     split(n, row[TEMPERATURE], chem, liquids)
-    total = 0.0
+    total, moved = 0.0, 0.0
     for a in range(n):
         total += liquids.mol[a]
-    # What came in counts as stirred.
     way = max(way, min(fresh / total, 1.0))
     m = chemistry.role.shape[0]
     for a in range(n):
-        at = AMOUNTS + m + 2 * chemistry.dissolved_at[int(liquids.who[a])]
-        mol = row[at + AQUEOUS] + row[at + ORGANIC]
-        row[at + ORGANIC] = max(row[at + ORGANIC] + way * (mol * liquids.share[a] - row[at + ORGANIC]), 0.0)
+        i = int(liquids.who[a])
+        at = AMOUNTS + m + 2 * chemistry.dissolved_at[i]
+        mol, was = row[at + AQUEOUS] + row[at + ORGANIC], row[at + ORGANIC]
+        acid = _is_acid(i, chem)
+        far = way * push if acid else way
+        row[at + ORGANIC] = max(was + far * (mol * liquids.share[a] - was), 0.0)
+        if acid:
+            row[at + ORGANIC] = min(row[at + ORGANIC], mol)
         row[at + AQUEOUS] = max(mol - row[at + ORGANIC], 0.0)
+        moved += row[at + ORGANIC] - was if acid else 0.0
     for k in range(chemistry.dissolved.shape[0]):  # ions follow the water
         if chemistry.liquid[chemistry.dissolved[k]] == 2:
             at = AMOUNTS + m + 2 * k
             row[at + AQUEOUS] += row[at + ORGANIC]
             row[at + ORGANIC] = 0.0
+    return moved / total
