@@ -290,6 +290,7 @@ def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Tab
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
+    role: Annotated[str | None, typer.Option(help="Which of several roles that learned together.")] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -300,7 +301,7 @@ def export(
     with readable_errors():
         from ..agents.training.export import export_run
 
-        card = export_run(run, to)
+        card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))
         return
