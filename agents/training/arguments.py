@@ -385,6 +385,12 @@ class JointArguments(TeamArguments):
         "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
         otherwise="scratch",
     )
+    imitate: str | None = _argument(
+        None, "Policy to imitate before learning, in every role that learns, by name.", otherwise="none"
+    )
+    imitate_steps: int | None = _argument(
+        None, "Turns of it in each role, at least.", least=1, most=10**9, otherwise="20000"
+    )
     envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
     rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")

@@ -30,7 +30,7 @@ class Experience:
     def __init__(
         self, observation_space: gymnasium.spaces.Box, action_space: gymnasium.Space[Any], streams: int
     ) -> None:
-        self._width = observation_space.shape[0]
+        self.streams, self._width = streams, observation_space.shape[0]
         self._actions = () if isinstance(action_space, gymnasium.spaces.Discrete) else (action_space.shape or ())
         self._masked = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else 0
         self._open: IntArray = np.full(streams, _NONE, dtype=np.int64)
@@ -140,6 +140,13 @@ class Experience:
             found[row] = self.reward[row] + discount * self.value[after] - self.value[row]
             found[row] += discount * gae_lambda * found[after]
         return found
+
+    def whole(self) -> IntArray:
+        """Rows of episodes that are over."""
+        ended = self.done[: self._rows].copy()
+        for row in range(self._rows - 1, -1, -1):
+            ended[row] |= self.next_row[row] != _NONE and ended[self.next_row[row]]
+        return np.flatnonzero(ended)
 
     def forget(self) -> None:
         """Drop what is complete; open transitions stay, and are completed by the next turns."""

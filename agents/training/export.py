@@ -20,13 +20,13 @@ from chemlab.materials import DataError
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
-from .arguments import TrainArguments, resolved
-from .tasks import Task, find_task
+from .arguments import Arguments, JointArguments, TrainArguments, resolved
+from .tasks import Task, find_task, task_of
 
 try:
     import torch
 
-    from ..learners import load_learner
+    from ..learners import load_learner, load_team
     from .networks import learned_policy
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
@@ -103,16 +103,19 @@ def _relative(ours: npt.NDArray[Any], theirs: npt.NDArray[Any]) -> float:
     return float((np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))).max())
 
 
-def export_run(folder: Path, out: Path) -> Card:
+def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     """Write ``OUT.safetensors`` and ``OUT.json`` from a run's best checkpoint.
 
     Args:
         folder: the run.
         out: path of the two files, with or without a suffix; its name is the policy's name.
+        role: which of several that learned together. A bench is evaluated on its own then, with a laboratory's
+            vessels.
 
     Raises:
-        ValueError: the folder holds no run or no checkpoint, its bench has changed since, or the exported policy is
-            not the same as SB3's to 1e-5 (which is only asked of a run of one's own, or that one trusts).
+        ValueError: the folder holds no run or no checkpoint, its bench has changed since, the role is missing or
+            nobody's, or the exported policy is not the same as SB3's to 1e-5 (which is only asked of a run of one's
+            own, or that one trusts).
     """
     run = Run(folder)
     config, best = run.config(), run.checkpoint("best")
@@ -120,11 +123,22 @@ def export_run(folder: Path, out: Path) -> Card:
         raise ValueError(f"{folder}: holds no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
-    arguments = _arguments(config, str(run.config_file))
-    task = find_task(arguments)
-    if config["fingerprint"] != task.fingerprint:
+    team = config["algo"] == "joint"
+    if team != (role is not None) or (role is not None and not (best / f"{role}.safetensors").exists()):
+        known = f"give one of its roles: {', '.join(sorted(f.stem for f in best.glob('*.safetensors')))}"
+        raise ValueError(f"role: {folder}: {known if team else 'is a run of one role: give none'}; given {role!r}")
+    arguments: Arguments
+    if role is None:
+        arguments = _arguments(config, str(run.config_file))
+        task, trained = find_task(arguments), config["fingerprint"]
+    else:
+        values = {f.name: config[f.name] for f in fields(JointArguments) if f.name in config}
+        arguments = JointArguments.as_recorded(values, str(run.config_file))
+        card = load_pretrained(best / role).card
+        task, trained = task_of(card), card.fingerprint
+    if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
-    model = _learner(best, str(config["algo"]))
+    model = _learner(best, str(config["algo"]), role)
     policy = _player(best, config, task, model)
     if model is not None:
         difference = largest_difference(model, policy, _observations(task))
@@ -151,10 +165,10 @@ def export_run(folder: Path, out: Path) -> Card:
     return card
 
 
-def _learner(best: Path, algo: str) -> Any:
+def _learner(best: Path, algo: str, role: str | None = None) -> Any:
     """The learner itself, to compare with; None where it is a stranger's: its weights as they are have to do."""
     try:
-        return load_learner(best, algo)
+        return load_learner(best, algo) if role is None else load_team(best)[role]
     except DataError:
         if not any(best.glob("*.safetensors")):  # of a run of an older version there is nothing else
             raise

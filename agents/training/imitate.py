@@ -19,7 +19,10 @@ from chemlab.laboratory.focal import FocalVectorEnv
 
 from ..policies import Policy
 
-__all__ = ["imitate"]
+__all__ = ["IMITATED", "fit", "imitate"]
+
+IMITATED = 20_000
+"""Turns to learn from, where nobody says how many."""
 
 _EPOCHS = 10
 _UPDATES = 800
@@ -45,13 +48,36 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
-    observations, masks, actions, returns = _examples(batch, policy, steps, seed, model.gamma)
+    return fit(model, *_examples(batch, policy, steps, seed, model.gamma), seed)
+
+
+def fit(
+    model: Any,
+    observations: npt.NDArray[np.float32],
+    masks: npt.NDArray[np.int8] | None,
+    actions: npt.NDArray[Any],
+    returns: npt.NDArray[np.float32],
+    seed: int,
+) -> float:
+    """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
+
+    Args:
+        model: as for :func:`imitate`, and so is what is returned.
+        observations: [T, size] what was seen.
+        masks: [T, actions] what was legal; None where actions are continuous.
+        actions: [T] (discrete) or [T, numbers] what was played.
+        returns: [T] discounted return from that turn on.
+        seed: of the order of minibatches.
+    """
     network, rng = model.policy, np.random.default_rng(seed)
     network.set_training_mode(True)
     optimizer = torch.optim.Adam(network.parameters(), lr=_LEARNING_RATE)
     masked = masks is not None and hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
     minibatches = max(1, len(actions) // _BATCH)
-    for _ in range(max(_EPOCHS, -(-_UPDATES // minibatches))):
+    epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
+    # What the examples agree on is found fast; thresholds between two actions only in small steps.
+    falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
+    for _ in range(epochs):
         for rows in np.array_split(rng.permutation(len(actions)), minibatches):
             seen, played = torch.as_tensor(observations[rows]), torch.as_tensor(actions[rows])
             legal = {"action_masks": masks[rows]} if masked and masks is not None else {}
@@ -63,6 +89,7 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), model.max_grad_norm)
             optimizer.step()
+            falling.step()
     legal = {"action_masks": masks} if masked and masks is not None else {}
     chosen = np.asarray(model.predict(observations, deterministic=True, **legal)[0])
     if np.issubdtype(actions.dtype, np.integer):

@@ -44,6 +44,7 @@ try:
 
     from ..learners import load_learner, load_team, save_team
     from .checkpoints import load_state, random_state, restore_random_state, save_state
+    from .imitate import IMITATED, fit
     from .loop import (
         LaboratoryTrainee,
         Progress,
@@ -146,16 +147,25 @@ class _Learner:
 
 
 class _Acting:
-    """A learner as the policy of one agent: it explores, and its turns become experience."""
+    """A learner as the policy of one agent: it explores, and its turns become experience.
 
-    def __init__(self, learner: _Learner, stream: Callable[[IntArray], IntArray], ticks: IntArray) -> None:
-        self._learner, self._stream, self._ticks = learner, stream, ticks
+    Where ``shown`` is given, that plays, and its turns become experience.
+    """
+
+    def __init__(
+        self, learner: _Learner, stream: Callable[[IntArray], IntArray], ticks: IntArray, shown: Policy | None = None
+    ) -> None:
+        self._learner, self._stream, self._ticks, self._shown = learner, stream, ticks, shown
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.laboratory.policy.Policy`."""
-        drawn, played, value, log_probability = self._learner.sample(observation, mask)
+        if self._shown is None:
+            drawn, played, value, log_probability = self._learner.sample(observation, mask)
+        else:
+            drawn = played = np.asarray(self._shown.act(observation, mask, step, members))
+            value = log_probability = np.zeros(len(members))
         self._learner.experience.begin(
             self._stream(members), observation, mask, drawn, value, log_probability, self._ticks[members]
         )
@@ -185,7 +195,7 @@ class _Team(LaboratoryTrainee):
         for member, seed in zip(labs.members, seeds, strict=True):
             labs.seed(int(member), int(seed))
         labs.reset(labs.members)
-        self._players = Players(labs, [self._player(number) for number in range(len(labs.agents))])
+        self._players = self._played_by(None)
 
     def _model(self, role: str, space: gymnasium.Space[Any], actions: gymnasium.Space[Any]) -> Any:
         a = self.arguments
@@ -212,11 +222,43 @@ class _Team(LaboratoryTrainee):
         place = sum(role_of(agent) == role_of(agents[number]) for agent in agents[:number])
         return lambda members: place * self.arguments.envs + members
 
-    def _player(self, number: int) -> Policy:
-        role = role_of(self.labs.agents[number])
+    def _played_by(self, shown: str | None) -> Players:
+        """Who plays: the learners, or a policy by name in their place, and the background."""
+        return Players(self.labs, [self._player(number, shown) for number in range(len(self.labs.agents))])
+
+    def _player(self, number: int, shown: str | None) -> Policy:
+        labs, seed, role = self.labs, self.arguments.seed, role_of(self.labs.agents[number])
         if role in self.learners:
-            return _Acting(self.learners[role], self._stream(number), self.labs.state.ticks)
-        return agent_policy(self.arguments.background, self.labs, number, self.arguments.seed)
+            teacher = None if shown is None else agent_policy(shown, labs, number, seed)
+            return _Acting(self.learners[role], self._stream(number), labs.state.ticks, teacher)
+        return agent_policy(self.arguments.background, labs, number, seed)
+
+    def imitate(self, shown: str, turns: int) -> dict[str, float]:
+        """Make every learner the clone of a policy that plays its role in these laboratories, which then begin anew.
+
+        Args:
+            shown: the policy, by name.
+            turns: of each role at least.
+
+        Returns:
+            By role, how well it is hit (see :func:`~.imitate.imitate`).
+        """
+        labs, a, hit = self.labs, self.arguments, {}
+        self._players = self._played_by(shown)
+        while min(len(learner.experience.whole()) for learner in self.learners.values()) < turns:
+            self.collect()
+        for role, learner in self.learners.items():
+            model, e = learner.model, learner.experience
+            rows = e.whole()
+            returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
+            masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
+            actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
+            hit[role] = fit(model, e.observation[rows], masks, actions, returns, a.seed)
+            learner.experience = Experience(model.observation_space, model.action_space, e.streams)
+        self.returns = []
+        labs.reset(labs.members)
+        self._players = self._played_by(None)
+        return hit
 
     def collect(self) -> None:
         """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
@@ -340,6 +382,8 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
     def go_on() -> RunResult:
         team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
         progress = Progress() if last is None else team.load(last)
+        if last is None and arguments.imitate is not None:
+            team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED)
         if last is None and arguments.begin_from is not None:
             _begin_from(arguments.begin_from, team)
         return train_in_rounds(run, described, team, arguments, progress, watcher)

@@ -38,15 +38,13 @@ try:
     from ..learners import LEARNERS
     from ..sb3 import ChemlabVecEnv
     from .checkpoints import load_agent, save_agent
-    from .imitate import imitate
+    from .imitate import IMITATED, imitate
     from .loop import Progress, Trainee, Watcher, open_run, reached, train_in_rounds, training_versions
     from .networks import save_learned
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
 __all__ = ["train"]
-
-_IMITATED = 20_000
 
 
 def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> BaseAlgorithm:
@@ -116,7 +114,7 @@ class _Agent(Trainee):
             shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
             self.model = _learner(a, self.venv, self.steps)
             if a.imitate is not None:
-                turns = a.imitate_steps or _IMITATED
+                turns = a.imitate_steps or IMITATED
                 imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed)
         self._player: Policy = as_policy(self.model)
 

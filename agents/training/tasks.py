@@ -22,10 +22,11 @@ from chemlab.scenario import Scenario, load_scenario
 from ..background import background_policies, focal_vector_env
 from ..player import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
-from ..pretrained import Workplace, fingerprint, given_as
+from ..pretrained import Card, Workplace, fingerprint, given_as
+from ..roles import MANAGER_ROLE
 from .arguments import TrainArguments
 
-__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint"]
+__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint", "task_of"]
 
 
 class Task(ABC):
@@ -218,6 +219,20 @@ class LaboratoryTask(Task):
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
         return agent_policy(name, Laboratories(self.scenario), self._number)
+
+
+def task_of(card: Card) -> Task:
+    """Where a card's evaluation was played: a bench on its own where it says how experiments began, else a laboratory.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: unknown policy in the background.
+    """
+    goals = tuple(card.goals)
+    if card.bench != MANAGER_ROLE and (card.background is None or card.starts != "paper"):
+        return BenchTask(card.scenario, card.bench, goals, card.starts)
+    agent = MANAGER_AGENT if card.bench == MANAGER_ROLE else f"{card.bench}_0"
+    return LaboratoryTask(card.scenario, agent, card.background or "heuristic", goals)
 
 
 def task_fingerprint(arguments: TrainArguments) -> str:

@@ -292,6 +292,7 @@ def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Tab
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
+    role: Annotated[str | None, typer.Option(help="Which of several roles that learned together.")] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -304,7 +305,7 @@ def export(
 
         for ending in (".json", ".safetensors"):
             check_target(to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}"))
-        card = export_run(run, to)
+        card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))
         return

@@ -14,9 +14,11 @@ from chemlab.agents.training.experience import Experience
 pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
 
 from chemlab.agents.learners import load_learner, load_team
+from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.training import joint
 from chemlab.agents.training.arguments import JointArguments, TrainArguments
+from chemlab.agents.training.export import export_run
 from chemlab.agents.training.joint import train_together
 from chemlab.agents.training.learn import train
 from chemlab.agents.training.loop import described_team
@@ -92,6 +94,21 @@ def test_what_is_open_is_kept_for_the_next_rollout() -> None:
         assert copy.value[rows].tolist() == [0.0, 2.0, 4.0]
         assert copy.reward[rows].tolist() == [1.0, 3.0, 2.0]
         assert copy.elapsed[rows].tolist() == [7, 7, 5]
+
+
+def test_returns_of_whole_episodes() -> None:
+    """Where nothing has a value, estimates with a lambda of 1 are discounted returns; what is open is left out."""
+    experience = Experience(BOX, gymnasium.spaces.Discrete(3), 2)
+    rewards = [1.0, 2.0, 4.0]
+    for tick, reward in enumerate(rewards):
+        for stream in range(2):
+            turn(experience, stream, 0.0, tick)
+        experience.earn(np.array([0, 1]), np.array([reward, reward]))
+    experience.end(np.array([0]), np.array([3]))
+    turn(experience, 0, 0.0, 3)
+    assert experience.whole().tolist() == [0, 2, 4]
+    expected = [sum(0.9**k * later for k, later in enumerate(rewards[t:])) for t in range(3)]
+    np.testing.assert_allclose(experience.advantages(0.9, 1.0, False)[[0, 2, 4]], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("rewards", [None, "cooperative", "mixed"])
@@ -183,6 +200,34 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
     with pytest.raises(ValueError, match="neither a joint run nor runs"):
         train_together(nowhere, tmp_path / "third")
+
+
+def test_a_team_begins_as_clones(tmp_path: Path) -> None:
+    """Each role does what the policy does, in laboratories that have begun anew; a run of it can be exported."""
+    small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
+    team = team_of(JointArguments(**small))
+    hit = team.imitate("heuristic", 300)
+    assert hit["dit"] > 0.8, "share of turns"
+    assert hit["rxn"] < 0.1, "mean difference of numbers from 0 to 1"
+    assert not any(len(learner.experience) for learner in team.learners.values())
+    assert not team.returns
+    assert (team.labs.state.ticks == 0).all()
+    arguments = JointArguments(**{**small, "steps": 40}, imitate="heuristic", imitate_steps=50)
+    train_together(arguments, tmp_path / "run")
+    card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
+    best = Run(tmp_path / "run").checkpoint("best")
+    assert best is not None
+    assert (card.name, card.bench, card.background) == ("mine", "dit", "heuristic")
+    assert "--imitate heuristic --imitate-steps 50" in card.command
+    model, policy = load_team(best)["dit"], load_pretrained(tmp_path / "mine")
+    seen = np.random.default_rng(0).random((20, card.observation_size), dtype=np.float32)
+    legal = np.ones((20, card.action_size), dtype=np.int8)
+    none = np.zeros(20, dtype=np.int64)
+    expected = model.predict(seen, action_masks=legal, deterministic=True)[0]
+    np.testing.assert_array_equal(policy.act(seen, legal, none, none), expected)
+    for role, message in ((None, "give one of its roles: dit, rxn; given None"), ("ext", "dit, rxn; given 'ext'")):
+        with pytest.raises(ValueError, match=message):
+            export_run(tmp_path / "run", tmp_path / "other", role)
 
 
 def test_a_last_minibatch_of_one_does_no_harm() -> None:

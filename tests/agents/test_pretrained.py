@@ -29,7 +29,7 @@ from chemlab.agents.pretrained import (
     pretrained_for,
     pretrained_names,
 )
-from chemlab.agents.training.tasks import BenchTask, LaboratoryTask, Task
+from chemlab.agents.training.tasks import task_of
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchVectorEnv
@@ -368,12 +368,7 @@ def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     policy = load_pretrained(name)
     card = policy.card
     episodes, seed = card.evaluation["episodes_per_goal"], card.evaluation["seed"]
-    goals = tuple(card.goals)
-    task: Task = (
-        BenchTask(card.scenario, card.bench, goals, card.starts)
-        if card.background is None
-        else LaboratoryTask(card.scenario, "manager_0", card.background, goals)
-    )
+    task = task_of(card)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         policy.check(task.workplace)
