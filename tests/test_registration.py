@@ -1,0 +1,47 @@
+"""Registries of environments are filled whichever comes first, chemlab or their library; and nothing comes unasked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("gymnasium", "numba", "numpy", "pettingzoo", "torch")
+AFTERWARDS = """
+assert "chemlab/LabManager-v0" in gymnasium.registry and "chemlab/RealWurtzReaction-v0" in gymnasium.registry
+assert gymnasium.spec("chemlab/WurtzReaction-v0").kwargs == {"scenario": "wurtz_dodecane", "bench": "rxn"}
+try:
+    from pettingzoo import aec_registry, parallel_registry
+except ImportError:
+    pass
+else:
+    assert "chemlab/Laboratory-v0" in aec_registry and "chemlab/Laboratory-v0" in parallel_registry
+"""
+
+
+def run(code: str) -> str:
+    """What a fresh Python process that runs ``code`` prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("module", ["chemlab", "chemlab.cli"])
+def test_what_plays_nothing_imports_nothing_heavy(module: str) -> None:
+    assert run(f"import sys, {module}; print([name for name in {HEAVY} if name in sys.modules])") == "[]\n"
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        "import chemlab, gymnasium, pettingzoo",
+        "import gymnasium, pettingzoo, chemlab",
+        "import gymnasium, chemlab, pettingzoo",
+        "import pettingzoo, chemlab; import gymnasium",
+        "import chemlab; from gymnasium.envs.registration import registry; import gymnasium",
+        "import chemlab, importlib, gymnasium; importlib.reload(chemlab)",
+    ],
+)
+def test_either_may_come_first(first: str) -> None:
+    run(first + AFTERWARDS)
