@@ -83,8 +83,8 @@ def react(
         if hottest == 0.0:
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-    left, part, total, known = dt, dt / _MOST_PARTS, 0, False
-    ahead, climb, rate, last = 0.0, 0.0, 0.0, part
+    left, shortest, total, known = dt, dt / _MOST_PARTS, 0, False
+    part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
     while left > 0.0:
         part = min(part, left)
         at, content = row[TEMPERATURE], 0.0
@@ -102,39 +102,47 @@ def react(
             if left > 0.0:
                 hottest = boiling_point(row, chem)
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-                part, ahead, climb, known = left / _MOST_PARTS, 0.0, 0.0, False
+                part, ahead, climb, known = shortest, 0.0, 0.0, False
             continue
         capacity = heat_capacity(row, chem)
         heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
-        surplus = heat - around.condenser * part
         most = _HEAT_K * capacity
+        if most <= 0.0:
+            return total  # it has boiled dry
+        surplus = max(heat - around.condenser * part, -most)
         if not known:
             # All that a short part tells is how long the first may be, and how fast it boils.
             _copy(kept, row)
             known, rate, last = True, surplus / part, part
             longer = min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
-            part, ahead = part * longer, 0.5 * max(surplus, 0.0) * longer
+            part, ahead = max(part * longer, shortest), 0.5 * max(surplus, 0.0) * longer
+            ahead = ahead if part > shortest else 0.0
             if ahead > 0.0:
                 events[RELIEF] += flash_off(row, pressure, ahead, 0.0, chem, waste)
                 climb = max(row[TEMPERATURE] - at, 0.0) / (0.5 * part)
-                part = min(part, _RISE_K / max(climb, 1e-9))
+                part = max(min(part, _RISE_K / max(climb, 1e-9)), shortest)
             continue
-        if part * _MOST_PARTS > dt and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
+        if part > shortest and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
             _copy(kept, row)
-            part *= 0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)
+            part = max(part * (0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)), shortest)
             continue
         left -= part
-        following = min(left, _LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(climb, 1e-9))
+        following = min(_LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(climb, 1e-9))
+        following = min(max(following, shortest), left)
         owed, ahead = ahead, 0.5 * following * _foreseen(surplus / part, rate, part, last, following)
+        ahead = min(ahead, 0.5 * most) if following > shortest else 0.0
         rate, last = surplus / part, part
         hot = at + (heat - owed + ahead) / capacity
         events[RELIEF] += flash_off(row, pressure, heat - owed + ahead, around.condenser * part, chem, waste)
+        if around.transfer > 0.0 and heat_capacity(row, chem) < 0.5 * capacity:
+            # What has nearly boiled dry takes no more of the jacket's heat than to get as warm.
+            row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
         climb = max(row[TEMPERATURE] - at, 0.0) / part
         if row[TEMPERATURE] >= hot - 1e-9:  # nothing boils any more
             row[TEMPERATURE] -= ahead / heat_capacity(row, chem)
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-            part, ahead, climb, known = left / _MOST_PARTS, 0.0, 0.0, False
+            part, ahead, climb, known = shortest, 0.0, 0.0, False
             continue
         part = following
     if around.condenser >= 0.0 and not follows:
