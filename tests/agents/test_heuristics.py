@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import EVERY_SCENARIO, slow_but
 
 from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
 from chemlab.agents.evaluation.plans import best_in_episode
@@ -23,6 +23,7 @@ from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import Policy, make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import scenario_names
 
 AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
@@ -161,7 +162,7 @@ def recorded(name: str, seeds: range) -> list[list[Call]]:
     return found
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
 def test_heuristics_need_no_laboratory(name: str) -> None:
     """Given what they were given, they decide the same when laboratory, shelf and experiments are gone."""
     episodes = recorded(name, range(3))

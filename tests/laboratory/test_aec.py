@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO, mapping
+from helpers import EVERY_SCENARIO, mapping, slow_but
 from pettingzoo.test import api_test, seed_test
 from pettingzoo.test.save_obs_test import test_save_obs as check_save_obs
 from pettingzoo.test.state_test import test_state as check_state
@@ -28,7 +28,7 @@ from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.laboratory.text import named_costs
 from chemlab.materials import DataError
-from chemlab.scenario import load_scenario
+from chemlab.scenario import load_scenario, scenario_names
 
 WURTZ = "wurtz_dodecane"
 
@@ -377,7 +377,7 @@ def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
 def test_masks_agree_with_what_actions_do(name: str) -> None:
     env = raw_env(name)
     labs, rng = env.laboratories, np.random.default_rng(8)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import EVERY_SCENARIO, litres
+from helpers import EVERY_SCENARIO, litres, slow_but
 
 from chemlab.bench.base import channel_slices
 from chemlab.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.scenario import Scenario, load_scenario, scenario_names
 from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 WURTZ = "wurtz_dodecane"
@@ -208,7 +208,7 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
 # -- benches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)

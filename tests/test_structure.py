@@ -1,0 +1,79 @@
+"""How the code is put together: which modules import which, and how much kernels are handed."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import chemlab
+import chemlab.agents
+
+FOLDERS = {"chemlab": Path(chemlab.__path__[0]), "chemlab.agents": Path(chemlab.agents.__path__[0])}
+COMPILED = {"kernel", "helper", "inner"}
+MOST_PARAMETERS = 8
+
+
+@functools.cache
+def modules() -> dict[str, tuple[ast.Module, bool]]:
+    """Every module by name: its code, and whether it is a package."""
+    found = {}
+    for package, folder in FOLDERS.items():
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder).with_suffix("").parts
+            is_package = parts[-1] == "__init__"
+            name = ".".join([package, *(parts[:-1] if is_package else parts)])
+            found[name] = ast.parse(path.read_text(encoding="utf-8")), is_package
+    return found
+
+
+def running(node: ast.AST) -> Iterator[ast.AST]:
+    """All that is in there, in functions as well, but for what is for types alone."""
+    for child in ast.iter_child_nodes(node):
+        if not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
+            yield child
+            yield from running(child)
+
+
+def imports(name: str) -> set[str]:
+    """Modules of ours that a module imports, when it is loaded or later."""
+    code, is_package = modules()[name]
+    wanted: list[str] = []
+    for node in running(code):
+        if isinstance(node, ast.Import):
+            wanted += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            here = name.split(".") if is_package else name.split(".")[:-1]
+            base = [*here[: len(here) + 1 - node.level], *([node.module] if node.module else [])]
+            source = ".".join(base) if node.level else node.module or ""
+            names = [f"{source}.{alias.name}" for alias in node.names]
+            wanted += [one if one in modules() else source for one in names]
+    return {one for one in wanted if one in modules()} - {name}
+
+
+def test_no_module_imports_one_that_imports_it() -> None:
+    """Nor by way of others; an import inside a function is one, too."""
+    graph = {name: imports(name) for name in modules()}
+    assert sum(map(len, graph.values())) > 500
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"a circle: {' <- '.join(error.args[1])}")
+
+
+def test_kernels_take_few_arguments() -> None:
+    """What a kernel works with is one state and one set of parameters a layer, opened where it is needed."""
+    kernels = [
+        (f"{name}.{node.name}", len(node.args.posonlyargs) + len(node.args.args) + len(node.args.kwonlyargs))
+        for name, (code, _) in modules().items()
+        for node in ast.walk(code)
+        if isinstance(node, ast.FunctionDef)
+        and {ast.unparse(decorator).partition("(")[0] for decorator in node.decorator_list}
+        & {"kernel", "helper", "inner"}
+    ]
+    assert len(kernels) > 100
+    assert [kernel for kernel, count in kernels if count > MOST_PARAMETERS] == []
