@@ -1,6 +1,7 @@
 """Random chemistries: do they load, conserve atoms and play, and how many does the general script solve?
 
     python validate/chemistries.py                     # 1,000 of each tier; writes validate/chemistries.csv
+    python validate/chemistries.py --physics real      # the same of one tier; the other's rows stay
     python validate/chemistries.py --number 30         # fewer, nothing is written
 
 Chemistry i has seed i and the difficulty easy, medium or hard in turn. Each is generated, its files are written and
@@ -93,9 +94,14 @@ def main() -> None:
         for row in rows(physics, given.number, given.processes):
             table.append(row)
             print(*(f"{cell!s:>15}" for cell in row), flush=True)
-    if (given.number, given.physics) == (NUMBER, ["paper", "real"]):
-        with Path(__file__).with_suffix(".csv").open("w", encoding="utf-8", newline="") as handle:
-            csv.writer(handle, lineterminator="\n").writerows([header, *table])
+    if given.number == NUMBER:
+        path = Path(__file__).with_suffix(".csv")
+        with path.open(encoding="utf-8", newline="") as handle:
+            others = [row for row in csv.reader(handle) if row[0] in {"paper", "real"} - set(given.physics)]
+        with path.open("w", encoding="utf-8", newline="") as handle:
+            csv.writer(handle, lineterminator="\n").writerows(
+                [header, *sorted([*others, *table], key=lambda row: row[0])]
+            )
 
 
 if __name__ == "__main__":

@@ -382,9 +382,7 @@ def generate(
 def difficulty(
     scenario: ScenarioArgument,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents, for each goal.")] = 20,
-    plans: Annotated[
-        int, typer.Option(min=0, help="Plans tried for each combination of goals; 0: none is searched.")
-    ] = 100,
+    plans: Annotated[int, typer.Option(min=0, help="Constant plans tried for each goal; 0: none is searched.")] = 100,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:

@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..agents.evaluation.plans import search_plan
-from ..agents.plans import all_contexts
 from ..agents.player import play_laboratory
 from ..agents.policies import make_policies
 from ..arrays import FloatArray
@@ -137,7 +136,7 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     slowly = dict.fromkeys([(), reagents, *((name,) for name in reagents)])
     kelvins = np.linspace(options.temperature_k.low, options.temperature_k.high, _TEMPERATURES)
     recipes = list(itertools.product(kelvins.tolist(), slowly))
-    env = BenchVectorEnv(len(recipes), scenario, key, autoreset_mode="Disabled")
+    env = BenchVectorEnv(len(recipes), scenario, key, autoreset_mode="Disabled", actions="native")
     assert isinstance(env.bench, ReactionBench)
     policy = _Constant(env.bench, recipes, wanted)
     observation, _ = env.reset(seed=0, options={"goal": goal})
@@ -178,7 +177,7 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
     Args:
         scenario: name, path, or loaded.
         episodes: of which scores are the mean; episode i has seed + i.
-        plans: most that the search for a constant plan tries, for each combination of goals; 0: none is searched.
+        plans: most that the search for a constant plan tries, for each goal; 0: none is searched.
         seed: of the first episode.
 
     Raises:
@@ -190,11 +189,9 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
     spec = load_scenario(scenario)
     by_goal: dict[str, float] = {}
     if plans:
-        contexts = all_contexts(spec)
-        found = search_plan(spec, budget=plans * len(contexts))
-        for goal in spec.lab_goals:
-            same = [one.score for one in found.found if set(one.context) == {goal}]
-            by_goal[goal] = same[0] if same else float("nan")
+        contexts = [(goal,) * spec.orders for goal in spec.lab_goals]
+        search = search_plan(spec, budget=plans * len(contexts), contexts=contexts)
+        by_goal = {one.context[0]: one.score for one in search.found}
     rows = []
     for goal in spec.lab_goals:
         labs = Laboratories(spec, episodes)

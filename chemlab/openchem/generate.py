@@ -6,7 +6,7 @@
 A chemistry is an ordinary scenario. Those of one size and difficulty have the same spaces; their materials, reactions,
 rate constants and boiling points differ. The same arguments give the same chemistry on every machine, as long as the
 version of chemlab is the same. What there is of a goal if nothing goes wrong (``theoretical_maximum_mol``) follows from
-the stoichiometry; how much of it can be had is measured (:mod:`chemlab.agents.evaluation.difficulty`).
+the stoichiometry; how much of it can be had is measured (:mod:`chemlab.openchem.difficulty`).
 
 Needs none of the extras.
 """
