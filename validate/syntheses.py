@@ -207,7 +207,43 @@ def benzoic() -> list[Row]:
     return rows
 
 
-SYNTHESES: dict[str, Callable[[], list[Row]]] = {"snar": snar, "fischer": fischer, "benzoic": benzoic}
+# -- aspirin ----------------------------------------------------------------------------------------------------------
+
+ASPIRIN, ANHYDRIDE = "acetylsalicylic_acid", "acetic_anhydride"
+_ELDRIDGE = "Eldridge and Piret (1950), Chem. Eng. Prog. 46, 290, as textbooks have it, as remembered"
+_AVERILL = "Averill and Eldredge, General Chemistry, table 14.1 (read)"
+HYDROLYSES = (
+    (ANHYDRIDE, 298.15, 600.0, math.exp(-0.158 * 10.0), (4650.0, 45600.0), _ELDRIDGE),
+    (ANHYDRIDE, 313.15, 300.0, math.exp(-0.380 * 5.0), (4650.0, 45600.0), _ELDRIDGE),
+    (ASPIRIN, 310.15, 3600.0 * 100.0, 3.83 / 5.55, (3.65e4, 72970.0), _AVERILL),
+    (ASPIRIN, 310.15, 3600.0 * 300.0, 1.82 / 5.55, (3.65e4, 72970.0), _AVERILL),
+)
+"""What, K, s, share that is left; A in L/mol/s and J/mol."""
+
+
+def aspirin() -> list[Row]:
+    """How fast water takes the anhydride and the product apart."""
+    rows = []
+    for name, kelvin, seconds, published, (factor, activation), source in HYDROLYSES:
+        flask = Flask({WATER: 55.0, name: 0.0055}, reactions="aspirin", capacity_l=2.0)
+        if name == ASPIRIN:
+            flask.wait(3600.0)  # crystals dissolve
+        start = flask.amounts[name]
+        water = flask.amounts[WATER] / flask.volume_l
+        flask.react(seconds, temperature_k=kelvin)
+        k = factor * math.exp(-activation / GAS / kelvin) * water
+        what = f"{name} left after {seconds:g} s in water of {kelvin - 273.15:g} C"
+        left = flask.amounts[name] / start
+        rows.append(Row("aspirin", what, "", published, math.exp(-k * seconds), left, source))
+    return rows
+
+
+SYNTHESES: dict[str, Callable[[], list[Row]]] = {
+    "snar": snar,
+    "fischer": fischer,
+    "benzoic": benzoic,
+    "aspirin": aspirin,
+}
 
 
 def main() -> None:
