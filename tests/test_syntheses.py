@@ -27,7 +27,7 @@ SYNTHESES = synthesis_names()
 
 SHIPPED = {
     "aspirin": "ae1c5287d2d56da6",
-    "benzoic": "7b701de7eeba1576",
+    "benzoic": "e619116db134990b",
     "fischer": "96616db1b777ed4e",
     "snar": "45b2090c444e1f41",
 }

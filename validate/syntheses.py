@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -169,14 +169,15 @@ def fischer() -> list[Row]:
 # -- benzoic ----------------------------------------------------------------------------------------------------------
 
 BENZOIC, BASE, RETURNS = "benzoic_acid", "NaOH", "sodium_bisulfate"
-_OWN = str(Path(__file__).parent.parent / "scenarios" / "syntheses" / "materials" / "bisulfate.toml")
+_OWN = Path(__file__).parent.parent / "scenarios" / "syntheses" / "benzoic"
+_BENZOIC: dict[str, Any] = {"reactions": str(_OWN / "reactions.toml"), "material_files": [str(_OWN / "materials.toml")]}
 _CHARGE_SOURCE = "balance of charge: the ions of a base that is short are those of the acid"
 _SEIDELL = "Seidell, 3.4 g/L, as remembered"
 
 
 def _shaken(contents: Mapping[str, float], base: float) -> Flask:
     """Contents dissolved (a day), then shaken with water and some mol of sodium hydroxide."""
-    flask = Flask(contents, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask = Flask(contents, **_BENZOIC, capacity_l=2.0)
     flask.wait(86400.0)
     flask.add(WATER, 20.0)
     flask.add(BASE, base)
@@ -191,7 +192,7 @@ def benzoic() -> list[Row]:
         made = _shaken({"toluene": 4.0, BENZOIC: 0.25, "naphthalene": 0.25}, base).amounts["benzoate"]
         what = f"benzoate in water of 0.25 mol of acid in toluene and {base:g} mol of sodium hydroxide"
         rows.append(Row("benzoic", what, "mol", math.nan, base, made, _CHARGE_SOURCE))
-    flask = Flask({WATER: 55.0, BENZOIC: 0.1}, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask = Flask({WATER: 55.0, BENZOIC: 0.1}, **_BENZOIC, capacity_l=2.0)
     flask.wait(86400.0)
     layer = next(one for one in flask.layers if one.name == "aqueous")
     dissolved = (layer.contents[BENZOIC] + layer.contents.get("benzoate", 0.0)) / layer.volume_l
