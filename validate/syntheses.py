@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -169,14 +169,15 @@ def fischer() -> list[Row]:
 # -- benzoic ----------------------------------------------------------------------------------------------------------
 
 BENZOIC, BASE, RETURNS = "benzoic_acid", "NaOH", "sodium_bisulfate"
-_OWN = str(Path(__file__).parent.parent / "scenarios" / "syntheses" / "materials" / "bisulfate.toml")
+_OWN = Path(__file__).parent.parent / "scenarios" / "syntheses" / "benzoic"
+_BENZOIC: dict[str, Any] = {"reactions": str(_OWN / "reactions.toml"), "material_files": [str(_OWN / "materials.toml")]}
 _CHARGE_SOURCE = "balance of charge: the ions of a base that is short are those of the acid"
 _SEIDELL = "Seidell, 3.4 g/L, as remembered"
 
 
 def _shaken(contents: Mapping[str, float], base: float) -> Flask:
     """Contents dissolved (a day), then shaken with water and some mol of sodium hydroxide."""
-    flask = Flask(contents, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask = Flask(contents, **_BENZOIC, capacity_l=2.0)
     flask.wait(86400.0)
     flask.add(WATER, 20.0)
     flask.add(BASE, base)
@@ -191,7 +192,7 @@ def benzoic() -> list[Row]:
         made = _shaken({"toluene": 4.0, BENZOIC: 0.25, "naphthalene": 0.25}, base).amounts["benzoate"]
         what = f"benzoate in water of 0.25 mol of acid in toluene and {base:g} mol of sodium hydroxide"
         rows.append(Row("benzoic", what, "mol", math.nan, base, made, _CHARGE_SOURCE))
-    flask = Flask({WATER: 55.0, BENZOIC: 0.1}, reactions="benzoic", material_files=[_OWN], capacity_l=2.0)
+    flask = Flask({WATER: 55.0, BENZOIC: 0.1}, **_BENZOIC, capacity_l=2.0)
     flask.wait(86400.0)
     layer = next(one for one in flask.layers if one.name == "aqueous")
     dissolved = (layer.contents[BENZOIC] + layer.contents.get("benzoate", 0.0)) / layer.volume_l
@@ -207,7 +208,43 @@ def benzoic() -> list[Row]:
     return rows
 
 
-SYNTHESES: dict[str, Callable[[], list[Row]]] = {"snar": snar, "fischer": fischer, "benzoic": benzoic}
+# -- aspirin ----------------------------------------------------------------------------------------------------------
+
+ASPIRIN, ANHYDRIDE = "acetylsalicylic_acid", "acetic_anhydride"
+_ELDRIDGE = "Eldridge and Piret (1950), Chem. Eng. Prog. 46, 290, as textbooks have it, as remembered"
+_AVERILL = "Averill and Eldredge, General Chemistry, table 14.1 (read)"
+HYDROLYSES = (
+    (ANHYDRIDE, 298.15, 600.0, math.exp(-0.158 * 10.0), (4650.0, 45600.0), _ELDRIDGE),
+    (ANHYDRIDE, 313.15, 300.0, math.exp(-0.380 * 5.0), (4650.0, 45600.0), _ELDRIDGE),
+    (ASPIRIN, 310.15, 3600.0 * 100.0, 3.83 / 5.55, (3.65e4, 72970.0), _AVERILL),
+    (ASPIRIN, 310.15, 3600.0 * 300.0, 1.82 / 5.55, (3.65e4, 72970.0), _AVERILL),
+)
+"""What, K, s, share that is left; A in L/mol/s and J/mol."""
+
+
+def aspirin() -> list[Row]:
+    """How fast water takes the anhydride and the product apart."""
+    rows = []
+    for name, kelvin, seconds, published, (factor, activation), source in HYDROLYSES:
+        flask = Flask({WATER: 55.0, name: 0.0055}, reactions="aspirin", capacity_l=2.0)
+        if name == ASPIRIN:
+            flask.wait(3600.0)  # crystals dissolve
+        start = flask.amounts[name]
+        water = flask.amounts[WATER] / flask.volume_l
+        flask.react(seconds, temperature_k=kelvin)
+        k = factor * math.exp(-activation / GAS / kelvin) * water
+        what = f"{name} left after {seconds:g} s in water of {kelvin - 273.15:g} C"
+        left = flask.amounts[name] / start
+        rows.append(Row("aspirin", what, "", published, math.exp(-k * seconds), left, source))
+    return rows
+
+
+SYNTHESES: dict[str, Callable[[], list[Row]]] = {
+    "snar": snar,
+    "fischer": fischer,
+    "benzoic": benzoic,
+    "aspirin": aspirin,
+}
 
 
 def main() -> None:

@@ -37,6 +37,8 @@ _LEAST_SOLIDS = 5e-4
 """Of the volume: solids worth a filter."""
 _MOSTLY_SOLID = 0.8
 """Solids' share of the volume below which crystals stand in their liquor: they are collected, not dissolved anew."""
+_THINNED = 2.0
+"""Litres of a bad solvent to each of a solution from which it is to bring crystals down."""
 _DRY = 0.9999
 """Solids' share of the volume of what counts as dry."""
 _WASHES = 2
@@ -143,8 +145,7 @@ class CrystallizationHeuristic:
             read = {name: self._read(o, name) for name in ("temperature", "volume", "solids")}
             if s == 0:
                 goal = int(o[self._slices["goal"]].argmax())
-                slurry = _LEAST_SOLIDS < read["solids"] < _MOSTLY_SOLID
-                self._memory[i] = _Batch(phase=COOL, seeded=True) if slurry else self._begin(read["volume"], goal)
+                self._memory[i] = self._wet(read["volume"], read["solids"], goal)
             action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)
             chosen.append(action if mask is not None and m[action] else self._bench.end_action)
         return np.array(chosen, dtype=np.int64)
@@ -160,6 +161,19 @@ class CrystallizationHeuristic:
     def _read(self, observation: ObservationArray, name: str) -> float:
         gauge = self._gauges[name]
         return gauge.low + float(observation[self._slices[name]][0]) * (gauge.high - gauge.low)
+
+    def _wet(self, litres: float, solids: float, goal: int) -> _Batch:
+        """What is to be done with what comes: dissolve it anew if it is mostly solid; of a slurry collect the crystals;
+        of a solution bring them down with the liquid at the bench that dissolves the least."""
+        if solids >= _MOSTLY_SOLID:
+            return self._begin(litres, goal)
+        if solids > _LEAST_SOLIDS:
+            return _Batch(phase=COOL, seeded=True)
+        name, scenario = self._bench.goals.names[goal], self._bench.scenario
+        liquids = [key[2] for key in self._actions if key[0] == "add" and key[2] not in (None, name)]
+        worst = min(liquids, key=lambda liquid: solubility(scenario, name, str(liquid), self._cold_k))
+        room = max(_FULLEST * self._bench.spec.start.capacity_l - litres, 0.0)
+        return _Batch(solvent_l=min(_THINNED * litres, room), solvent=str(worst), hot_k=0.0, seed_k=math.inf)
 
     def _begin(self, crude_l: float, goal: int) -> _Batch:
         """How much solvent, and where to seed, for that much crude product."""

@@ -17,6 +17,7 @@ from ...surroundings import Surroundings
 from ...transfer import heat_capacity
 from .. import vapor_pressure
 from .chemistry import RealChemistry
+from .crystals import crystallize
 from .heats import enthalpy
 from .kinetics import integrate
 from .vapor import boiling_point, flash_off
@@ -73,7 +74,7 @@ def react(
     work: FloatArray,
 ) -> int:
     """Let the contents of one vessel react for ``dt``; what boils runs back from the condenser, vapour that is too much
-    for it is lost and an event."""
+    for it is lost and an event. Then crystals dissolve and grow for as long, which counts as a step."""
     pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[work.shape[0] - 1]
     follows = around.condenser >= 0.0 and 0.0 <= around.transfer < math.inf
@@ -147,4 +148,9 @@ def react(
         part = following
     if around.condenser >= 0.0 and not follows:
         events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * dt, chem, waste)
+    at = row[TEMPERATURE]
+    if crystallize(row, dt, chem):
+        total += 1
+        if not 0.0 <= around.transfer < math.inf:
+            row[TEMPERATURE] = at  # a thermostat's
     return total
