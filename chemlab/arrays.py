@@ -110,15 +110,15 @@ def addresses(arrays: Sequence[npt.NDArray[Any]]) -> IntArray:
     Raises:
         ValueError: an array is not contiguous, or has more than four axes.
     """
-    out = np.zeros((len(arrays), SLOT), dtype=np.int64)
-    for slot, array in zip(out, arrays, strict=True):
+    numbers: list[int] = []
+    for array in arrays:
         if not array.flags.c_contiguous or array.ndim >= SLOT:
             raise ValueError(
                 f"kernels take contiguous arrays of at most {SLOT - 1} axes, given strides {array.strides}"
             )
-        slot[0] = array.ctypes.data
-        slot[1 : 1 + array.ndim] = array.shape
-    return out.reshape(-1)
+        # Several times as fast as ``array.ctypes``, and a laboratory has hundreds of arrays.
+        numbers += [array.__array_interface__["data"][0], *array.shape, *[0] * (SLOT - 1 - array.ndim)]
+    return np.array(numbers, dtype=np.int64)
 
 
 @functools.cache

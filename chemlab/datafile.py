@@ -10,7 +10,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -152,32 +152,41 @@ def bounded(content: Any, where: str) -> Any:
         DataError: something is nested too deeply, too long, too large or no number, or a text has control characters.
     """
 
-    def wrong(problem: str) -> DataError:
-        return DataError(f"{where}: {'.'.join(path) or '(whole file)'}: {problem}")
+    # Where something stands is a chain of keys, so that nothing has to be copied for what is right.
+    def wrong(problem: str, at: Any) -> DataError:
+        keys: list[str] = []
+        while at is not None:
+            at, key = at
+            keys.insert(0, str(key))
+        return DataError(f"{where}: {'.'.join(keys) or '(whole file)'}: {problem}")
 
-    left: list[tuple[tuple[str, ...], Any]] = [((), content)]
+    left: list[tuple[Any, int, Any]] = [(None, 0, content)]
     while left:
-        path, value = left.pop()
+        at, depth, value = left.pop()
         if isinstance(value, Mapping):
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
-                    raise wrong(f"a key must be 1 to {_KEY} printable characters, given {_shown(key)}")
-            children = [((*path, key), child) for key, child in value.items()]
+                    raise wrong(f"a key must be 1 to {_KEY} printable characters, given {_shown(key)}", at)
+            inside: Iterable[tuple[Any, Any]] = value.items()
         elif isinstance(value, (list, tuple)):
-            children = [((*path, str(i)), child) for i, child in enumerate(value)]
+            inside = enumerate(value)
         else:
-            if isinstance(value, str) and (len(value) > _TEXT or _CONTROL.search(value)):
-                raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {_shown(value)}")
-            if isinstance(value, int) and abs(value) > _INTEGER:
-                raise wrong(f"a whole number must be within {_INTEGER}, given one of {value.bit_length()} bits")
-            if isinstance(value, float) and not math.isfinite(value):
-                raise wrong(f"must be a finite number, given {value}")
+            if isinstance(value, str):
+                if len(value) > _TEXT or _CONTROL.search(value):
+                    given = _shown(value)
+                    raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {given}", at)
+            elif isinstance(value, int):
+                if abs(value) > _INTEGER:
+                    bits = value.bit_length()
+                    raise wrong(f"a whole number must be within {_INTEGER}, given one of {bits} bits", at)
+            elif isinstance(value, float) and not math.isfinite(value):
+                raise wrong(f"must be a finite number, given {value}", at)
             continue
-        if children and len(path) >= _DEPTH:
-            raise wrong(f"nested more than {_DEPTH} levels deep")
-        if len(children) > _ENTRIES:
-            raise wrong(f"has {len(children)} entries; at most {_ENTRIES}")
-        left += children
+        if value and depth >= _DEPTH:
+            raise wrong(f"nested more than {_DEPTH} levels deep", at)
+        if len(value) > _ENTRIES:
+            raise wrong(f"has {len(value)} entries; at most {_ENTRIES}", at)
+        left += [((at, key), depth + 1, child) for key, child in inside]
     return content
 
 

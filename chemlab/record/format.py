@@ -287,18 +287,20 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _check_values(values: dict[str, Any] | list[Any], deeper: int) -> None:
+def _check_values(values: Any, deeper: int) -> None:
     """Refuse numbers that are not finite or too large, and more than ``deeper`` lists and objects in each other."""
     if not deeper:
         raise ValueError(f"has more than {LIMITS.depth} lists and objects inside each other")
-    for value in values.values() if isinstance(values, dict) else values:
-        if isinstance(value, float):
+    most = LIMITS.integer
+    for value in values.values() if type(values) is dict else values:
+        kind = type(value)  # of what a parser makes there are no subclasses, and every turn's every number comes by
+        if kind is float:
             if not math.isfinite(value):
                 raise ValueError("has a number that is not finite")
-        elif isinstance(value, int):
-            if abs(value) >= LIMITS.integer:
+        elif kind is int:
+            if abs(value) >= most:
                 raise ValueError("has a whole number of 2**128 or more")
-        elif isinstance(value, (dict, list)):
+        elif kind is dict or kind is list:
             _check_values(value, deeper - 1)
 
 

@@ -78,6 +78,10 @@ def test_order_and_folders(tmp_path: Path) -> None:
         ("[[runs]]\nseeds = 0", "seeds: needs a list"),
         ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: no such argument; did you mean seed"),
         ('[[runs]]\nalgo = "ppo"\n[[runs]]\nalgo = "ppo"\ngamma = 0.9', "another run above; give this table a name"),
+        *(
+            (f"[[runs]]\nname = {json.dumps(name)}", "a run's folder cannot be called")
+            for name in ("../../x", "/tmp/x", "..", ".", "a/b", "a\\b", "x" * 300)
+        ),
     ],
 )
 def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:

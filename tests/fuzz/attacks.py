@@ -4,7 +4,7 @@ made of it into ``docs/security.md``.
     python tests/fuzz/attacks.py files --tries 8000 --seed 1      # records, files, agents, forgeries, honest
     python tests/fuzz/attacks.py table                            # the table alone
 
-A run takes the place of what was kept of this kind and seed before; ``--forget`` leaves out the other seeds of the kind.
+A run takes the place of what was kept of this kind and seed before; ``--forget`` leaves out its other seeds, too.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "fuzz")]
-
 import forgeries
 import fuzz_agents
 import fuzz_files
@@ -31,10 +28,13 @@ from chemlab.agents.evaluation.benchmark import _commit
 from chemlab.datafile import read_json
 from chemlab.files import replace_between, write_text
 
+ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "results" / "attacks.json"
 PAGE = ROOT / "docs" / "security.md"
 TURNS = 25
 """Played where a file loads."""
+FORGED = ("wurtz_dodecane", "relay", "rush", "failing")
+"""Scenarios of the episodes that are forged: the plain one, and ones with grades, reports, orders over time, wear."""
 _MARK = "attacks"
 Outcomes = dict[str, dict[str, int]]
 """By kind of file or forgery: how many came out how."""
@@ -62,10 +62,15 @@ def records(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 
 def forged(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
     """Forgeries of that many episodes: how they verify."""
-    with tempfile.TemporaryDirectory() as folder:
-        found = forgeries.forge(tries, Path(folder))
-    right = [f"{name}: {counter['ok']} are found right" for name, counter in found.items() if counter["ok"]]
-    return {name.replace("_", " "): dict(sorted(counter.items())) for name, counter in found.items()}, right
+    outcomes: Outcomes = {}
+    failures: list[str] = []
+    for scenario in FORGED:
+        with tempfile.TemporaryDirectory() as folder:
+            found = forgeries.forge(tries, Path(folder), scenario)
+        failures += [f"{scenario}: {name}: {n} found right" for name, counter in found.items() if (n := counter["ok"])]
+        for name, counter in found.items():
+            outcomes[f"{name.replace('_', ' ')}: {scenario}"] = dict(sorted(counter.items()))
+    return outcomes, failures
 
 
 def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:

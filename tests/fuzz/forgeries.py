@@ -96,8 +96,9 @@ def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:
 def easier_scenario(lines: Lines, path: Path) -> Iterator[Path]:
     """Played honestly, where half as much counts as everything; under the shipped name, and under another."""
     header = json.loads(lines[0])
-    for name in (header["scenario"]["scenario"]["name"], "wurtz_house_rules"):
-        data = json.loads(json.dumps(dump_scenario(load_scenario("wurtz_dodecane"))))
+    shipped = header["scenario"]["scenario"]["name"]
+    for name in (shipped, "house_rules"):
+        data = json.loads(json.dumps(dump_scenario(load_scenario(shipped))))
         data["scenario"]["name"] = name
         data["scenario"]["theoretical_maximum_mol"] = {
             goal: mol / 2 for goal, mol in data["scenario"]["theoretical_maximum_mol"].items()
@@ -105,14 +106,33 @@ def easier_scenario(lines: Lines, path: Path) -> Iterator[Path]:
         yield store(path, record(path, restore_scenario(data, "easier"), header["seed"], "heuristic"))
 
 
-FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario)
+def paid_more(lines: Lines, path: Path) -> Iterator[Path]:
+    """The first reward of each agent higher, or as high as if it had not been charged, in the turn and in all sums."""
+    end, seen = json.loads(lines[-1]), set()
+    for number, line in enumerate(lines[1:-1], start=1):
+        for agent, reward in json.loads(line).get("rewards", {}).items():
+            if agent in seen or not reward:
+                continue
+            seen.add(agent)
+            for paid in (reward + 0.25, abs(reward)):
+                if paid == reward:
+                    continue
+                turn, closing = json.loads(line), json.loads(json.dumps(end))
+                turn["rewards"][agent] = paid
+                closing["end"]["rewards"][agent] += paid - reward
+                closing["end"]["score"] += paid - reward
+                texts = text_of(turn, line), text_of(closing, lines[-1])
+                yield store(path, [*lines[:number], texts[0], *lines[number + 1 : -1], texts[1]])
 
 
-def forge(seeds: int, folder: Path) -> dict[str, Counter[str]]:
+FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more)
+
+
+def forge(seeds: int, folder: Path, scenario: str = "wurtz_dodecane") -> dict[str, Counter[str]]:
     """How often each forgery was tried, and how it was taken: by status of its verification."""
     found: dict[str, Counter[str]] = {}
     for seed in range(seeds):
-        lines = record(folder / "honest.jsonl", "wurtz_dodecane", seed)
+        lines = record(folder / "honest.jsonl", scenario, seed)
         for forgery in FORGERIES:
             counter = found.setdefault(forgery.__name__, Counter())
             for path in forgery(lines, folder / "forged.jsonl"):
@@ -124,10 +144,11 @@ def main() -> int:
     """Forge and report; 1 if one was found right."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--scenario", default="wurtz_dodecane")
     parser.add_argument("--json", action="store_true", help="print JSON")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = forge(args.seeds, Path(folder))
+        found = forge(args.seeds, Path(folder), args.scenario)
     print(json.dumps(found) if args.json else "\n".join(f"{key}: {dict(value)}" for key, value in found.items()))
     return 1 if any(counter["ok"] for counter in found.values()) else 0
 

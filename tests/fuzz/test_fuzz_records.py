@@ -20,8 +20,11 @@ def test_mutated_records_are_refused_in_words(tmp_path: Path) -> None:
     assert sum(report.readers.values()) > sum(report.refused.values()) > 50
 
 
-def test_forged_records_are_not_believed(tmp_path: Path) -> None:
-    found = forge(2, tmp_path)
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "relay", "rush"])
+def test_forged_records_are_not_believed(scenario: str, tmp_path: Path) -> None:
+    found = forge(2, tmp_path, scenario)
+    assert found["paid_more"].keys() == {"tampered"}
+    assert found["paid_more"]["tampered"] >= 4
     assert found["cut_short"].keys() == {"tampered"}
     assert found["impossible_numbers"] == {"tampered": 2 * len(NUMBERS)}
     assert found["other_spellings"].keys() <= {"tampered", "unchecked"}
