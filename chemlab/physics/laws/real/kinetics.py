@@ -38,10 +38,8 @@ _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
 _HEAT_SCALE_K = 10.0
 """Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
-_SMALL, _SMALL_SHARE = 0.01, 0.1
-"""Times the absolute tolerance, and times the relative one of what there was: the concentration below which orders
-under 1, with an infinite slope at 0, become 1, and a relative error is not looked at. What is used up in time, as a
-surface is, would else be followed through ever shorter steps."""
+_SMALL = 0.01
+"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, become 1."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
 """Of e in a rate constant; what is beyond is as good as zero or at once."""
@@ -53,8 +51,8 @@ _COLDEST_K, _HOTTEST_K = 50.0, 5000.0
 # Rows of the scratch: of length B + 1, the unknowns; R, reactions; S, species. The Jacobian and its factors follow.
 _EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT, _HEAT, _CAPACITY = range(10)
 _FORWARD, _BACKWARD = range(10, 12)
-_START, _NOW, _CONC, _LITTLE, _POWERS = range(12, 17)
-_VECTORS = 17
+_START, _NOW, _CONC, _POWERS = range(12, 16)
+_VECTORS = 16
 
 
 class _Vessel(NamedTuple):
@@ -284,7 +282,7 @@ def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
 def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> None:
     """Rates of the unknowns: of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
     chemistry = opened(RealChemistry, chem)
-    n, work = chemistry.independent.shape[0], vessel.work
+    n, work, small = chemistry.independent.shape[0], vessel.work, _SMALL * vessel.atol
     _concentrations(chem, work, y)
     temperature = _temperature(chem, vessel, y)[0]
     if vessel.transfer >= 0.0:
@@ -297,12 +295,12 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
         for f in range(chemistry.forward.shape[1]):
             j = chemistry.forward[r, f]
             if j >= 0:
-                ahead *= _power(work[_CONC, j], chemistry.forward_order[r, f], work[_LITTLE, j])
+                ahead *= _power(work[_CONC, j], chemistry.forward_order[r, f], small)
         if back > 0.0:
             for f in range(chemistry.backward.shape[1]):
                 j = chemistry.backward[r, f]
                 if j >= 0:
-                    back *= _power(work[_CONC, j], chemistry.backward_order[r, f], work[_LITTLE, j])
+                    back *= _power(work[_CONC, j], chemistry.backward_order[r, f], small)
         rate = (ahead - back) * _slowing(chem, work, r)
         for p in range(chemistry.parts.shape[1]):
             if chemistry.parts[r, p] >= 0:
@@ -328,24 +326,20 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
     chemistry = opened(RealChemistry, chem)
     factors = chemistry.backward if backward else chemistry.forward
     orders = chemistry.backward_order if backward else chemistry.forward_order
-    matrix, conc, little, powers = (
-        vessel.work[_VECTORS:],
-        vessel.work[_CONC],
-        vessel.work[_LITTLE],
-        vessel.work[_POWERS],
-    )
+    matrix, conc, powers = vessel.work[_VECTORS:], vessel.work[_CONC], vessel.work[_POWERS]
+    small = _SMALL * vessel.atol
     rate = constant
     for f in range(factors.shape[1]):
         powers[f] = 1.0
         j = factors[r, f]
         if j >= 0:
-            powers[f] = _power(conc[j], orders[r, f], little[j])
+            powers[f] = _power(conc[j], orders[r, f], small)
             rate *= powers[f]
     for f in range(factors.shape[1]):
         j = factors[r, f]
         if j < 0:
             continue
-        slope = constant * _slope(conc[j], orders[r, f], little[j], powers[f])
+        slope = constant * _slope(conc[j], orders[r, f], small, powers[f])
         for g in range(factors.shape[1]):
             if g != f:
                 slope *= powers[g]
@@ -471,7 +465,7 @@ def _error(chem: Handle, vessel: _Vessel) -> float:
     _concentrations(chem, work, work[_TRIAL])
     total = 0.0
     for j in range(n_species):
-        held = max(work[_NOW, j], work[_CONC, j], work[_LITTLE, j])
+        held = max(work[_NOW, j], work[_CONC, j])
         ratio = _change(chem, work[_K4], j) / (vessel.atol + vessel.rtol * held)
         total += ratio * ratio
     worst = math.sqrt(total / n_species)
@@ -527,7 +521,6 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
     for j in range(chemistry.species.shape[0]):
         work[_START, j] = _available(row, chem, j) / litres
         work[_NOW, j] = work[_START, j]
-        work[_LITTLE, j] = max(_SMALL * vessel.atol, _SMALL_SHARE * vessel.rtol * work[_START, j])
     for b in range(n):
         r = chemistry.independent[b]
         work[_HEAT, b], work[_CAPACITY, b] = 0.0, 0.0
