@@ -191,7 +191,8 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    return ("heuristic", "hasty", "direct", "forgetful", "serial", "random", "pretrained", "trained", "plan")
+    scripted = ("heuristic", "hasty", "direct", "forgetful", "serial")
+    return (*scripted, "random", "pretrained", "pretrained-alone", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
@@ -202,13 +203,14 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
             safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
             (scripted, but the manager forgets what it has found out when a batch is over, or when it looks again),
             ``serial`` (scripted, but the manager takes one order at a time, as they come), ``random``,
-            ``pretrained`` (benches by shipped policies, the manager scripted) or ``trained`` (the manager by a shipped
-            policy, too), ``plan`` (the manager by the best constant plan that is stored for who operates the benches,
-            or in ``plan:FILE``; benches scripted); the name of a policy that comes with chemlab
-            (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights,
-            for the roles that learned (the others are played
-            by its background). ``@0.1`` after it: at one turn in ten a random legal action instead. Exceptions follow
-            after commas, by role or agent: ``pretrained@0.1,manager=random``.
+            ``pretrained`` (benches by shipped policies, the manager scripted), ``pretrained-alone`` (the same with
+            benches that learned on single benches, not in running laboratories) or ``trained`` (the manager by a
+            shipped policy, too, over the benches that it learned over), ``plan`` (the manager by the best constant plan
+            that is stored for who operates the benches, or in ``plan:FILE``; benches scripted); the name of a policy
+            that comes with chemlab (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint
+            or exported weights, for the roles that learned (the others are played by its background). ``@0.1`` after
+            it: at one turn in ten a random legal action instead. Exceptions follow after commas, by role or agent:
+            ``pretrained@0.1,manager=random``.
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -290,14 +292,24 @@ def agent_policy(
             raise ValueError(f"{own}: background of this run: {error}" if deep == 0 else str(error)) from error
     if own == "random":
         return RandomPolicy(_size(laboratories.action_space(number)), seed)
-    if own == "trained" or (own == "pretrained" and number > 0):
-        return pretrained_for(role, laboratory=True)
+    if own == "trained" and number > 0:
+        return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
+    if own == "trained" or (own in ("pretrained", "pretrained-alone") and number > 0):
+        return pretrained_for(role, laboratory=True, alone=own == "pretrained-alone")
     careful = own != "hasty"
     if number > 0:
         return bench_heuristic(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
     return manager_heuristic(laboratories, careful, washing, own != "forgetful", own != "serial")
+
+
+def _partners(laboratories: Laboratories) -> str:
+    """Who operated the benches when the shipped manager of a laboratory learned; without one, ``pretrained``."""
+    try:
+        return pretrained_for(laboratories.role(0), laboratory=True).card.background or "heuristic"
+    except ValueError:
+        return "pretrained"
 
 
 def is_scripted(bench: Bench) -> bool:

@@ -459,13 +459,14 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     load_pretrained(path)
 
 
-def pretrained_for(workplace: Workplace, laboratory: bool = False) -> PretrainedPolicy:
+def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool = False) -> PretrainedPolicy:
     """The shipped policy for a workplace: one trained on it, else one that sees and does the same there.
 
     Args:
         workplace: what it is to operate.
-        laboratory: whether in a laboratory. Where several fit as well, those that have met a laboratory's vessels are
-            for that, and the others for single benches.
+        laboratory: whether in a laboratory. Benches that learned in a running laboratory are for that, the others for
+            single benches; where several fit as well, so are those that have met a laboratory's vessels.
+        alone: whether also in a laboratory benches are to be taken that learned on single benches.
 
     Raises:
         ValueError: there is none; the message says why each does not fit.
@@ -478,7 +479,8 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False) -> Pretrained
             reasons.append(f"{name}: {difference}")
         else:
             elsewhere = (card.scenario, card.bench) != (workplace.scenario.name, workplace.key)
-            fitting.append((elsewhere, (card.starts == "paper") == laboratory, name))
+            other = (card.background is None) == (laboratory and not alone)
+            fitting.append((other, elsewhere, (card.starts == "paper") == laboratory, name))
     if not fitting:
         raise ValueError(
             f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} "

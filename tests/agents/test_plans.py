@@ -240,7 +240,7 @@ def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
     assert scores.mean() == pytest.approx(stored.evaluation["value"], abs=1e-9)
 
 
-@pytest.mark.parametrize(("benches", "least"), [("heuristic", 0.97), ("pretrained", 0.92)])
+@pytest.mark.parametrize(("benches", "least"), [("heuristic", 0.97), ("pretrained-alone", 0.92)])
 def test_the_plan_for_dodecane_beats_the_scripted_manager(benches: str, least: float) -> None:
     """A fixed plan solves the paper's laboratory."""
     labs = Laboratories("wurtz_dodecane", 50)
@@ -257,12 +257,12 @@ def test_plans_by_name(tmp_path: Path) -> None:
     labs = Laboratories("wurtz_dodecane", 1)
     by_name = make_policies("plan", labs)["manager_0"], make_policies("heuristic,manager=plan", labs)["manager_0"]
     by_file = make_policies(f"pretrained,manager=plan:{plan_file('wurtz_dodecane', 'heuristic')}", labs)["manager_0"]
-    pretrained = make_policies("pretrained,manager=plan", labs)["manager_0"]
+    pretrained = make_policies("pretrained-alone,manager=plan", labs)["manager_0"]
     for policy, benches in (
         (by_name[0], "heuristic"),
         (by_name[1], "heuristic"),
         (by_file, "heuristic"),
-        (pretrained, "pretrained"),
+        (pretrained, "pretrained-alone"),
     ):
         assert isinstance(policy, ConstantPlan)
         np.testing.assert_array_equal(policy._steps, plan_for(labs, benches)._steps)
