@@ -93,6 +93,7 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     except ValueError as error:
         reason = {
             "pretrained": "no pretrained policy fits",
+            "pretrained-alone": "no pretrained policy fits",
             "trained": "no pretrained policy fits",
             "plan": "none is stored",
             "forgetful": "has nothing to forget",
