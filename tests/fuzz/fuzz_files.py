@@ -381,8 +381,8 @@ COMMANDS: dict[str, Callable[[Path, Files, Files, np.random.Generator], bool]] =
 
 
 def play(scenario: Any, turns: int, seed: int, path: Path) -> None:
-    """Build the laboratory, and play that many random turns in it, a tenth of them of any action. Every number that
-    comes of it is finite, and its record is right."""
+    """Build the laboratory, and play that many random turns in it, a tenth of them of any action, or until reactions
+    are too stiff. Every number that comes of it is finite, and its record is right."""
     env = raw_env(scenario)
     if not turns:
         return
@@ -401,7 +401,12 @@ def play(scenario: Any, turns: int, seed: int, path: Path) -> None:
             mask, space = info.get("action_mask"), env.action_space(agent)
             among = np.arange(len(mask)) if mask is not None and rng.random() < 0.1 else mask
             action = rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(among)))
-            env.step(action)
+            try:
+                env.step(action)
+            except ArithmeticError as error:
+                if type(error) is not ArithmeticError:  # words of ours: too stiff
+                    raise
+                break
             recorder.turn([Play(env.possible_agents.index(agent), observation, mask, action)])
     found = verify_record(path if path.exists() else recorder.part)
     assert found.status in ("ok", "torn", "foreign"), f"an honest record is {found.status}: {found.message}"
