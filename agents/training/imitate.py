@@ -25,7 +25,7 @@ IMITATED = 20_000
 """Turns to learn from, where nobody says how many."""
 
 _EPOCHS = 10
-_UPDATES = 800
+_UPDATES = 1_100
 """At least; few examples are gone through more often."""
 _BATCH = 256
 _LEARNING_RATE = 1e-3

@@ -295,7 +295,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("results")
     train(
-        TrainArguments.of({**SMALL, "background": "pretrained"}),
+        TrainArguments.of({**SMALL, "background": "pretrained-alone"}),
         folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0",
     )
     return folder
@@ -317,7 +317,7 @@ def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> 
     done = runner.invoke(app, ["figures", str(tables), "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "left out" not in done.output
-    cells = rows_of(tmp_path / "laboratory.md")["pretrained", "tiny"]
+    cells = rows_of(tmp_path / "laboratory.md")["pretrained-alone", "tiny"]
     assert float(cells[0]) == pytest.approx(result.mean, abs=6e-4)
     assert float(cells[2]) == pytest.approx(result.last_mean, abs=6e-4)
     assert cells[-1] == "128"
