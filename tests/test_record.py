@@ -787,7 +787,22 @@ def test_a_line_that_is_too_much(honest: Path, tmp_path: Path) -> None:
         (b'{"turn":' + b"[" * 20 + b"]" * 20 + b"}", "inside each other"),
         (b'{"turn":' + b"[" * 5000 + b"]" * 5000 + b"}", "no JSON"),
         (b'{"turn":' + b"9" * 4000 + b"}", "whole number"),
-        (b'{"turn":1e400}', "not finite"),
+        *(
+            (b'{"turn":[-%s]}' % number, "not finite")
+            for number in (
+                b"1e400",
+                b"1E+400",
+                b"0.1e0400",
+                b"1e309",
+                b"9" * 400 + b".0",
+                b"9" * 38 + b"e300",
+                b"Infinity",
+                b"1e999 ",
+            )
+        ),
+        (b'{"turn": [ 1, 1e999]}', "not finite"),
+        (b'{"turn":-%d}' % 2**128, "whole number"),
+        (b'{"turn": ' + b"[" * 17 + b'"]]]]]]]]]]]]]]]]]"' + b"]" * 17 + b"}", "inside each other"),
         (b'{"turn":1,"turn":1}', "the key 'turn' twice"),
         # At the end of as many others as a line may have: each compared with each would take minutes.
         (b"{" + b"".join(b'"%x":1,' % i for i in range(95_000)) + b'"turn":1,"turn":1}', "the key 'turn' twice"),

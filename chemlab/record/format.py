@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import stat
 from collections import Counter
 from dataclasses import dataclass, field
@@ -259,14 +260,16 @@ def _parse(text: bytes) -> dict[str, Any]:
     if len(text) > LIMITS.line_bytes:
         raise ValueError(f"is longer than {LIMITS.line_bytes} bytes")
     try:
-        line = json.loads(text.decode(), object_pairs_hook=_unique)
-    except _KeyTwice:
+        line = json.loads(text.decode(), object_pairs_hook=_unique, parse_constant=_no_number)
+    except _Refused:
         raise
     except (ValueError, RecursionError) as error:
         raise ValueError("cannot be read: it is no JSON") from error
     if not isinstance(line, dict):
         raise ValueError("cannot be read: it is no JSON object")
-    _check_values(line, LIMITS.depth)
+    # Of nearly every line its text says that nothing in it can be too deep or too large.
+    if text.count(b"[") + text.count(b"{") > LIMITS.depth or _LARGE.search(text):
+        _check_values(line, LIMITS.depth)
     if b"\\u" in text:
         try:
             to_text(line).encode()
@@ -275,15 +278,24 @@ def _parse(text: bytes) -> dict[str, Any]:
     return line
 
 
-class _KeyTwice(ValueError):
-    """Which of two values would count is up to the reader."""
+_LARGE = re.compile(rb"[\[,:]\s*-?(?:[0-9.]+[eE]\+?[0-9]{3}|[0-9]{39})")
+"""A number that may be beyond the largest float, or have as many digits as the largest whole number of a record."""
+
+
+class _Refused(ValueError):
+    """What JSON as Python reads it allows, and a record does not: which of two values of a key would count is up to the
+    reader, and some numbers are none."""
+
+
+def _no_number(name: str) -> Any:
+    raise _Refused("has a number that is not finite")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
         ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
-        raise _KeyTwice(f"has the key {key[:80]!r} twice")
+        raise _Refused(f"has the key {key[:80]!r} twice")
     return found
 
 
