@@ -163,7 +163,21 @@ def bounded(content: Any, where: str) -> Any:
     left: list[tuple[Any, int, Any]] = [(None, 0, content)]
     while left:
         at, depth, value = left.pop()
-        if isinstance(value, Mapping):
+        if isinstance(value, str):
+            if len(value) > _TEXT or _CONTROL.search(value):
+                given = _shown(value)
+                raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {given}", at)
+            continue
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                raise wrong(f"must be a finite number, given {value}", at)
+            continue
+        if isinstance(value, int):
+            if abs(value) > _INTEGER:
+                bits = value.bit_length()
+                raise wrong(f"a whole number must be within {_INTEGER}, given one of {bits} bits", at)
+            continue
+        if isinstance(value, (dict, Mapping)):  # in this order: looking up an abstract class takes long
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
                     raise wrong(f"a key must be 1 to {_KEY} printable characters, given {_shown(key)}", at)
@@ -171,16 +185,6 @@ def bounded(content: Any, where: str) -> Any:
         elif isinstance(value, (list, tuple)):
             inside = enumerate(value)
         else:
-            if isinstance(value, str):
-                if len(value) > _TEXT or _CONTROL.search(value):
-                    given = _shown(value)
-                    raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {given}", at)
-            elif isinstance(value, int):
-                if abs(value) > _INTEGER:
-                    bits = value.bit_length()
-                    raise wrong(f"a whole number must be within {_INTEGER}, given one of {bits} bits", at)
-            elif isinstance(value, float) and not math.isfinite(value):
-                raise wrong(f"must be a finite number, given {value}", at)
             continue
         if value and depth >= _DEPTH:
             raise wrong(f"nested more than {_DEPTH} levels deep", at)

@@ -49,12 +49,13 @@ class Table(Generic[T]):
         self.arrays: T = type(arrays)(*seen)
         self.handle: Handle = addresses(self._own) if COMPILED else self.arrays
         again = [
-            (own, np.full(own.shape[1:], field.field.first, dtype=own.dtype))
+            (field.field.first, own)
             for field, own in zip(self._fields, self._own, strict=True)
             if field.field.first is not None and own.size and not field.number
         ]
-        self._resettable = addresses([own.reshape(len(own), -1).view(np.uint8) for own, _ in again])
-        self._first = np.concatenate([np.zeros(0, np.uint8), *(first.reshape(-1).view(np.uint8) for _, first in again)])
+        self._resettable = addresses([own.reshape(len(own), -1).view(np.uint8) for _, own in again])
+        rows = [own.dtype.type(first).tobytes() * (own.size // len(own)) for first, own in again]
+        self._first = np.frombuffer(bytearray().join(rows), dtype=np.uint8) if rows else np.zeros(0, np.uint8)
 
     @classmethod
     def empty(cls, declaration: type[T], **lengths: int) -> Table[T]:
@@ -89,9 +90,9 @@ class Table(Generic[T]):
         ]
 
     def member(self, member: int, without: str = "") -> list[npt.NDArray[Any]]:
-        """The part of every array that is one laboratory's (views): along the axis N."""
+        """The part of every array that is one laboratory's (views, with the axis N, of length 1)."""
         return [
-            array[(slice(None),) * field.axes.index("N") + (member,)]
+            array[(slice(None),) * field.axes.index("N") + (slice(member, member + 1),)]
             for field, array in zip(self._fields, self._own, strict=True)
             if field.name != without and "N" in field.axes
         ]

@@ -727,6 +727,28 @@ def test_what_is_no_record(content: bytes, tmp_path: Path) -> None:
     assert (result.status, result.exit_code) == ("unchecked", 5)
 
 
+@pytest.mark.parametrize("laboratories", [1, 3])
+def test_the_state_of_a_record_is_all_of_the_laboratory_s(laboratories: int) -> None:
+    """Each array's last number, changed as time goes on, is another state; those of other laboratories are not."""
+    labs = Laboratories("failing", laboratories)
+    labs.reset(labs.members)
+    witness, tried = recorder_module.Witness(labs, 0), 0
+    for field, array in zip(labs.table._fields, labs.table._own, strict=True):
+        if "N" not in field.axes or field.name == "reading" or not array.size:
+            continue
+        own = array.swapaxes(0, field.axes.index("N"))
+        before = witness._state()
+        for member in range(laboratories):
+            place = (member, *(-1,) * (own.ndim - 1))
+            kept = own[place].copy()
+            own[place] = not kept if own.dtype == bool else np.nan_to_num(kept) + 1
+            assert (witness._state() != before) == (member == 0), field.name
+            own[place] = kept
+        assert witness._state() == before
+        tried += 1
+    assert tried > 20
+
+
 def test_misuse_of_a_recorder(tmp_path: Path) -> None:
     env = raw_env("salt_from_oil")
     env.reset(seed=0)

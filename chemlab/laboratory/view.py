@@ -210,6 +210,8 @@ def _write_limits(out: ObservationArray, at: int, n: int, state: ManagerState, r
 
 def _upkeep_channels(scenario: Scenario) -> list[Channel]:
     """What is to be seen of the condition of instruments and benches, where it changes at all."""
+    if not scenario.errs:
+        return []
     limit, actions = float(scenario.limits.ticks), ManagerActions.of(scenario)
     channels = [
         Channel(f"{name}_calibrated", 1, "ticks", 0.0, limit, "since its calibration, or since the beginning")
