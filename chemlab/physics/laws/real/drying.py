@@ -9,6 +9,7 @@ from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
 from .chemistry import MOST_FLUIDS
 from .liquids import clear_liquids, gather, partial_pressures, split
+from .salts import settle_salts
 from .vapor import write_back
 
 __all__ = ["dry"]
@@ -56,3 +57,4 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
             liquids.mol[a] = 0.0
     if n > 0:
         write_back(row, n, chem, liquids)
+        settle_salts(row, chem)  # at that temperature, too: air and room bring what all of it takes
