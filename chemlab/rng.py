@@ -7,17 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .arrays import StreamArray
+from .arrays import FloatArray, StreamArray
 from .jit import helper, kernel
 
-__all__ = ["normal", "random_bits", "seed_streams", "uniform"]
+__all__ = ["normal", "random_bits", "seed_streams", "uniform", "uniforms"]
+
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_UNIT = 1.0 / 9007199254740992.0
 
 
 @helper
-def random_bits(state: StreamArray) -> np.uint64:
-    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
+def _bits(counter: np.uint64) -> np.uint64:
+    """The 64 bits of a SplitMix64 stream at a count."""
+    z = counter
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     bits: np.uint64 = z ^ (z >> np.uint64(31))
@@ -25,9 +28,25 @@ def random_bits(state: StreamArray) -> np.uint64:
 
 
 @helper
+def random_bits(state: StreamArray) -> np.uint64:
+    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
+    state[0] += _STEP
+    return _bits(state[0])
+
+
+@helper
 def uniform(state: StreamArray) -> float:
     """Next number in [0, 1) of the stream."""
-    return (random_bits(state) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return (random_bits(state) >> np.uint64(11)) * _UNIT
+
+
+@helper
+def uniforms(state: StreamArray, out: FloatArray) -> None:
+    """As many next numbers in [0, 1) of the stream as ``out`` has room for; none waits for the one before."""
+    counter = state[0]
+    for i in range(out.shape[0]):
+        out[i] = (_bits(counter + np.uint64(i + 1) * _STEP) >> np.uint64(11)) * _UNIT
+    state[0] = counter + np.uint64(out.shape[0]) * _STEP
 
 
 @kernel

@@ -12,15 +12,14 @@ import math
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
 from ..chemistry import CLOCK, PRESENT, Chemistry
 from ..jit import helper, kernel, opened, scratch
-from ..rng import uniform
+from ..rng import uniforms
 from ..shelf import CLOCK_SETTLED, T_MIX
-from .constants import SOLIDS
 from .laws import find_layers, layer_density, layer_shade, solid_mol, solid_volume
 
 __all__ = ["camera", "profile"]
 
-_FEW = 8
-"""Layers whose grey values are worked out once a picture."""
+_BLOCK = 128
+"""Pixels that are drawn together."""
 _STEEPEST = 600.0
 """Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
 _TOLERANCE = 1e-11
@@ -106,10 +105,13 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
     if since_mixed <= 1e-9:
         fluid = total - volumes[0]
         for p in range(pixels):
-            share = max(min(solids - p, 1.0), 0.0)
-            out[0, p] = share
-            for c in range(1, count):
-                out[c, p] = (1.0 - share) * volumes[c] / fluid
+            out[0, p] = max(min(solids - p, 1.0), 0.0)
+        clear = min(math.ceil(solids), pixels)
+        for c in range(1, count):
+            litres = volumes[c]
+            for p in range(clear):
+                out[c, p] = (1.0 - out[0, p]) * litres / fluid
+            out[c, clear:] = litres / fluid
         return count
     # Consecutive fluids i, i + 1: log ratio of shares = slope_i x + offset_i, x in vessel heights.
     slope, offset, target = work[1], work[2], work[3]
@@ -138,18 +140,19 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
 @helper
 def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
     """Relative heights of the fluids in every pixel at the current offsets, the highest of each pixel being 1."""
-    slope, offset, level = work[1], work[2], work[4]
+    slope, offset, highest = work[1], work[2], work[-1]
     pixels = out.shape[1]
     for p in range(pixels):
-        x = (p + 0.5) / pixels
-        reached, highest = 0.0, 0.0
-        level[0] = 0.0
-        for i in range(fluids - 1):
-            reached += slope[i] * x + offset[i]
-            level[i + 1] = reached
-            highest = max(highest, reached)
-        for i in range(fluids):
-            gap = level[i] - highest
+        out[1, p] = highest[p] = 0.0
+    for i in range(fluids - 1):
+        steep, shift = slope[i], offset[i]
+        for p in range(pixels):
+            level = out[1 + i, p] + (steep * ((p + 0.5) / pixels) + shift)
+            out[2 + i, p] = level
+            highest[p] = max(highest[p], level)
+    for i in range(fluids):
+        for p in range(pixels):
+            gap = out[1 + i, p] - highest[p]
             out[1 + i, p] = 1.0 if gap == 0.0 else (math.exp(gap) if gap > _NEGLIGIBLE else 0.0)
 
 
@@ -195,15 +198,17 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             for p in range(pixels):
                 scale[p] = out[1, p]
             for i in range(1, fluids):
+                times = factor[i]
                 for p in range(pixels):
-                    scale[p] += factor[i] * out[1 + i, p]
+                    scale[p] += times * out[1 + i, p]
             for p in range(pixels):
                 scale[p] = 1.0 / scale[p]
             worst = 0.0
             # From here on the rows of ``out`` are shares; the factors are 1 again.
             for i in range(fluids):
+                times = factor[i]
                 for p in range(pixels):
-                    out[1 + i, p] *= factor[i] * scale[p]
+                    out[1 + i, p] *= times * scale[p]
                 factor[i] = 1.0
                 gradient[i] = _dot(weight, out[1 + i], pixels) - target[i]
                 worst = max(worst, abs(gradient[i]))
@@ -272,42 +277,43 @@ def camera(
         out: [pixels] grey values, bottom first; 0 where no vessel stands.
     """
     chemistry = opened(Chemistry, chem)
-    count = layers[0]
+    count, pixels = layers[0], out.shape[0]
     if count <= 2:
         solid = 0.0
-        for p in range(out.shape[0]):
+        for p in range(pixels):
             solid += shares[0, p] if count == 2 else 0.0
         if solid == 0.0:  # no vessel, or an empty one: nothing to draw
-            for p in range(out.shape[0]):
+            for p in range(pixels):
                 out[p] = chemistry.shade[chemistry.air] if count == 2 else 0.0
             return
-    shades = scratch(_FEW)
-    for c in range(min(count, _FEW)):
-        shades[c] = layer_shade(row, layers[1 + c], chem) if layers[1 + c] != SOLIDS else 0.0
-    for p in range(out.shape[0]):
-        draw = uniform(stream)
-        # Counting the layers that the draw lies above takes no branch that a processor could guess wrong.
-        reached, chosen = 0.0, 0
-        for c in range(count - 1):
-            reached += shares[c, p]
-            chosen += draw >= reached
-        if chosen == 0 and shares[0, p] > 0.0:
-            out[p] = _solid_shade(row, chem, draw / shares[0, p])
-        else:
-            out[p] = shades[chosen] if chosen < _FEW else layer_shade(row, layers[1 + chosen], chem)
+    draws, reached = scratch(_BLOCK), scratch(_BLOCK)
+    for start in range(0, pixels, _BLOCK):
+        many = min(_BLOCK, pixels - start)
+        grey = out[start : start + many]
+        uniforms(stream, draws[:many])
+        # Layer by layer instead of pixel by pixel: no branch that a processor could guess wrong, and several pixels at
+        # a time. A pixel shows the highest layer that begins at or below its draw.
+        for p in range(many):
+            reached[p] = grey[p] = 0.0
+        for c in range(1, count):
+            shade, below = layer_shade(row, layers[1 + c], chem), shares[c - 1, start : start + many]
+            for p in range(many):
+                reached[p] += below[p]
+                grey[p] = shade if draws[p] >= reached[p] else grey[p]
+        _show_solids(row, chem, draws[:many], shares[0, start : start + many], grey)
 
 
 @helper
-def _solid_shade(row: FloatArray, chem: Handle, draw: float) -> float:
-    """Grey value of one of the solids, drawn by volume."""
+def _show_solids(row: FloatArray, chem: Handle, draws: FloatArray, shares: FloatArray, grey: FloatArray) -> None:
+    """Where a draw is below the solids' share of a pixel: the grey value of one of them, drawn by volume."""
     chemistry = opened(Chemistry, chem)
-    total = solid_volume(row, chem)
-    reached, shade = 0.0, 0.0
+    total, reached = -1.0, 0.0
     for i in range(chemistry.role.shape[0]):
         mol = solid_mol(row, i, chem)
         if mol > 0.0:
-            shade = chemistry.shade[i]
+            if total < 0.0:
+                total = solid_volume(row, chem)
+            for p in range(draws.shape[0]):
+                if draws[p] < shares[p] and draws[p] / shares[p] * total >= reached:
+                    grey[p] = chemistry.shade[i]
             reached += mol * chemistry.molar_volume[i]
-            if draw * total < reached:
-                break
-    return shade
