@@ -9,7 +9,7 @@ their equilibrium with water at any time.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -249,15 +249,36 @@ class ReactionFamily(Grown):
         return found
 
     def towards(self, goal: str) -> set[str]:
-        """The goal, and every material that its reactions, and those of what they need, begin with."""
-        wanted, seen = {goal}, set[str]()
-        while wanted - seen:
-            name = (wanted - seen).pop()
+        """The goal, and every material that the reactions on the way to it begin with, or do not run without."""
+        steps = itertools.chain.from_iterable(self.ways(goal).values())
+        return {goal}.union(*({*step.reactants, *step.catalysts} for step in steps))
+
+    def ways(self, goal: str) -> dict[str, list[Reaction]]:
+        """The reactions on the way to a goal by the material that each is there to make, in the family's order.
+
+        None begins with what it leads to: that aspirin gives salicylic acid back is no way to aspirin.
+        """
+        found: dict[str, list[Reaction]] = {}
+        wanted = [goal]
+        for name in wanted:  # which grows
+            if name in found:
+                continue
+            made = [s for s in self.reaction if name in s.products and name not in _behind(s.reactants, found)]
+            found[name] = made
+            wanted += itertools.chain.from_iterable(step.reactants for step in made)
+        return {name: made for name, made in found.items() if made}
+
+
+def _behind(names: Iterable[str], ways: Mapping[str, list[Reaction]]) -> set[str]:
+    """Some materials, and all that they are made of by some ways."""
+    seen: set[str] = set()
+    wanted = list(names)
+    while wanted:
+        name = wanted.pop()
+        if name not in seen:
             seen.add(name)
-            for step in self.reaction:
-                if name in step.products:
-                    wanted |= set(step.reactants)
-        return seen
+            wanted += itertools.chain.from_iterable(step.reactants for step in ways.get(name, ()))
+    return seen
 
 
 def equation(step: Reaction | Violent) -> str:

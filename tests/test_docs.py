@@ -39,6 +39,8 @@ class Block:
     line: int
     language: str
     text: str
+    shown: bool = False
+    """Whether it is what the bash block right above it says, or some lines of that."""
 
     @property
     def file(self) -> str | None:
@@ -64,7 +66,15 @@ def blocks_of(page: Path) -> list[Block]:
     """Every fenced block that has a language."""
     text = page.read_text(encoding="utf-8")
     found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, re.S | re.M)
-    return [Block(page, text[: m.start()].count("\n") + 1, m[1], m[2]) for m in found]
+    return [
+        Block(page, text[: m.start()].count("\n") + 1, m[1], m[2], m[1] == "text" and follows(text[: m.start()]))
+        for m in found
+    ]
+
+
+def follows(text: str) -> bool:
+    """Whether a text ends with a bash block."""
+    return re.search(r"^```bash\n(?:(?!```).*\n)*```\n+\Z", text, re.M) is not None
 
 
 def lacking(error: BaseException) -> str:
@@ -140,24 +150,47 @@ def test_code_runs(page: Path, folder: Path) -> None:
     """A page's blocks one after the other in one folder, each in a namespace of its own."""
     left_out: list[str] = []
     not_made: list[str] = []
+    said = ""
     for block in blocks_of(page):
         missing = next((f"{path}, which was not made" for path in not_made if uses(block, path)), "")
         try:
-            if not missing:
-                check(block, page, folder)
+            if block.shown:
+                assert not said or not (unsaid := not_said(block.text, said)), f"{block.where}: not said: {unsaid}"
+            elif not missing:
+                said = check(block, page, folder)
         except ImportError as error:
             missing = lacking(error)
             if not missing:
                 raise
         if missing:
+            said = ""
             left_out.append(f"{block.where} needs {missing}")
             not_made += makes(block)
     if left_out:
         pytest.skip(f"everything else runs; {'; '.join(left_out)}")
 
 
-def check(block: Block, page: Path, folder: Path) -> None:
+def not_said(shown: str, said: str) -> str:
+    """The first line of what a page shows that no line of what was said is; numbers may be 5 % off, as they are with
+    other versions of what they are made with."""
+    return next(
+        (line for line in shown.splitlines() if line.strip() and not any(same(line, s) for s in said.splitlines())), ""
+    )
+
+
+def same(one: str, other: str) -> bool:
+    """Whether two lines have the same words and about the same numbers."""
+    parts = [re.split(r"(-?\d+(?:\.\d+)?)", " ".join(line.split())) for line in (one, other)]
+    if len(parts[0]) != len(parts[1]) or parts[0][::2] != parts[1][::2]:
+        return False
+    return [float(x) for x in parts[0][1::2]] == pytest.approx([float(x) for x in parts[1][1::2]], rel=0.05, abs=2e-3)
+
+
+def check(block: Block, page: Path, folder: Path) -> str:
     """Do with a block what is to be done with its kind.
+
+    Returns:
+        What its commands said.
 
     Raises:
         ImportError: it needs what is not installed.
@@ -171,8 +204,7 @@ def check(block: Block, page: Path, folder: Path) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             exec(code, {"__name__": "__main__"})
     elif block.language == "bash":
-        for words in block.commands():
-            run(words, block.where)
+        return "\n".join([run(words, block.where) for words in block.commands()])
     elif block.language == "console":
         for words in block.commands():
             parse(words, block.where)
@@ -180,14 +212,16 @@ def check(block: Block, page: Path, folder: Path) -> None:
         check_data(block, folder)
     else:
         assert block.language in ("text",), f"{block.where}: what is {block.language}?"
+    return ""
 
 
-def run(words: list[str], where: str) -> None:
-    """A command in this process; it must not end with an error."""
+def run(words: list[str], where: str) -> str:
+    """What a command in this process says; it must not end with an error."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = COMMAND.main(args=["--traceback", *words], prog_name="chemlab", standalone_mode=False)
     assert code in (None, 0), f"{where}: chemlab {shlex.join(words)} ended with {code}: {said.getvalue()}"
+    return said.getvalue()
 
 
 def test_what_was_not_made_is_not_asked_for() -> None:

@@ -138,6 +138,8 @@ def test_fischer_comes_to_the_published_equilibrium_and_conversion() -> None:
     # Volumes add up here, so that the charge is thinner than it is said to be, and a little slower.
     assert judged["conversion of the acid after 120 min at 100 C"].chemlab == pytest.approx(0.35, abs=0.03)
     assert judged["conversion of the acid after 100000 min at 100 C"].chemlab == pytest.approx(0.54, abs=0.02)
+    # What makes the equilibrium follow the temperature, by formation enthalpies, against a calorimeter.
+    assert judged["heat of esterification"].independent == pytest.approx(-3.6, abs=0.5)
     for quantity, row in judged.items():
         if "azeotrope" in quantity:
             assert row.chemlab == pytest.approx(row.published, abs=1.5 if row.unit == "K" else 0.03), quantity

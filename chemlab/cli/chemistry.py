@@ -6,7 +6,8 @@ import itertools
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,6 +58,15 @@ def _command(*words: object) -> str:
     return shlex.join(["chemlab", *map(str, words)])
 
 
+def _given(options: Mapping[str, Iterable[object] | None]) -> list[object]:
+    """Words of a command for options that were given, each as often as it has values."""
+    return [word for option, values in options.items() for value in values or () for word in (option, value)]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def _known(files: Sequence[Path] | None) -> dict[str, Material]:
     from ..materials import load_materials, shipped_materials
 
@@ -103,7 +113,7 @@ def material(
         raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
     shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, _known(None)))}
     new = [compound for compound in wanted if compound.key not in shipped]
-    words = [*(what or []), *itertools.chain.from_iterable(("--name", pair) for pair in name or ())]
+    words = [*(what or []), *_given({"--name": name, "--values": values})]
     tables: dict[str, Any] = {}
     if new:
         with counting() as progress:
@@ -112,10 +122,11 @@ def material(
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
         write_text(output, material_text(tables, _command("material", *words)))
     keys = [*shipped.values(), *tables]
-    two = _missing_pairs(keys, _known([output] if new else None))
+    files = [output] if new else []
+    known = _known(files)
+    two = _missing_pairs(keys, known)
     if pairs is not None:
-        known = _known([output] if new else None)
-        _write_pairs(pairs, two, known, _command("pairs", *keys))
+        _write_pairs(pairs, two, known, _command("pairs", *keys, *_given({"--materials": files})))
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
         return
@@ -123,10 +134,10 @@ def material(
         out.print(f"{plain(key)}: is shipped as {plain(as_)}")
     _show_materials(tables)
     if new:
-        out.print(f"{plain(output)}: {len(tables)} materials")
+        out.print(f"{plain(output)}: {_count(len(tables), 'material')}")
     if pairs is not None:
-        out.print(f"{plain(pairs)}: {len(two)} pairs")
-    elif new:
+        out.print(f"{plain(pairs)}: {_count(len(two), 'pair')}")
+    elif any(table["role"] in ("solvent", "solute") for table in tables.values()):
         line = _command("pairs", *tables, "OTHERS", "--materials", output, "-o", "pairs.toml")
         out.print(f"liquids of theirs need activity coefficients: chemlab new makes them, or {plain(line)}")
 
@@ -173,11 +184,12 @@ def pairs(
         raise ValueError("a pair is of two materials; name one more")
     known = _known(materials)
     two = list(itertools.combinations(names, 2))
-    rows = _write_pairs(output, two, known, _command("pairs", *names))
+    rows = _write_pairs(output, two, known, _command("pairs", *names, *_given({"--materials": materials})))
     if as_json:
         typer.echo(json.dumps(rows))
         return
-    out.print(f"{plain(output)}: {len(rows)} pairs; largest error of ln gamma {max(row['error'] for row in rows):.2f}")
+    error = max(row["error"] for row in rows)
+    out.print(f"{plain(output)}: {_count(len(rows), 'pair')}; largest error of ln gamma {error:.2f}")
 
 
 @app.command()
@@ -230,12 +242,11 @@ def reactions(
     everybody = [*reactants, *(more or ())]
     found, species = templates.expand(made, everybody, known, named, generations)
     strangers = {s.key: s.smiles for s in species if not s.known}
-    words = [
-        "reactions",
-        *(w for t in smarts for w in ("--smarts", t)),
-        *(w for t in side or () for w in ("--side", t)),
-    ]
-    command = _command(*words, *(w for r in everybody for w in ("--reactants", r)))
+    given: dict[str, Iterable[object] | None] = {"--smarts": smarts, "--side": side, "--reactants": everybody}
+    given |= {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium, "--catalyst": catalyst}
+    given |= {"--source": [source] if source else (), "--generations": [generations]}
+    given |= {"--materials": materials, "--name": name, "--values": values}
+    command = _command("reactions", *_given(given))
     tables: dict[str, Any] = {}
     if strangers:
         _free(beside, force)
@@ -254,9 +265,9 @@ def reactions(
             for f in found]  # fmt: skip
     show_table("", ("reaction", "heat (kJ/mol)", ""), rows, right=(1,))
     if strangers:
-        out.print(f"{plain(beside)}: {len(strangers)} materials")
+        out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
     guesses = "" if rate and activation else "; rate constants that were not given are guesses"
-    out.print(f"{plain(output)}: {len(found)} reactions{guesses}")
+    out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
 
 
 def _rates(
@@ -327,22 +338,31 @@ def new(
         raise ValueError(f"--solvent: unknown material {solvent!r}; name its file with --materials")
     at_hand = {**shipped_pairs(), **load_pairs(pairs or ())}
     missing = [two for two in designs.occurring(goal, solvent, family, known) if frozenset(two) not in at_hand]
-    command = _command("new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent)
-    pair_files = list(pairs or ())
+    designs.check_design(goal, solvent, family, known, mol)
+    given = {"--materials": materials, "--pairs": pairs, "--mol": [mol]}
+    command = _command(
+        "new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent, *_given(given)
+    )  # fmt: skip
     if missing:
         _free(own, force)
-        _write_pairs(own, missing, known, command)
-        pair_files.append(own)
-        at_hand |= load_pairs([own])
 
-    def places(name_of: Callable[[Path], str]) -> dict[str, Any]:
+    def places(own_pairs: Path, name_of: Callable[[Path], str]) -> dict[str, Any]:
+        pair_files = [*(pairs or ()), *([own_pairs] if missing else ())]
         found: dict[str, Any] = {"reactions": name_of(file) if file.suffix == ".toml" else reactions}
         found |= {"material_files": [name_of(f) for f in files]} if files else {}
         return found | ({"pair_files": [name_of(f) for f in pair_files]} if pair_files else {})
 
-    beside = places(lambda other: designs.beside(other, path.parent))
-    made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
-    spec = load_scenario({**made_for.tables, **places(lambda other: str(other.resolve()))})  # before it is written
+    # Everything is made and loaded before anything is written.
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / "pairs.toml"
+        if missing:
+            _write_pairs(draft, missing, known, command)
+            at_hand |= load_pairs([draft])
+        beside = places(own, lambda other: designs.beside(other, path.parent))
+        made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
+        spec = load_scenario({**made_for.tables, **places(draft, lambda other: str(other.resolve()))})
+        if missing:
+            write_text(own, draft.read_text(encoding="utf-8"))
     write_text(path, designs.scenario_text(made_for.tables, command))
     benches = ", ".join(spec.benches)
     play = plain(_command("run", path))

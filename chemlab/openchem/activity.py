@@ -423,7 +423,9 @@ def make_pairs(
     """
     for name in (name for two in pairs for name in two):
         if name not in materials:
-            raise DataError(f"pairs: unknown material {name!r}; name its file with --materials")
+            raise DataError(
+                f"pairs: unknown material {name!r}; make it with chemlab material, and name its file with --materials"
+            )
     known: dict[Any, Fit] = {}
     rows = []
     for two in pairs:

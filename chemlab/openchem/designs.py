@@ -19,7 +19,7 @@ from ..reactions import Reaction, ReactionFamily
 from ..scenario import SAFETY_EVENTS
 from .writing import toml_tables
 
-__all__ = ["INSTRUMENTS", "Design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
+__all__ = ["INSTRUMENTS", "Design", "check_design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
 
 ROOM_K = 298.15
 WATER = "water"
@@ -44,6 +44,8 @@ _PARTED = 30.0
 _MOST_STAGES = 15
 _ATMOSPHERE_PA = 101325.0
 _TICK_S = (10.0, 1800.0)
+_CATALYST = 0.1
+"""mol of a catalyst for each of the goal."""
 _STAYS = 20.0
 """Ratio of activity coefficients at high dilution in water and in the solvent, above which a wash leaves a liquid in
 it; what goes below a tenth of it is washed out."""
@@ -69,6 +71,7 @@ class _Charge:
     solvent: str
     fed: dict[str, float]
     solvent_mol: float
+    catalysts: dict[str, float]
     tick: float
     warm_k: float
     heat_j: float
@@ -76,21 +79,22 @@ class _Charge:
     crystallizing: bool
     liquids: list[str]
 
+    @property
+    def reagents(self) -> dict[str, float]:
+        """mol of what is put in."""
+        return {**self.fed, **self.catalysts}
+
 
 def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
     """The first reaction that makes each material on the way to the goal."""
+    ways = family.ways(goal)
     found: dict[str, Reaction] = {}
     wanted = [goal]
     while wanted:
         name = wanted.pop()
-        # What a step on the way uses is not made by that step run backwards.
-        users = [step for step in found.values() if name in step.reactants]
-        step = next(
-            (s for s in family.reaction if name in s.products and s not in users and name not in s.reactants), None
-        )
-        if step is not None and name not in found:
-            found[name] = step
-            wanted += list(step.reactants)
+        if name in ways and name not in found:
+            found[name] = ways[name][0]
+            wanted += list(found[name].reactants)
     return found
 
 
@@ -127,14 +131,23 @@ def _crystallizes(material: Material) -> bool:
     return solid and material.real is not None and material.real.fusion_enthalpy_j_mol is not None
 
 
+def _catalysts(goal: str, family: ReactionFamily) -> list[str]:
+    """What the steps to a goal do not run without, and do not use up."""
+    steps = steps_to(goal, family).values()
+    return list(dict.fromkeys(name for step in steps for name in step.catalysts))
+
+
 def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Material]) -> str:
-    """A shipped solvent that takes no part and boils far from the goal, below it if there is one.
+    """A shipped solvent that boils far from the goal, below it if there is one: one without which nothing runs, or else
+    one that takes no part.
 
     Raises:
         DataError: there is none.
     """
     boils = materials[goal].boiling_point_k
-    free = [name for name in SOLVENTS if name not in family.materials() and name != goal]
+    changed = {name for step in family.reaction for name in (*step.reactants, *step.products)}
+    needed = [name for name in SOLVENTS if name in _catalysts(goal, family) and name not in changed]
+    free = needed or [name for name in SOLVENTS if name not in family.materials() and name != goal]
     below = [name for name in free if materials[name].boiling_point_k < boils - _APART_K]
     above = [name for name in free if materials[name].boiling_point_k > boils + _APART_K]
     if not below and not above:
@@ -153,11 +166,19 @@ def _dilute(
     return math.exp(float(gamma)) * liquid.molar_mass_g_mol / liquid.density_kg_l / 1000.0
 
 
-def _tick(goal: str, family: ReactionFamily, temperature: float, litre: float, fed: Mapping[str, float]) -> float:
-    """Seconds a step of the reaction bench, by the slowest reaction on the way."""
+def _tick(
+    goal: str,
+    family: ReactionFamily,
+    temperature: float,
+    litre: float,
+    fed: Mapping[str, float],
+    catalysts: Mapping[str, float],
+) -> float:
+    """Seconds a step of the reaction bench, by the slowest reaction on the way; amounts are in mol."""
     longest = 0.0
     for step in steps_to(goal, family).values():
         k = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * temperature))
+        k *= math.prod((catalysts[name] / litre) ** power for name, power in step.catalysts.items())
         order = sum(step.orders.values())
         concentration = max(fed.values()) / litre
         longest = max(longest, _LIFETIMES[order > 1.0] / (k * concentration ** (order - 1.0)))
@@ -187,6 +208,37 @@ def _round(value: float) -> float:
     return float(f"{value:.3g}")
 
 
+def _charge_litres(fed: Mapping[str, float], mol: float, materials: Mapping[str, Material]) -> float:
+    """Of a reaction's contents, solvent included."""
+    return max(mol / _MOL_PER_L, 1.2 * _litres(fed, materials))
+
+
+def check_design(
+    goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material], mol: float
+) -> None:
+    """Refuse what no scenario can be designed for; see :func:`design`.
+
+    Raises:
+        DataError: no reaction makes the goal, it is a gas, the solvent is no liquid or the goal itself, a catalyst is
+            in no bottle, or it is more than a vessel takes.
+    """
+    if materials[goal].role == "gas":
+        raise DataError(f"goal {goal!r}: is a gas; vessels hold liquids and solids")
+    if solvent not in materials or not _liquid(materials[solvent]):
+        raise DataError(f"solvent {solvent!r}: is no liquid that is known")
+    if solvent == goal:
+        raise DataError(f"solvent {solvent!r}: is the goal itself; name another")
+    litre = _charge_litres(feeds(goal, family, mol), mol, materials)
+    if litre > 0.8 * _CAPACITY_L:
+        raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
+    for key in _catalysts(goal, family):
+        if materials[key].role in ("ion", "gas"):
+            raise DataError(
+                f"catalyst {key!r}: is {'an ion' if materials[key].role == 'ion' else 'a gas'}, of which there is no "
+                "bottle; write the scenario by hand, with it in a vessel, as in the shipped fischer"
+            )
+
+
 def design(
     name: str,
     goal: str,
@@ -211,32 +263,31 @@ def design(
         wash: whether the product may be washed with water; pairs with water are not asked for otherwise.
 
     Raises:
-        DataError: no reaction makes the goal, it is a gas, the solvent is no liquid, or it is more than a vessel takes.
+        DataError: see :func:`check_design`.
     """
-    if materials[goal].role == "gas":
-        raise DataError(f"goal {goal!r}: is a gas; vessels hold liquids and solids")
-    if solvent not in materials or not _liquid(materials[solvent]):
-        raise DataError(f"solvent {solvent!r}: is no liquid that is known")
+    check_design(goal, solvent, family, materials, mol)
     fed = {key: _round(amount) for key, amount in feeds(goal, family, mol).items()}
-    litre = max(mol / _MOL_PER_L, 1.2 * _litres(fed, materials))
+    litre = _charge_litres(fed, mol, materials)
     liquid = max(litre - _litres(fed, materials), 0.2 * litre)
     in_solvent = _round(liquid * 1000.0 * materials[solvent].density_kg_l / materials[solvent].molar_mass_g_mol)
-    if litre > 0.8 * _CAPACITY_L:
-        raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
+    strange = [key for key in _catalysts(goal, family) if key not in fed]
+    catalysts = {key: _round(_CATALYST * mol) for key in strange if key != solvent}
     reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
     washing = wash and not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
     crystallizing = _crystallizes(materials[goal])
-    liquids = [materials[k].boiling_point_k for k in (*fed, solvent) if _liquid(materials[k])]
+    put_in = {**fed, **catalysts}
+    liquids = [materials[k].boiling_point_k for k in (*put_in, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
     heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
-    tick = max(_tick(goal, family, warm, litre, fed), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
+    there = {**put_in, solvent: in_solvent + put_in.get(solvent, 0.0)}
+    tick = max(_tick(goal, family, warm, litre, fed, there), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
-    charge = _Charge(goal, solvent, fed, in_solvent, tick, warm, heat, washing, crystallizing, present)
+    charge = _Charge(goal, solvent, fed, in_solvent, catalysts, tick, warm, heat, washing, crystallizing, present)
     benches = _benches(charge, materials)
     others = {WATER: 80.0} if washing or crystallizing else {}
     others |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
-    stock = {**fed, solvent: _round(2.0 * in_solvent), **{k: v for k, v in others.items() if k not in fed}}
-    prices = {key: 5e-5 if key == WATER else 1e-3 if key not in fed else 5e-3 for key in stock}
+    stock = {**put_in, solvent: _round(2.0 * in_solvent), **{k: v for k, v in others.items() if k not in put_in}}
+    prices = {key: 5e-5 if key == WATER else 1e-3 if key not in put_in else 5e-3 for key in stock}
     safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
     vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
     tables = {
@@ -314,7 +365,7 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
         "rxn": {
             "kind": "reaction",
             "step_limit": _STEPS,
-            "reagents": dict(charge.fed),
+            "reagents": charge.reagents,
             "temperature_k": {"low": round(low, 2), "high": round(high, 2), "step": 10.0},
             "volume_l": {"low": 0.6, "high": _CAPACITY_L, "step": 0.1},
             "vessel_volume_l": _CAPACITY_L,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import re
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ _LONGEST = 500
 """Characters of a name or a structure: a chain of as many atoms has no properties that are estimated here, and what is
 done with a structure takes time that grows with a power of its length."""
 _LONGEST_KEY = 100
+_LONGEST_NAME = 60
+"""Of a name that others are compared with."""
 _CAS = re.compile(r"\d{2,7}-\d{2}-\d")
 _WEIGHTS = {"H": 1.00794, "C": 12.0107, "N": 14.0067, "O": 15.9994, "Na": 22.98977, "Cl": 35.453, "Ar": 39.948}
 """Atomic weights of the shipped files; reactions conserve mass only where all files have the same."""
@@ -140,6 +143,41 @@ def _key(name: str) -> str:
     return re.sub(r"\s+", "_", name.strip().lower())
 
 
+def _near(text: str) -> str:
+    """Names that a misspelt one may have meant, as the end of a sentence."""
+    if not 3 < len(text) <= _LONGEST_NAME:
+        return ""
+    near = difflib.get_close_matches(text.lower(), pubchem_db.name_index, 2, 0.8)
+    return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
+def _check_molecule(molecule: Any, text: str) -> None:
+    """Refuse what is no single neutral molecule of natural isotopes.
+
+    Raises:
+        DataError: it is none.
+    """
+    fragments, charge = len(Chem.GetMolFrags(molecule)), Chem.GetFormalCharge(molecule)
+    charged = any(atom.GetFormalCharge() for atom in molecule.GetAtoms())
+    if charge != 0 or (fragments > 1 and charged):
+        shipped = structures().get(str(Chem.MolToSmiles(molecule)))
+        what = f"has a charge of {charge:+d}" if fragments == 1 else f"has {fragments} fragments"
+        this = f", which has this one as {shipped!r}" if shipped else ""
+        raise DataError(
+            f"{text!r}: {what}: ions and salts have no boiling point and no groups to estimate from; take what is "
+            f"shipped{this}, or write its tables by hand (docs: Write a material or a reaction), solubilities included"
+        )
+    if fragments > 1:
+        raise DataError(f"{text!r}: has {fragments} fragments, which are no salt; give each molecule on its own")
+    if any(atom.GetIsotope() for atom in molecule.GetAtoms()):
+        for atom in molecule.GetAtoms():
+            atom.SetIsotope(0)
+        natural = Chem.MolToSmiles(Chem.RemoveHs(molecule))
+        raise DataError(
+            f"{text!r}: names an isotope; properties are those of the natural elements: give {natural} without it"
+        )
+
+
 def compound_of(text: str, key: str = "") -> Compound:
     """The compound that a text means.
 
@@ -148,7 +186,7 @@ def compound_of(text: str, key: str = "") -> Compound:
         key: the id it is to have, default: its name with ``_`` for spaces.
 
     Raises:
-        DataError: it is none of these, too long, a salt, or an ion.
+        DataError: it is none of these, too long, a salt, an ion, a mixture, or labelled with isotopes.
     """
     text = text.strip()
     check_length(text, "compound")
@@ -165,16 +203,9 @@ def compound_of(text: str, key: str = "") -> Compound:
     if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
-            "of these, a structure as SMILES (ethanol: CCO)"
+            f"of these, a structure as SMILES (ethanol: CCO){_near(text)}"
         )
-    fragments = len(Chem.GetMolFrags(molecule))
-    charge = Chem.GetFormalCharge(molecule)
-    if fragments > 1 or charge != 0:
-        what = f"has a charge of {charge:+d}" if fragments == 1 else f"has {fragments} fragments"
-        raise DataError(
-            f"{text!r}: {what}: ions and salts have no boiling point and no groups to estimate from; take a shipped "
-            "one, or write its tables by hand (docs: Write a material or a reaction), solubilities included"
-        )
+    _check_molecule(molecule, text)
     inchi_key = str(Chem.MolToInchiKey(molecule))
     entry = entry or pubchem_db.search_InChI_key(inchi_key) or None
     formula = str(CalcMolFormula(molecule))

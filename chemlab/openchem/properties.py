@@ -115,6 +115,8 @@ _CONSTANTS: dict[str, tuple[str, ...]] = {
 }
 _AGREE = {"Tb": 6.0, "Tm": 6.0, "Tc": 12.0, "Pc": 4e5, "Hfl": 8e3, "Hfs": 8e3, "Hfg": 8e3, "Hfus": 2e3}
 """How far a compilation may be from the median of all (K, Pa, J/mol) before the next one is taken instead of it."""
+_SEVERAL = 4
+"""Compilations of which one far from the rest is wrong: benzyl chloride boils at 447 K in one, at 452 in three."""
 _AGREE_SHARE = 0.08
 """The same, of the median, for what depends on temperature."""
 _UNITS = {"Tb": ("K", 1.0), "Tm": ("K", 1.0), "Tc": ("K", 1.0), "Pc": ("kPa", 1e3)}
@@ -184,12 +186,15 @@ def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressur
 
 
 def _agreeing(found: Mapping[str, float], tolerance: float, referee: float | None) -> str:
-    """The first of some compilations that is near their median; of two that are far from each other, the one that is
-    nearer to an estimate."""
+    """The first of some compilations that is near their median, nearer where several are close together; of two that
+    are far from each other, the one that is nearer to an estimate."""
     values = list(found.values())
     if len(values) == 2 and abs(values[0] - values[1]) > tolerance and referee is not None:
         return min(found, key=lambda method: abs(found[method] - referee))
     middle = float(np.median(values))
+    if len(values) >= _SEVERAL:
+        scatter = float(np.median([abs(value - middle) for value in values]))
+        tolerance = min(tolerance, max(0.25 * tolerance, 5.0 * scatter))
     return next((method for method, value in found.items() if abs(value - middle) <= tolerance), next(iter(found)))
 
 
