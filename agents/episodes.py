@@ -15,11 +15,11 @@ from chemlab.record import Play, Recorder
 
 from .policies import Policy
 
-__all__ = ["EpisodeResult", "Turn", "play_episode"]
+__all__ = ["EpisodeResult", "PlayedTurn", "play_episode"]
 
 
 @dataclass(frozen=True)
-class Turn:
+class PlayedTurn:
     """One agent's turn, as it has just been played."""
 
     agent: str
@@ -71,7 +71,7 @@ def play_episode(
     policies: Mapping[str, Policy],
     seed: int,
     policy_name: str = "",
-    watch: Callable[[Turn], None] | None = None,
+    watch: Callable[[PlayedTurn], None] | None = None,
     options: dict[str, Any] | None = None,
     recorder: Recorder | None = None,
 ) -> EpisodeResult:
@@ -113,7 +113,7 @@ def play_episode(
             result.rewards[name] += reward
         if watch is not None:
             words = action_words(labs, number, action)
-            watch(Turn(agent, tick, step, action, words, env.rewards[agent], env.infos[agent]))
+            watch(PlayedTurn(agent, tick, step, action, words, env.rewards[agent], env.infos[agent]))
     outcome = labs.outcome()
     result.submitted_mol, result.purity = outcome["submitted_mol"], outcome["purity"]
     result.score = float(labs.result(members)[0])

@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from .seals import read_sealed, seal
+from .seals import read_sealed, seal_file
 
 try:
     from sb3_contrib import QRDQN, MaskablePPO, RecurrentPPO
@@ -42,7 +42,7 @@ def _load(kind: Any, path: Path, **settings: Any) -> Any:
 def save_learner(folder: Path, model: BaseAlgorithm) -> None:
     """Write a learner for :func:`load_learner`."""
     model.save(folder / "model.zip")
-    seal(folder / "model.zip")
+    seal_file(folder / "model.zip")
 
 
 def load_learner(folder: Path, algo: str, **settings: Any) -> BaseAlgorithm:
@@ -69,7 +69,7 @@ def save_team(folder: Path, models: dict[str, Any]) -> None:
     for role, model in models.items():
         path = folder / (f"{role}.maskable.zip" if isinstance(model, MaskablePPO) else f"{role}.zip")
         model.save(path)
-        seal(path)
+        seal_file(path)
 
 
 def load_team(folder: Path) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from chemlab.datafile import DataError
 from chemlab.files import write_text
 from chemlab.parts import may_run
 
-__all__ = ["read_sealed", "seal", "state_folder"]
+__all__ = ["read_sealed", "seal_file", "state_folder"]
 
 _KEY_BYTES = 32
 
@@ -71,13 +71,13 @@ def _seal_of(content: bytes) -> str:
     return hashlib.blake2b(content, key=_key(state_folder()), digest_size=16, person=b"chemlab seal").hexdigest()
 
 
-def _seal_file(path: Path) -> Path:
+def _seal_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.seal")
 
 
-def seal(path: Path) -> None:
+def seal_file(path: Path) -> None:
     """Say of a file that is finished that this user wrote it."""
-    write_text(_seal_file(path), _seal_of(path.read_bytes()) + "\n")
+    write_text(_seal_beside(path), _seal_of(path.read_bytes()) + "\n")
 
 
 def read_sealed(path: Path) -> bytes:
@@ -89,7 +89,7 @@ def read_sealed(path: Path) -> bytes:
     """
     content = path.read_bytes()
     try:
-        found = _seal_file(path).read_text(encoding="utf-8", errors="replace").strip()
+        found = _seal_beside(path).read_text(encoding="utf-8", errors="replace").strip()
     except FileNotFoundError:
         found = ""
     # Not ASCII is an error to compare_digest, and no seal.

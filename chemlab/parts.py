@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .arrays import FloatArray
     from .scenario import Scenario
 
-__all__ = ["Part", "PartError", "blamed", "checked", "load_part", "may_run", "strangers_code"]
+__all__ = ["Part", "PartError", "blamed", "checked_numbers", "load_part", "may_run", "strangers_code"]
 
 __path__: list[str] = []
 """Makes the modules of files submodules of this one; :class:`_Files` finds them."""
@@ -168,7 +168,7 @@ def blamed(name: str) -> Iterator[None]:
         raise PartError(f"{name}: {type(error).__name__}: {error}") from error
 
 
-def checked(
+def checked_numbers(
     values: Any, shape: tuple[int, ...], name: str, low: float = -math.inf, high: float = math.inf
 ) -> FloatArray:
     """What a part has returned, as an array.

@@ -5,7 +5,11 @@ Numbers that tests compare with come from ``scenario.materials`` (the data files
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -40,6 +44,17 @@ def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
         else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.slow)
         for value in values
     ]
+
+
+@functools.cache
+def script(path: str) -> ModuleType:
+    """A script of the repository, by its path there, as a module."""
+    spec = importlib.util.spec_from_file_location(Path(path).stem, Path(__file__).parents[1] / path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 FEATURED = ("crude", "failing", "recrystallization", "relay", "runaway", "unlabelled", "wurtz_two_lines")
@@ -321,5 +336,6 @@ __all__ = [
     "four_solvents",
     "molar_volume",
     "network_table",
+    "script",
     "slow_but",
 ]

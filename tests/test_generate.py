@@ -17,14 +17,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import script
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from chemlab.agents.player import play_laboratory
-from chemlab.agents.policies import make_policies
 from chemlab.bench import reaction
-from chemlab.chemistry import element_matrix
 from chemlab.cli import app
 from chemlab.datafile import DataError
 from chemlab.laboratory.core import Laboratories
@@ -278,12 +276,7 @@ def test_it_needs_no_extra() -> None:
 
 def play(scenario: Scenario) -> float:
     """The scripted agents' score of an episode, in which every atom stays somewhere."""
-    labs = Laboratories(scenario, 1)
-    labs.reset(labs.members)
-    atoms = element_matrix(scenario)
-    before = atoms @ labs.shelf.total()[0]
-    played = play_laboratory(labs, make_policies("heuristic", labs, 0), scenario.goals[-1], 0)
-    after = atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
+    played, before, after = script("validate/chemistries.py").scripted(scenario)
     np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-12)
     return float(played.returns[0])
 

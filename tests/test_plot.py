@@ -64,15 +64,15 @@ def test_the_books_balance(name: str, policy: str, tmp_path: Path) -> None:
         # What a world has drawn is not what the file says.
         expected = totals[0] if scenario.world.draws else start @ group.weights
         np.testing.assert_allclose(totals, expected, rtol=1e-9)
-    for stage in balance.stages:
-        assert stage.amounts.min() > -1e-12
+    for inventory in balance.inventories:
+        assert inventory.amounts.min() > -1e-12
 
 
 def test_places_agree_with_the_record(scripted: Path) -> None:
     """What was submitted is the record's; what is in stock and waste is what its last hidden amounts say."""
     found = read_record(scripted)
     balance = mole_balance(found)
-    last = dict(zip(PLACES, balance.stages[-1].amounts, strict=True))
+    last = dict(zip(PLACES, balance.inventories[-1].amounts, strict=True))
     assert found.end is not None
     goal = balance.materials.index("dodecane")
     assert last["submitted"][goal] == pytest.approx(found.end["end"]["submitted_mol"], rel=1e-12)
@@ -112,7 +112,7 @@ def test_what_instruments_take_is_a_sample(tmp_path: Path) -> None:
 
 def test_books_that_do_not_balance_are_refused(scripted: Path) -> None:
     balance = mole_balance(read_record(scripted))
-    balance.stages[2].amounts[1, balance.materials.index("dodecane")] += 1e-6
+    balance.inventories[2].amounts[1, balance.materials.index("dodecane")] += 1e-6
     with pytest.raises(ValueError, match="off by"):
         balance.check()
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import csv
 import functools
 import hashlib
-import importlib.util
 import json
 import math
 import re
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
+from helpers import script
 
 import chemlab.scenarios
 from chemlab.agents.episodes import EpisodeResult, play_episode
@@ -95,18 +94,8 @@ def test_the_table_of_results_is_of_these_scenarios() -> None:
 
 
 @functools.cache
-def judge() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("validate_syntheses", ROOT / "validate" / "syntheses.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@functools.cache
 def rows_of(name: str) -> list[Any]:
-    rows: list[Any] = judge().SYNTHESES[name]()
+    rows: list[Any] = script("validate/syntheses.py").SYNTHESES[name]()
     return rows
 
 

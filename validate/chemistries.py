@@ -26,17 +26,28 @@ from pathlib import Path
 
 import numpy as np
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.player import Played, play_laboratory
 from chemlab.agents.policies import make_policies
+from chemlab.arrays import FloatArray
 from chemlab.chemistry import element_matrix
 from chemlab.laboratory.core import Laboratories
 from chemlab.openchem.difficulty import constant_conditions
 from chemlab.openchem.generate import LEVELS, generated
-from chemlab.scenario import load_scenario
+from chemlab.scenario import Scenario, load_scenario
 
 SOLVED = 0.5
 NUMBER = 1000
 Row = tuple[str, float, float, float, float, float, float]
+
+
+def scripted(spec: Scenario) -> tuple[Played, FloatArray, FloatArray]:
+    """(an episode of the scripted agents for the hardest goal, [E] mol of each element before it, and after)."""
+    labs = Laboratories(spec, 1)
+    labs.reset(labs.members)
+    atoms = element_matrix(spec)
+    before = atoms @ labs.shelf.total()[0]
+    played = play_laboratory(labs, make_policies("heuristic", labs, 0), spec.goals[-1], 0)
+    return played, before, atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
 
 
 def play(physics: str, seed: int) -> Row:
@@ -45,12 +56,7 @@ def play(physics: str, seed: int) -> Row:
     difficulty = list(LEVELS)[seed % len(LEVELS)]
     with tempfile.TemporaryDirectory() as folder:
         spec = load_scenario(generated(seed, difficulty=difficulty, physics=physics).write(folder))
-    labs = Laboratories(spec, 1)
-    labs.reset(labs.members)
-    atoms = element_matrix(spec)
-    before = atoms @ labs.shelf.total()[0]
-    played = play_laboratory(labs, make_policies("heuristic", labs, 0), spec.goals[-1], 0)
-    after = atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
+    played, before, after = scripted(spec)
     lasted = time.perf_counter() - begun
     change = float(np.abs(after - before).max() / np.abs(before).max())
     found = constant_conditions(spec, spec.goals[-1])

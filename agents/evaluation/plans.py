@@ -29,7 +29,7 @@ from .play import BATCH
 from .statistics import Estimate
 
 __all__ = [
-    "BUDGETS",
+    "PLAN_BUDGETS",
     "FoundPlan",
     "PlanSearch",
     "Replayed",
@@ -40,7 +40,7 @@ __all__ = [
     "search_plan",
 ]
 
-BUDGETS = {"small": 10_000, "full": 100_000}
+PLAN_BUDGETS = {"small": 10_000, "full": 100_000}
 """Plans tried in all."""
 
 SEARCH_SEED = 3_000_000
@@ -526,14 +526,14 @@ def plan_budget(budget: int | str) -> int:
     """A budget as a number of plans.
 
     Args:
-        budget: a number, or one of :data:`BUDGETS`.
+        budget: a number, or one of :data:`PLAN_BUDGETS`.
 
     Raises:
         ValueError: it is neither.
     """
-    if isinstance(budget, str) and budget not in BUDGETS and not budget.isdecimal():
-        raise ValueError(f"budget: a number of plans, or one of {', '.join(BUDGETS)}; given {budget!r}")
-    return BUDGETS[budget] if isinstance(budget, str) and budget in BUDGETS else int(budget)
+    if isinstance(budget, str) and budget not in PLAN_BUDGETS and not budget.isdecimal():
+        raise ValueError(f"budget: a number of plans, or one of {', '.join(PLAN_BUDGETS)}; given {budget!r}")
+    return PLAN_BUDGETS[budget] if isinstance(budget, str) and budget in PLAN_BUDGETS else int(budget)
 
 
 def search_plan(
@@ -554,8 +554,8 @@ def search_plan(
     Args:
         scenario: where.
         benches: who operates them, see :func:`~chemlab.agents.policies.make_policies`.
-        budget: most plans tried, or one of :data:`BUDGETS`; the first context gets half of it. A search ends sooner
-            when new beginnings from random plans have found nothing better.
+        budget: most plans tried, or one of :data:`PLAN_BUDGETS`; the first context gets half of it. A search ends
+            sooner when new beginnings from random plans have found nothing better.
         seed: of the search.
         contexts: default: all that the scenario may draw.
         watch: called with the number of plans just tried.

@@ -23,7 +23,7 @@ from chemlab.files import draft_of, sync_file, sync_folder
 from ..learners import load_learner, save_learner
 from ..runs import Run
 from ..sb3 import ChemlabVecEnv
-from ..seals import read_sealed, seal
+from ..seals import read_sealed, seal_file
 
 __all__ = [
     "commit_checkpoint",
@@ -103,7 +103,7 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
 def save_state(folder: Path, state: dict[str, Any]) -> None:
     """Write what a run needs to go on into the folder of a checkpoint, for :func:`load_state`."""
     (folder / "state.pkl").write_bytes(pickle.dumps(state))
-    seal(folder / "state.pkl")
+    seal_file(folder / "state.pkl")
 
 
 def load_state(folder: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layo
 from ..compiling import Rehearsal
 from ..jit import helper, kernel, opened
 from ..materials import DataError, validated
-from ..parts import Part, PartError, blamed, checked, load_part
+from ..parts import Part, PartError, blamed, checked_numbers, load_part
 from ..physics.laws import partition, settle_phases, work_size
 from ..physics.transfer import place
 from ..scenario import BenchSpec, Scenario, WearSpec
@@ -111,7 +111,7 @@ class Observation(Part):
         """
         with blamed(f"{name}: see()"):
             values = self.see(*owner)
-        return checked(values, (members, size), f"{name}: see()", 0.0, 1.0)
+        return checked_numbers(values, (members, size), f"{name}: see()", 0.0, 1.0)
 
 
 def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Observation]:
@@ -581,7 +581,7 @@ class Bench(ABC):
             for name, term in self._terms.items():
                 with blamed(name):
                     earned = term(self, shelf, experiments, members)
-                reward[members] += checked(earned, members.shape, name)
+                reward[members] += checked_numbers(earned, members.shape, name)
 
     def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
         """What happens in an experiment, of no laboratory: see :mod:`chemlab.compiling`. Nothing, if the bench is not

@@ -20,7 +20,7 @@ from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, Chemi
 from ..jit import helper, inner, kernel, opened
 from ..materials import DataError
 from ..operations import OPERATIONS, Operation, Turn
-from ..parts import PartError, blamed, checked, load_part
+from ..parts import PartError, blamed, checked_numbers, load_part
 from ..physics.constants import SOLIDS
 from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, solid_volume, vapor_pressure
 from ..physics.layers import camera, profile
@@ -427,7 +427,7 @@ class OperationBench(Bench):
             name, operation, turn = self._own_turn(shelf, experiments, m, a)
             with blamed(f"{name}: act()"):
                 elapsed = operation.act(turn, shelf.chem(m))
-            experiments.elapsed[m] = checked(
+            experiments.elapsed[m] = checked_numbers(
                 elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)"
             )
             for row in (turn.row, turn.target):

@@ -31,7 +31,7 @@ from ..jit import inner, kernel, opened
 from ..physics.laws import partition, react, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.surroundings import Surroundings
-from ..physics.thermal import pressure, seal
+from ..physics.thermal import pressure, seal_vessel
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
 from ..scenario import Scenario
 from ..shelf import T_MIX, Shelf, ShelfArrays
@@ -292,7 +292,7 @@ def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, c
         if rules.transfer >= 0.0:
             state.jacket[members[b]] = min(max(row[TEMPERATURE], rules.coldest), rules.hottest)
         if rules.condenser < 0.0:
-            seal(row, chem)
+            seal_vessel(row, chem)
 
 
 class ReactionBench(Bench):

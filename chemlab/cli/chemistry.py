@@ -252,7 +252,7 @@ def reactions(
         _free(beside, force)
         wanted = compounds.compounds([], strangers)
         tables = compounds.material_tables(wanted, compounds.own_values(values or ()))
-        known |= compounds.checked(tables)
+        known |= compounds.checked_materials(tables)
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
     if strangers:
         write_text(beside, material_text(tables, command))

@@ -26,7 +26,7 @@ from .common import (
 from .screen import err, event_words, happened, out, page, plain, show_table
 
 if TYPE_CHECKING:
-    from ..agents.episodes import EpisodeResult, Turn
+    from ..agents.episodes import EpisodeResult, PlayedTurn
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
     from ..laboratory.describe import FactTable
@@ -215,7 +215,7 @@ class _Account:
         self._times = 0
         self._since = 0
 
-    def __call__(self, turn: Turn) -> None:
+    def __call__(self, turn: PlayedTurn) -> None:
         from ..laboratory.text import action_words, named_events
 
         labs = self._env.laboratories
@@ -235,7 +235,7 @@ class _Account:
         if notes or outcome:
             self._flush("; ".join([*notes, *([outcome] if outcome else [])]))
 
-    def _outcome(self, turn: Turn, score: float | None) -> str:
+    def _outcome(self, turn: PlayedTurn, score: float | None) -> str:
         from ..laboratory.text import reading_words
 
         labs = self._env.laboratories

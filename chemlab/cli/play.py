@@ -14,7 +14,7 @@ from .common import JsonOption, ScenarioArgument, SeedOption, TrustOption, app, 
 from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
-    from ..agents.episodes import Turn
+    from ..agents.episodes import PlayedTurn
     from ..agents.policies import Policy
     from ..laboratory.aec import raw_env
     from ..laboratory.core import Laboratories
@@ -49,7 +49,7 @@ class _Told:
         self._env, self._people = env, people
         self._others: dict[str, int] = {}
 
-    def __call__(self, turn: Turn) -> None:
+    def __call__(self, turn: PlayedTurn) -> None:
         from ..laboratory.text import named_events
 
         labs = self._env.laboratories
@@ -71,7 +71,7 @@ class _Told:
         bench = labs.benches[labs.bench_agents.index(agent)]
         return f"experiment over: {self._env.infos[agent]['score']:+.3f} {bench.score_meaning}"
 
-    def _decided(self, turn: Turn) -> None:
+    def _decided(self, turn: PlayedTurn) -> None:
         """What a manager's decision means for people at the benches, and what it has read."""
         from ..laboratory.text import reading_words
 

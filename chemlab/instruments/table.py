@@ -12,7 +12,7 @@ from ..bench.base import CAMERA_PIXELS, Channel
 from ..chemistry import ChemistryTable
 from ..jit import chained, helper, kernel, opened
 from ..materials import DataError
-from ..parts import PartError, blamed, checked, load_part
+from ..parts import PartError, blamed, checked_numbers, load_part
 from ..physics.transfer import remove_fraction
 from ..rng import normal
 from ..scenario import Scenario
@@ -232,7 +232,7 @@ class InstrumentTable:
                     turn = reading(i, shelf.vessels[m, slot], stream[m], out, rules)
                     with blamed(self._own[i]):
                         self.kinds[i].read(turn._replace(numbers=self._numbers[i]), shelf.chem(m))
-                    out[:] = checked(out, out.shape, self._own[i], 0.0, 1.0)
+                    out[:] = checked_numbers(out, out.shape, self._own[i], 0.0, 1.0)
         handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
         _take(members, slots, used, readings, stream, *handles)
         off = self._right if drifted is None else drifted

@@ -30,7 +30,7 @@ from ..compiling import Rehearsal, compile_first
 from ..instruments.table import InstrumentTable
 from ..jit import kernel, opened
 from ..materials import DataError
-from ..parts import blamed, checked, strangers_code
+from ..parts import blamed, checked_numbers, strangers_code
 from ..physics.laws import work_size
 from ..rng import seed_streams, uniform
 from ..scenario import OrderSpec, Scenario, load_scenario
@@ -543,7 +543,7 @@ class Laboratories:
         for name, term in self._terms.items():
             with blamed(name):
                 earned = term(self, members)
-            state.rewards[0, members] += checked(earned, members.shape, name)
+            state.rewards[0, members] += checked_numbers(earned, members.shape, name)
         if flags & OVER:
             self._settle_accounts(members)
 

@@ -15,7 +15,7 @@ from .properties import Properties, Value
 
 __all__ = [
     "OWN_FIELDS",
-    "checked",
+    "checked_materials",
     "compounds",
     "estimates",
     "known_as",
@@ -192,11 +192,11 @@ def material_tables(
             f'[{first}] {fields[0]} = NUMBER and [{first}.source] {fields[0]} = "WHERE FROM", '
             "and name the file with --values"
         )
-    checked(tables)
+    checked_materials(tables)
     return tables
 
 
-def checked(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Material]:
+def checked_materials(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Material]:
     """The materials that some tables are.
 
     Raises:

@@ -9,7 +9,7 @@ from .constants import GAS_CONSTANT
 from .laws import headspace_gas, vapor_pressure
 from .transfer import volume
 
-__all__ = ["air_in_open_vessel", "pressure", "seal"]
+__all__ = ["air_in_open_vessel", "pressure", "seal_vessel"]
 
 
 @helper
@@ -21,7 +21,7 @@ def air_in_open_vessel(row: FloatArray, chem: Handle) -> float:
 
 
 @helper
-def seal(row: FloatArray, chem: Handle) -> None:
+def seal_vessel(row: FloatArray, chem: Handle) -> None:
     """Close the vessel: the air above its contents stays in it."""
     row[AIR] = air_in_open_vessel(row, chem)
 

@@ -11,7 +11,7 @@ from ..laboratory.core import Laboratories
 from ..record import Record
 from .history import Move, RecordReplay
 
-__all__ = ["PLACES", "Balance", "Group", "Stage", "mole_balance"]
+__all__ = ["PLACES", "Balance", "Group", "Inventory", "mole_balance"]
 
 PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
 """``vessels`` are all on the shelf and the benches; ``samples`` what instruments took; ``lost`` what was spilled or
@@ -21,7 +21,7 @@ _BALANCED = 1e-9
 
 
 @dataclass(frozen=True)
-class Stage:
+class Inventory:
     """Where everything is at one moment."""
 
     label: str
@@ -47,18 +47,18 @@ class Group:
 
 @dataclass(frozen=True)
 class Balance:
-    """The stages of an episode, first to last."""
+    """The inventories of an episode, first to last."""
 
     materials: tuple[str, ...]
-    stages: tuple[Stage, ...]
+    inventories: tuple[Inventory, ...]
     groups: tuple[Group, ...]
 
     def amounts(self, group: Group) -> FloatArray:
-        """[stages, places, materials] of a group, in its unit."""
-        return np.array([stage.amounts * group.weights for stage in self.stages])
+        """[inventories, places, materials] of a group, in its unit."""
+        return np.array([inventory.amounts * group.weights for inventory in self.inventories])
 
     def check(self) -> None:
-        """Every group's total is the same at every stage.
+        """Every group's total is the same at every inventory.
 
         Raises:
             ValueError: it is not; the message says which and by how much.
@@ -92,7 +92,7 @@ class _Books:
             vessel = labs.shelf.amounts[0, int(move.manager[1])]
             self._last = vessel.copy()  # nothing, where it has been taken away
 
-    def stage(self, label: str) -> Stage:
+    def inventory(self, label: str) -> Inventory:
         """Where everything is now."""
         labs = self._labs
         shelf, state = labs.shelf, labs.state
@@ -102,7 +102,7 @@ class _Books:
             "stock": shelf.bottled()[0],
             **self._out,
         }
-        return Stage(label, int(state.ticks[0]), np.array([amounts[place] for place in PLACES]))
+        return Inventory(label, int(state.ticks[0]), np.array([amounts[place] for place in PLACES]))
 
 
 def mole_balance(record: Record, trust: bool = False) -> Balance:
@@ -119,21 +119,21 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
     books = _Books(labs)
-    stages = [books.stage("start")]
+    inventories = [books.inventory("start")]
     for move in replay.moves():
         books.enter(move)
         if move.scores:
-            stages.append(books.stage(", ".join(move.scores)))
+            inventories.append(books.inventory(", ".join(move.scores)))
     # What comes after the last experiment (measuring, submitting) is the episode's end.
-    stages.append(books.stage("end" if replay.over else "so far"))
-    balance = Balance(labs.shelf.layout.materials, tuple(stages), tuple(_groups(labs, stages)))
+    inventories.append(books.inventory("end" if replay.over else "so far"))
+    balance = Balance(labs.shelf.layout.materials, tuple(inventories), tuple(_groups(labs, inventories)))
     balance.check()
     return balance
 
 
-def _groups(labs: Laboratories, stages: list[Stage]) -> list[Group]:
+def _groups(labs: Laboratories, inventories: list[Inventory]) -> list[Group]:
     """Elements of what reacted, then each material that only moved."""
-    totals = np.array([stage.amounts.sum(axis=0) for stage in stages])
+    totals = np.array([inventory.amounts.sum(axis=0) for inventory in inventories])
     reacted = np.abs(totals - totals[0]).max(axis=0) > _MOVED
     table = list(labs.scenario.materials.values())
     groups = []
@@ -143,7 +143,7 @@ def _groups(labs: Laboratories, stages: list[Stage]) -> list[Group]:
             groups.append(Group(element, True, atoms * reacted))
     stock = PLACES.index("stock")
     for m, name in enumerate(labs.shelf.layout.materials):
-        elsewhere = max(float(np.delete(stage.amounts[:, m], stock).max()) for stage in stages)
+        elsewhere = max(float(np.delete(inventory.amounts[:, m], stock).max()) for inventory in inventories)
         if not reacted[m] and elsewhere > _MOVED:
             groups.append(Group(name, False, (np.arange(len(table)) == m).astype(np.float64)))
     return groups

@@ -559,8 +559,8 @@ def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> 
             words = f"{what} {top - low:.0%}"
             axes.text(edge + 0.1 * side, y, words, ha=align, va="center", fontsize=8, color=INK)
             axes.plot([edge, edge + 0.08 * side], [0.5 * (low + top), y], color=FAINT, lw=0.7, clip_on=False)
-    stages = [balance.stages[c] for c in chosen]
-    axes.set_xticks(range(len(chosen)), [f"{stage.label}\ntick {stage.tick}" for stage in stages], fontsize=7.5)
+    inventories = [balance.inventories[c] for c in chosen]
+    axes.set_xticks(range(len(chosen)), [f"{at.label}\ntick {at.tick}" for at in inventories], fontsize=7.5)
     axes.set_xlim(-half - 0.05, len(chosen) - 1 + half + 0.05)
     axes.set_ylim(0.0, 1.0)
     axes.set_yticks([])

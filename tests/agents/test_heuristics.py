@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers import EVERY_SCENARIO, slow_but
 
-from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
+from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.evaluation.plans import best_in_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import Policy, make_policies
@@ -103,7 +103,7 @@ def test_random_actions_are_not_safe() -> None:
 def test_heuristics_play_legal_actions_alone(name: str) -> None:
     env = raw_env(name)
     policies = make_policies("heuristic", env.laboratories)
-    turns: list[Turn] = []
+    turns: list[PlayedTurn] = []
     for seed in range(7):
         result = play_episode(env, policies, seed, watch=turns.append)
         assert result.costs["illegal_actions"] == 0.0
@@ -114,7 +114,7 @@ def test_heuristics_play_legal_actions_alone(name: str) -> None:
 def test_a_result_is_what_was_played() -> None:
     env = raw_env("wurtz_dodecane")
     policies = make_policies("heuristic", env.laboratories)
-    turns: list[Turn] = []
+    turns: list[PlayedTurn] = []
     result = play_episode(env, policies, 3, "heuristic", watch=turns.append)
     assert (result.scenario, result.policy, result.seed, result.goal) == ("wurtz_dodecane", "heuristic", 3, "dodecane")
     assert result.manager_actions == sum(turn.agent == "manager_0" for turn in turns)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from chemlab.agents.background import focal_env, focal_vector_env
-from chemlab.agents.episodes import EpisodeResult, Turn, play_episode
+from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT
@@ -32,13 +32,13 @@ def weighted(events: dict[str, float]) -> float:
 
 
 @functools.cache
-def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[Turn, ...]], ...]:
+def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]], ...]:
     """Episodes of one set of scripted policies, and all their turns."""
     env = raw_env(SAFE)
     policies = make_policies(policy, env.laboratories)
     found = []
     for seed in range(SEEDS):
-        turns: list[Turn] = []
+        turns: list[PlayedTurn] = []
         result = play_episode(env, policies, seed, policy, watch=turns.append)
         found.append((result, tuple(turns)))
     return tuple(found)

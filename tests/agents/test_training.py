@@ -28,7 +28,7 @@ from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.agents.seals import seal
+from chemlab.agents.seals import seal_file
 from chemlab.agents.training import learn as training
 from chemlab.agents.training.arguments import (
     ALGORITHMS,
@@ -230,7 +230,7 @@ def test_a_checkpoint_of_another_version_is_not_gone_on_with(tmp_path: Path) -> 
     state = pickle.loads((last / "state.pkl").read_bytes())
     del state["progress"]["step"]
     (last / "state.pkl").write_bytes(pickle.dumps(state))
-    seal(last / "state.pkl")
+    seal_file(last / "state.pkl")
     with pytest.raises(ValueError, match=f"{last.name}: not a checkpoint of this version; delete the run's folder"):
         train(small("a2c"), tmp_path)
 

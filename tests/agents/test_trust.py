@@ -22,7 +22,7 @@ pytest.importorskip("stable_baselines3")
 
 from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
-from chemlab.agents.seals import read_sealed, seal
+from chemlab.agents.seals import read_sealed, seal_file
 from chemlab.agents.training.arguments import JointArguments, TrainArguments
 from chemlab.agents.training.joint import train_together
 from chemlab.agents.training.learn import train
@@ -272,7 +272,7 @@ def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.Monkey
     file.write_bytes(b"mine")
     with pytest.raises(DataError, match="has no seal of yours"):
         read_sealed(file)
-    seal(file)
+    seal_file(file)
     assert read_sealed(file) == b"mine"
     assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
     file.write_bytes(b"mind")
@@ -297,7 +297,7 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, mon
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "no folder" / "state"))
     (tmp_path / "file").write_bytes(b"mine")
     with pytest.warns(UserWarning, match="CHEMLAB_STATE_DIR names another folder"):
-        seal(tmp_path / "file")
+        seal_file(tmp_path / "file")
     assert read_sealed(tmp_path / "file") == b"mine"
 
 

@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.bench_env import BenchEnv
@@ -27,7 +27,7 @@ def laboratory(name: str, episodes: int) -> dict[str, float]:
     env.reset(seed=0)
     seconds: list[float] = []
 
-    def watch(turn: Turn) -> None:
+    def watch(turn: PlayedTurn) -> None:
         begun = time.perf_counter()
         draw(laboratory_scene(env.laboratories))
         seconds.append(time.perf_counter() - begun)

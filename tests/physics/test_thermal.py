@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from chemlab.chemistry import AIR, AMOUNTS, CAPACITY, TEMPERATURE
 from chemlab.physics.events import BOILED_DRY, DRY_HEATING, RELIEF, SPILL
 from chemlab.physics.laws import vapor_pressure, vent
-from chemlab.physics.thermal import pressure, seal
+from chemlab.physics.thermal import pressure, seal_vessel
 
 R = 8.31446261815324
 ATMOSPHERE = 101.325
@@ -292,7 +292,7 @@ def test_sealed_air_is_an_ideal_gas(temperature: float, capacity: float, salt: f
     glass = Glassware("wurtz_dodecane", 1)
     row = glass.fill(0, {"NaCl": salt}, 1.0)
     headspace = 1.0 - glass.volume(0)
-    seal(row, glass.chem)
+    seal_vessel(row, glass.chem)
     assert row[AIR] == pytest.approx(ATMOSPHERE * headspace / (R * ROOM), rel=1e-12)
     assert pressure(row, glass.chem) == pytest.approx(ATMOSPHERE, rel=1e-12)
     row[TEMPERATURE], row[CAPACITY] = temperature, capacity
@@ -304,7 +304,7 @@ def test_pressure_is_air_plus_vapor() -> None:
     """Over a liquid the sealed vessel shows the air's pressure plus the vapour's."""
     glass = Glassware("wurtz_dodecane", 1)
     row = glass.fill(0, {"diethyl_ether": 4.0, "1-chlorohexane": 1.0}, 1.2)
-    seal(row, glass.chem)
+    seal_vessel(row, glass.chem)
     row[TEMPERATURE], row[CAPACITY] = 345.0, 0.8
     air = row[AIR] * R * 345.0 / (0.8 - glass.volume(0))
     assert pressure(row, glass.chem) == pytest.approx(air + vapor_pressure(row, glass.chem), rel=1e-12)
@@ -322,7 +322,7 @@ def sealed(contents: dict[str, float], temperature: float, capacity: float) -> G
     row = glass.fill(0, contents, 1.2)
     glass.phases(0)
     glass.partition(0)
-    seal(row, glass.chem)
+    seal_vessel(row, glass.chem)
     row[TEMPERATURE], row[CAPACITY] = temperature, capacity
     return glass
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from helpers import FEATURED, slow_but
 
-from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.chemistry import CLOCK, CLOCK_WAS
 from chemlab.laboratory.aec import raw_env
@@ -32,7 +32,7 @@ def episode(name: str) -> tuple[Scene, ...]:
     env.reset(seed=0)
     scenes, turns = [laboratory_scene(env.laboratories)], 0
 
-    def watch(turn: Turn) -> None:
+    def watch(turn: PlayedTurn) -> None:
         nonlocal turns
         turns += 1
         if turns % _EVERY == 0:

@@ -9,7 +9,7 @@ import pytest
 from helpers import EVERY_SCENARIO, laboratory, manager, mapping, molar_volume
 from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
-from chemlab.agents.episodes import Turn, play_episode
+from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
@@ -218,7 +218,7 @@ def test_a_look_changes_nothing(name: str) -> None:
     env.reset(seed=3)
     labs = env.laboratories
 
-    def watch(turn: Turn) -> None:
+    def watch(turn: PlayedTurn) -> None:
         before = labs.snapshot()
         laboratory_scene(labs)
         for array, kept in zip(labs.snapshot(), before, strict=True):
