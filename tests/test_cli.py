@@ -500,3 +500,35 @@ def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
     os.close(writing)
     assert "Traceback" not in done.stderr
     assert "error" not in done.stderr
+
+
+def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:
+    """Whatever of it is missing: each of the commands that need it, in a process that cannot import it."""
+    code = (
+        "import json, sys\n"
+        "sys.modules.update(dict.fromkeys(('rdkit', 'chemicals', 'thermo', 'ugropy')))\n"
+        "from typer.testing import CliRunner\n"
+        "from chemlab.cli import app\n"
+        "for words in json.loads(sys.argv[1]):\n"
+        "    done = CliRunner().invoke(app, words)\n"
+        "    print(json.dumps([done.exit_code, done.output]))\n"
+    )
+    words = [
+        ["material", "benzyl alcohol"],
+        ["pairs", "1-chlorohexane", "acetic_anhydride"],
+        ["reactions", "--smarts", "[C:1]>>[C:1]", "--reactants", "ethanol"],
+        ["new", "lab", "--reactions", "wurtz_real"],
+    ]
+    given = [sys.executable, "-c", code, json.dumps([[*command, "-o", "made.toml"] for command in words])]
+    plain = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(given, capture_output=True, text=True, cwd=tmp_path, env=plain, check=True)
+    *refused, made = map(json.loads, done.stdout.splitlines())
+    for exit_code, output in refused:
+        assert exit_code == 2
+        assert output.strip().startswith("error: ")
+        assert len(output.strip().splitlines()) == 1
+        assert 'pip install "chemlab-marl[chem]"' in output
+    assert len(refused) == 3
+    # All pairs of the last one are shipped, and nothing else was written.
+    assert made[0] == 0, made
+    assert list(tmp_path.iterdir()) == [tmp_path / "made.toml"]

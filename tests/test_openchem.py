@@ -30,7 +30,7 @@ for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[chem]"')
 
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
-from chemlab.openchem.designs import feeds, solvent_for  # noqa: E402
+from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of, molar_mass  # noqa: E402
 from chemlab.openchem.properties import Properties, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
@@ -406,6 +406,38 @@ def test_what_is_fed_follows_from_the_reactions_backwards() -> None:
     assert feeds("goal", family, 1.0) == {"a": 1.0, "b": 0.5, "c": 0.5}
     with pytest.raises(DataError, match=r"no reaction of 'steps' makes it; made here: goal, m, over, waste"):
         feeds("a", family, 1.0)
+
+
+def test_what_is_lighter_than_its_solvent_and_dilute_is_taken_over(tmp_path: Path) -> None:
+    # So little ether in toluene that the pot boils far above ether from the start.
+    family, lab = tmp_path / "ether.toml", tmp_path / "lab.toml"
+    smarts = "[CX4:1][OH:2].[CX4:3][OH:4]>>[CX4:1][O:2][CX4:3].[O:4]"
+    run("reactions", "--smarts", smarts, "--reactants", "ethanol", "--generations", 1, "-o", family)
+    run("new", "ether_lab", "--reactions", family, "--solvent", "toluene", "-o", lab)
+    played = json.loads(run("run", lab, "--json").stdout)
+    assert played["submitted_mol"] > 0.15
+    assert played["purity"] > 0.8
+
+
+def test_water_that_a_reaction_makes_is_parted_off() -> None:
+    washed = {}
+    for products in ({"toluene": 1}, {"toluene": 1, "water": 1}):
+        step = {"reactants": {"1-chlorohexane": 1, "diethyl_ether": 1}, "products": products, "source": "made up"}
+        step |= {"pre_exponential": 1.0, "activation_energy_j_mol": 0.0}
+        family = ReactionFamily.model_validate({"name": "one", "reaction": [step]})
+        made = design("one", "toluene", "hexane", family, shipped_materials(), shipped_pairs(), 0.25, {})
+        washed["water" in products] = made.washing
+    assert washed == {False: False, True: True}
+
+
+def test_hydrogen_is_matched_but_no_gas_is_put_in(tmp_path: Path) -> None:
+    family = tmp_path / "hydrogenation.toml"
+    words = ["--smarts", "[C:1]=[C:2].[H][H]>>[C:1][C:2]", "--reactants", "1-hexene", "H2"]
+    run("reactions", *words, "-o", family)
+    (step,) = load_reactions(str(family), shipped_materials()).reaction
+    assert step.words == "1-hexene + H2 -> hexane"
+    shown = run("new", "hydrogenation", "--reactions", family, "-o", tmp_path / "lab.toml", fails=True).output
+    assert "made of 'H2', a gas" in " ".join(shown.split())
 
 
 def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:

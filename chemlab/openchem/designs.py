@@ -46,9 +46,9 @@ _ATMOSPHERE_PA = 101325.0
 _TICK_S = (10.0, 1800.0)
 _CATALYST = 0.1
 """mol of a catalyst for each of the goal."""
-_STAYS = 20.0
-"""Ratio of activity coefficients at high dilution in water and in the solvent, above which a wash leaves a liquid in
-it; what goes below a tenth of it is washed out."""
+_STAYS, _SOLVENT_STAYS = 20.0, 10.0
+"""Ratio of activity coefficients, by litre, at high dilution in water and in the solvent, above which a wash leaves a
+liquid in it, and the solvent itself; what goes below a tenth of the first is washed out."""
 
 
 @dataclass(frozen=True)
@@ -219,8 +219,8 @@ def check_design(
     """Refuse what no scenario can be designed for; see :func:`design`.
 
     Raises:
-        DataError: no reaction makes the goal, it is a gas, the solvent is no liquid or the goal itself, a catalyst is
-            in no bottle, or it is more than a vessel takes.
+        DataError: no reaction makes the goal, it or what it is made of is a gas, the solvent is no liquid or the goal
+            itself, a catalyst is in no bottle, or it is more than a vessel takes.
     """
     if materials[goal].role == "gas":
         raise DataError(f"goal {goal!r}: is a gas; vessels hold liquids and solids")
@@ -228,7 +228,11 @@ def check_design(
         raise DataError(f"solvent {solvent!r}: is no liquid that is known")
     if solvent == goal:
         raise DataError(f"solvent {solvent!r}: is the goal itself; name another")
-    litre = _charge_litres(feeds(goal, family, mol), mol, materials)
+    fed = feeds(goal, family, mol)
+    gases = [key for key in fed if materials[key].role == "gas"]
+    if gases:
+        raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; what is put in has to be a liquid or a solid")
+    litre = _charge_litres(fed, mol, materials)
     if litre > 0.8 * _CAPACITY_L:
         raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
     for key in _catalysts(goal, family):
@@ -337,18 +341,22 @@ def _washes(
     materials: Mapping[str, Material],
     pairs: Mapping[frozenset[str], Pair],
 ) -> bool:
-    """Whether water takes something out of the solvent, and neither the solvent nor the goal."""
+    """Whether water takes something out of the solvent, and neither the solvent nor the goal; so it does with the water
+    that a reaction makes."""
     if WATER in (goal, solvent) or materials[goal].role == "solid":
         return False
 
     def stays(key: str) -> float:
-        inside = 1.0 if key == solvent else _dilute(key, solvent, materials, pairs)
+        inside = _litres({key: 1.0}, materials) if key == solvent else _dilute(key, solvent, materials, pairs)
         return _dilute(key, WATER, materials, pairs) / inside
 
-    if stays(solvent) < _STAYS or stays(goal) < _STAYS:
+    if stays(solvent) < _SOLVENT_STAYS or stays(goal) < _STAYS:
         return False
     salts = {salt.solid for salt in family.salt}
-    present = {key for step in family.reaction for key in (*step.reactants, *step.products)} - {goal, solvent, WATER}
+    present = {key for step in family.reaction for key in (*step.reactants, *step.products)}
+    if WATER in present:
+        return True
+    present -= {goal, solvent}
     liquids = [key for key in present if materials[key].role in ("solvent", "solute")]
     return bool(salts & present) or any(stays(key) < 0.1 * _STAYS for key in liquids)
 

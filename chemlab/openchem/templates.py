@@ -117,6 +117,11 @@ def _side(side: Mapping[str, int]) -> str:
     return " + ".join(f"{n} {key}" if n > 1 else key for key, n in side.items())
 
 
+def _matched(molecule: Any) -> Any:
+    """The molecule that templates are matched with: hydrogen has two atoms in it, others' are implied."""
+    return Chem.AddHs(molecule) if molecule.GetNumHeavyAtoms() == 0 else molecule
+
+
 class _Pool:
     """All species so far, by InChIKey, which does not care how a structure is written (nor whether sodium chloride is
     drawn with a bond)."""
@@ -164,7 +169,7 @@ class _Pool:
             self._taken.add(key)
             made = Species(inchi_key, smiles, key, False)
         self.species[inchi_key] = made
-        self.molecules[inchi_key] = parsed(smiles, made.key)
+        self.molecules[inchi_key] = _matched(parsed(smiles, made.key))
         return made
 
 
