@@ -21,11 +21,11 @@ def killed_at_first(number: int, folder: Path, times: int) -> int:
 
 
 def held(number: int, folder: Path) -> int:
-    """The square, once there is a file ``go``; says on which of a Ray cluster's nodes it is."""
+    """The square, once there is a file ``go-NUMBER``; says on which of a Ray cluster's nodes it is."""
     import ray
 
     (folder / f"begun-{number}-{ray.get_runtime_context().get_node_id()}").touch()
-    while not (folder / "go").exists():
+    while not (folder / f"go-{number}").exists():
         time.sleep(0.05)
     return number * number
 
