@@ -450,6 +450,8 @@ class HumanPolicy:
         instruments = self._labs.instruments
         for s in range(self._labs.scenario.shelf.slots):
             for i, (name, channel) in enumerate(zip(instruments.names, instruments.channels, strict=True)):
+                if name not in self._labs.scenario.seen_instruments:
+                    continue
                 age = seen.number(f"slot_{s}_{name}_age")
                 values = seen.raw(f"slot_{s}_{name}")
                 # The age alone does not tell a reading of the episode's whole length ago from none: both are 1.

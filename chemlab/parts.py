@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .arrays import FloatArray
     from .scenario import Scenario
 
-__all__ = ["Part", "PartError", "blamed", "checked_numbers", "load_part", "may_run", "strangers_code"]
+__all__ = ["Part", "PartError", "blamed", "checked_numbers", "load_part", "may_run", "strangers_code", "trust"]
 
 __path__: list[str] = []
 """Makes the modules of files submodules of this one; :class:`_Files` finds them."""
@@ -90,9 +90,14 @@ def strangers_code(allowed: bool) -> Iterator[None]:
         _strangers.reset(token)
 
 
+def trust() -> bool | None:
+    """What :func:`strangers_code` was told; None outside of it."""
+    return _strangers.get()
+
+
 def may_run(otherwise: bool) -> bool:
     """What :func:`strangers_code` was told, or ``otherwise`` outside of it."""
-    told = _strangers.get()
+    told = trust()
     return otherwise if told is None else told
 
 

@@ -407,13 +407,17 @@ class DemandSpec(BaseModel):
     for; nothing where it has none of it."""
 
 
-class ManagerSpec(BaseModel):
-    """What the manager sees and earns beyond what every manager does."""
+class ManagerSpec(Grown):
+    """What the manager sees and earns otherwise than every manager does."""
 
     model_config = _FROZEN
+    _later = ("readings",)
 
     observe: Parts = ()
     """Observation channels of your own, ``my_parts.py:NAME`` each, after the manager's."""
+    readings: tuple[Key, ...] | None = Field(default=None, max_length=32)
+    """Instruments whose readings stand in its observation, for each slot; left out: all. Of the others it sees how old
+    the last reading is and no more, so that spectra and pictures need not make it wide."""
     reward: Parts = ()
     """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
 
@@ -536,6 +540,11 @@ class Scenario(Grown):
                 raise ValueError(
                     f"world.draws.{name}.told: {unknown[0]!r} is not one of benches ({', '.join(self.benches)})"
                 )
+        unknown = [name for name in self.manager.readings or () if name not in self.instruments]
+        if unknown:
+            raise ValueError(
+                f"manager.readings: {unknown[0]!r} is not one of instruments ({', '.join(self.instruments)})"
+            )
         if self.demand.order and len(self.demand.order) != self.orders:
             raise ValueError(
                 f"demand.order: give one for each of orders = {self.orders}, given {len(self.demand.order)}"
@@ -594,6 +603,12 @@ class Scenario(Grown):
         """Whether any bench or instrument has a condition of its own, which changes while it is used."""
         wearing = any(bench.wear is not None for bench in self.benches.values())
         return wearing or any(instrument.drift is not None for instrument in self.instruments.values())
+
+    @property
+    def seen_instruments(self) -> dict[str, InstrumentSpec]:
+        """Those whose readings stand in the manager's observation, by name."""
+        seen = self.manager.readings
+        return {name: spec for name, spec in self.instruments.items() if seen is None or name in seen}
 
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""

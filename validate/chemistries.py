@@ -20,12 +20,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 
+from chemlab.agents.executors import executor
 from chemlab.agents.player import Played, play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.arrays import FloatArray
@@ -65,10 +65,9 @@ def play(physics: str, seed: int) -> Row:
     return difficulty, score, purity, found.reached, found.selectivity, change, lasted
 
 
-def rows(physics: str, number: int, processes: int) -> Iterator[tuple[object, ...]]:
+def rows(physics: str, number: int, jobs: Executor) -> Iterator[tuple[object, ...]]:
     """A row of the table for each difficulty."""
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        played = list(pool.map(play, [physics] * number, range(number), chunksize=10))
+    played = list(jobs.map(play, [physics] * number, range(number)))
     for difficulty in LEVELS:
         numbers = np.array([row[1:] for row in played if row[0] == difficulty])
         score, purity, reached, selectivity, change, lasted = numbers.T
@@ -89,17 +88,19 @@ def main() -> None:
     """Play, print the table, and write it if it is of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--number", type=int, default=NUMBER)
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--processes", type=int)
+    parser.add_argument("--address", help="as for chemlab audit")
     parser.add_argument("--physics", nargs="*", default=["paper", "real"])
     given = parser.parse_args()
     columns = ("atoms", "solved", "solved_of_yield", "score", "purity", "yield", "selectivity", "yield_5_percent")
     header = ("physics", "difficulty", "number", *columns)
     print(*(f"{name:>15}" for name in header))
     table = []
-    for physics in given.physics:
-        for row in rows(physics, given.number, given.processes):
-            table.append(row)
-            print(*(f"{cell!s:>15}" for cell in row), flush=True)
+    with executor(given.address, given.processes) as jobs:
+        for physics in given.physics:
+            for row in rows(physics, given.number, jobs):
+                table.append(row)
+                print(*(f"{cell!s:>15}" for cell in row), flush=True)
     if given.number == NUMBER:
         path = Path(__file__).with_suffix(".csv")
         with path.open(encoding="utf-8", newline="") as handle:

@@ -33,8 +33,8 @@ is null, with a ``reason``.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,7 @@ def audit(
     scenario: str | Path | Scenario,
     budget: str | AuditBudget = "small",
     keep: Path | None = None,
-    processes: int | None = None,
+    executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Measure what a scenario asks of its agents.
@@ -83,7 +83,7 @@ def audit(
         scenario: a shipped name, a path, or a loaded scenario.
         budget: one of :data:`~chemlab.agents.evaluation.jobs.BUDGETS`, or numbers of one's own.
         keep: folder in which results of finished parts are kept, so that a broken-off audit goes on there.
-        processes: default: as many as there are cores.
+        executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
         watch: called with the name of each part that has been played.
 
     Returns:
@@ -93,16 +93,14 @@ def audit(
     Raises:
         DataError: no such scenario.
         ValueError: unknown budget.
+        WorkerLost: a part lost its worker again and again.
     """
     spec = load_scenario(scenario)
     chosen = budget_of(budget)
-    crew = Crew(spec, chosen, keep, processes or os.cpu_count() or 1, watch or (lambda _: None))
-    try:
-        found = crew.run(choosing_jobs(spec))
-        reference = _best(found, "choose")
-        found |= crew.run(measuring_jobs(spec, chosen, reference, found["plan"]["plans"]))
-    finally:
-        crew.close()
+    crew = Crew(spec, chosen, keep, executor, watch)
+    found = crew.run(choosing_jobs(spec))
+    reference = _best(found, "choose")
+    found |= crew.run(measuring_jobs(spec, chosen, reference, found["plan"]["plans"]))
     return {
         "kind": "audit",
         "format": 1,

@@ -35,6 +35,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -231,7 +232,7 @@ def benchmark(
     split: str = "test",
     baseline: str = "heuristic",
     keep: Path | None = None,
-    processes: int | None = None,
+    executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Play every row in every scenario, and compare.
@@ -244,7 +245,7 @@ def benchmark(
         split: worlds.
         baseline: the row that improvement is measured over.
         keep: folder in which results of finished parts are kept, by scenario.
-        processes: default: as many as there are cores.
+        executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
         watch: called with the name of each part that has been played.
 
     Returns:
@@ -265,13 +266,10 @@ def benchmark(
     found = {}
     for spec in specs:
         folder = None if keep is None else keep / spec.name
-        crew = Crew(spec, chosen, folder, processes or os.cpu_count() or 1, watch or (lambda _: None))
+        crew = Crew(spec, chosen, folder, executor, watch)
         fitting = _fitting(spec, rows)
-        try:
-            played = crew.run([*_reference_jobs(spec, split), *_row_jobs(spec, fitting, blocks, split)])
-            planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
-        finally:
-            crew.close()
+        played = crew.run([*_reference_jobs(spec, split), *_row_jobs(spec, fitting, blocks, split)])
+        planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
         found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split)
     return {
         "kind": "benchmark",

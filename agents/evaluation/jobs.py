@@ -1,16 +1,14 @@
-"""What audits and benchmarks play, in parts that are kept: each is a job for one process, and a broken-off command goes
+"""What audits and benchmarks play, in parts that are kept: each is a job for an executor, and a broken-off command goes
 on with those that are missing."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
-import os
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 from chemlab.scenario import Scenario
 
+from ..executors import Inline, completed
 from ..plans import all_contexts
 from ..player import play_laboratory
 from ..policies import make_policies, manager_heuristic
@@ -292,43 +291,28 @@ class _Part(BaseModel):
     result: _Result
 
 
-def _end_with_parent() -> None:
-    """Let this process end when the one that started it does, however that ends: a pool's processes would wait on."""
-
-    parent = parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 class Crew:
-    """Runs jobs in as many processes as there are, and keeps what each has come to.
+    """Has jobs of a scenario played, and keeps what each has come to.
 
     Args:
         scenario: the audited one.
         budget: how much is played.
         keep: folder of results, from which a broken-off audit goes on; None: nowhere.
-        processes: how many.
-        watch: called with (jobs done, name of the last).
+        executor: plays the jobs (:mod:`chemlab.agents.executors`); None: this process.
+        watch: called with the name of each job that is done.
     """
 
     def __init__(
-        self, scenario: Scenario, budget: AuditBudget, keep: Path | None, processes: int, watch: Callable[[str], None]
+        self,
+        scenario: Scenario,
+        budget: AuditBudget,
+        keep: Path | None = None,
+        executor: Executor | None = None,
+        watch: Callable[[str], None] | None = None,
     ) -> None:
-        self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch
+        self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch or (lambda _: None)
         self._made_of = [scenario_hash(scenario), vars(budget), versions()]
-        # Threads of numerical libraries do not survive a fork.
-        spawn = get_context("spawn")
-        self._pool = ProcessPoolExecutor(processes, spawn, _end_with_parent) if processes > 1 else None
-
-    def close(self) -> None:
-        """Let the processes go."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        self._executor = executor or Inline()
 
     def run(self, jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
         """What every job has come to, by name."""
@@ -336,20 +320,13 @@ class Crew:
         for name in found:
             self._watch(name)
         missing = [job for job in jobs if job.name not in found]
-        for job, result in self._results(missing):
+        run = functools.partial(_run, scenario=self._scenario, budget=self._budget)
+        for job, result in completed(self._executor, run, missing):
             if self._keep is not None:
                 write_text(self._keep / f"{job.name}.json", json.dumps({"stamp": self._stamp(job), "result": result}))
             found[job.name] = result
             self._watch(job.name)
         return found
-
-    def _results(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, dict[str, Any]]]:
-        if self._pool is None:
-            yield from ((job, _run(job, self._scenario, self._budget)) for job in jobs)
-            return
-        waiting = {self._pool.submit(_run, job, self._scenario, self._budget): job for job in jobs}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
 
     def _stamp(self, job: Job) -> str:
         """What tells a part from that of another scenario, version, budget or policy."""

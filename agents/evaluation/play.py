@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +16,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.materials import DataError
 from chemlab.scenario import Scenario, load_scenario
 
+from ..executors import Inline, completed
 from ..player import Played, play_bench, play_laboratory
 from ..policies import bench_policy, make_policies
 from ..runs import versions
@@ -159,6 +162,7 @@ def evaluate(
     goals: Sequence[str] | None = None,
     baseline: str = "heuristic",
     watch: Callable[[int], None] | None = None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Play every policy from the same seeds and compare it with a baseline.
 
@@ -171,6 +175,7 @@ def evaluate(
         goals: default: all of the target's.
         baseline: what improvement is measured over.
         watch: called with the number of episodes just played.
+        executor: plays batches of episodes, see :mod:`chemlab.agents.executors`; None: this process.
 
     Returns:
         Plain data, as ``chemlab evaluate --out`` writes it: what was played, and for each policy the mean,
@@ -186,9 +191,19 @@ def evaluate(
         raise ValueError(f"goals: known: {', '.join(target.goals)}, each once; given {', '.join(chosen)}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, given {episodes}")
-    found: dict[str, dict[str, Played]] = {
-        name: {goal: target.play(name, goal, episodes, seed, watch) for goal in chosen}
-        for name in dict.fromkeys((baseline, *policies))
+    names = list(dict.fromkeys((baseline, *policies)))
+    batches = [(name, goal, first) for name in names for goal in chosen for first in range(0, episodes, BATCH)]
+    play = functools.partial(_batch, target=target, episodes=episodes, seed=seed)
+    played: dict[tuple[str, str, int], Played] = {}
+    for batch, part in completed(executor or Inline(), play, batches):
+        played[batch] = part
+        if watch is not None:
+            watch(len(part.returns))
+    found = {
+        name: {
+            goal: Played.joined([played[name, goal, first] for first in range(0, episodes, BATCH)]) for goal in chosen
+        }
+        for name in names
     }
     return {
         "kind": "evaluation",
@@ -203,6 +218,12 @@ def evaluate(
         "versions": versions(),
         "policies": [_report(name, played, found[baseline]) for name, played in found.items()],
     }
+
+
+def _batch(batch: tuple[str, str, int], target: Target, episodes: int, seed: int) -> Played:
+    """The episodes of (policy, goal) that are played at once from number ``first`` on."""
+    policy, goal, first = batch
+    return target.play(policy, goal, min(BATCH, episodes - first), seed + first)
 
 
 def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -> dict[str, Any]:

@@ -22,8 +22,9 @@ M = TypeVar("M")
 
 
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
-    """Of a scenario's instruments of some kinds the one whose reading costs least; none if there is none."""
-    specs = scenario.instruments
+    """Of a scenario's instruments of some kinds, whose readings the manager sees, the one whose reading costs least;
+    none if there is none."""
+    specs = scenario.seen_instruments
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
 
 

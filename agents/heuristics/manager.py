@@ -10,7 +10,7 @@ from chemlab.arrays import MaskArray, ObservationArray
 from chemlab.instruments.balance import RANGE_KG
 
 from ..roles import role_of
-from .base import ScriptedManager, Setting
+from .base import ScriptedManager, Setting, cheapest
 from .workup import keeps_apart
 
 __all__ = ["ManagerHeuristic"]
@@ -64,8 +64,8 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         )
         # In order: that of a set of names is another in every process.
         self._salts = tuple(salt.solid for salt in scenario.family.salt)
-        self._balance = next((n for n, spec in scenario.instruments.items() if spec.kind == "balance"), None)
-        self._gc = next((n for n, spec in scenario.instruments.items() if spec.kind == "gas_chromatograph"), None)
+        self._balance = cheapest(scenario, ("balance",))
+        self._gc = cheapest(scenario, ("gas_chromatograph",))
         self._analytes = instruments.analytes[instruments.names.index(self._gc)] if self._gc else ()
         self._molar_mass = np.array([scenario.materials[name].molar_mass_g_mol for name in self._analytes])
 

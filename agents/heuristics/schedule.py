@@ -15,7 +15,7 @@ from chemlab.laboratory.view import terms_channels
 from chemlab.scenario import DemandSpec, Scenario
 from chemlab.world import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, quantiles
 
-from .base import ScriptedManager, Setting
+from .base import ScriptedManager, Setting, cheapest
 from .campaign import run_once
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
@@ -117,11 +117,11 @@ class SchedulingManager(ScriptedManager[_Shop]):
         prices = [draw for draw in scenario.world.draws.values() if draw.what == "price"]
         base = scenario.demand.order[0].price
         self._prices = base * quantiles(prices[0], shares) if prices else np.full(_GRID, base)
-        names = [n for n, spec in scenario.instruments.items() if spec.kind == "gas_chromatograph"] if careful else []
-        self._instrument = names[0] if names else None
-        self._analytes = instruments.analytes[instruments.names.index(names[0])] if names else ()
-        self._noise = scenario.instruments[names[0]].noise if names else 0.0
-        self._price = scenario.instruments[names[0]].price if names else 0.0
+        chosen = cheapest(scenario, ("gas_chromatograph",)) if careful else None
+        self._instrument = chosen
+        self._analytes = instruments.analytes[instruments.names.index(chosen)] if chosen else ()
+        self._noise = scenario.instruments[chosen].noise if chosen else 0.0
+        self._price = scenario.instruments[chosen].price if chosen else 0.0
 
     # -- what it sees -----------------------------------------------------------------------------------------
 

@@ -18,13 +18,9 @@ Needs the extra: ``pip install "chemlab-marl[rllib]"``.
 
 from __future__ import annotations
 
-import logging
-import os
 import shutil
-import socket
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +31,7 @@ import numpy.typing as npt
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario
 
+from ..executors import connected
 from ..policies import Policy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, role_of
@@ -67,7 +64,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
 
-__all__ = ["algorithm_config", "connected", "train_rllib"]
+__all__ = ["algorithm_config", "train_rllib"]
 
 LABEL = "rllib"
 """What figures call the algorithm."""
@@ -77,56 +74,6 @@ _TOLERANCE = 1e-5
 _SCORES = "chemlab_scores"
 _PATIENCE_S = 600.0
 """How long a runner may take for its share of a batch (kernels compile at first), and a run waits for any runner."""
-_OBJECT_STORE_BYTES = 512 * 1024 * 1024
-"""Of a Ray of our own: a batch of turns is some ten megabytes."""
-
-
-@contextmanager
-def connected(address: str | None, runners: int) -> Iterator[None]:
-    """Ray, for as long as the context lasts; one that this process is connected to already is used and left alone.
-
-    Args:
-        address: of a cluster (``auto``: the one this machine belongs to); None starts a Ray of our own, here.
-        runners: env runners that are to find a CPU there.
-
-    Raises:
-        ValueError: no cluster answers there, or it has fewer CPUs.
-    """
-    logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level RLlib sets once it is running
-    ours = not ray.is_initialized()
-    if ours:
-        # Unless told otherwise Ray reports its use to its makers.
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-        if address is None:
-            count = max(runners, os.cpu_count() or 1)
-            ray.init("local", num_cpus=count, include_dashboard=False, object_store_memory=_OBJECT_STORE_BYTES, **quiet)
-        else:
-            try:
-                _knock(address)
-                ray.init(address, **quiet)
-            except (OSError, RuntimeError, ValueError) as error:  # a ConnectionError is an OSError
-                raise ValueError(
-                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head (one "
-                    "that asks for a token needs RAY_AUTH_MODE=token here, too)"
-                ) from error
-    try:
-        cpus = int(ray.cluster_resources().get("CPU", 0))
-        if cpus < runners:
-            raise ValueError(
-                f"runners: each takes a CPU, and Ray has {cpus}; given {runners}: ask for fewer or add nodes"
-            )
-        yield
-    finally:
-        if ours:
-            ray.shutdown()
-
-
-def _knock(address: str) -> None:
-    """OSError where nobody listens at HOST:PORT: Ray itself would try for minutes."""
-    host, _, port = address.rpartition(":")
-    if host and port.isdigit() and "/" not in host:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
 
 
 def _policy_of(agent: str, *_: Any, **__: Any) -> str:

@@ -1,4 +1,4 @@
-"""Many training runs as a queue of processes on this machine's cores.
+"""Many training runs as jobs of an executor, each in a process of its own.
 
 A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``,
 ``scenario``), algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each,
@@ -18,21 +18,18 @@ from its checkpoint, a failed one is tried again by the next sweep; what runs sa
 from __future__ import annotations
 
 import itertools
-import os
 import re
-import subprocess
-import sys
-import time
 from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import chemlab
 from chemlab.files import write_text
 from chemlab.materials import DataError, read_toml
 from chemlab.parts import may_run
 
+from ..executors import WorkerLost, run_chemlab
 from ..runs import Run, RunBusy, differences, to_text
 from .arguments import TrainArguments, label_of, resolved
 from .tasks import task_fingerprint
@@ -50,13 +47,6 @@ _LISTS = ("env_id", "scenario", "preset", "algo")
 
 _MOST_RUNS = 10_000
 _FOLDER = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}")
-_CHILD = f"""import sys
-sys.path[:] = [path for path in sys.path if path] + [{str(Path(chemlab.__file__).parents[1])!r}]
-from chemlab.cli import main
-main()
-"""
-"""What a child runs: chemlab as it is here. Nothing is imported from the folder that the sweep is started in, which
-Python would look through first (``-P`` would keep it from that, from 3.11 on)."""
 
 
 @dataclass(frozen=True)
@@ -179,23 +169,18 @@ def _unfinished(planned: Planned, step: int, mean: float | None, otherwise: str)
     return Status(state, step, planned.arguments.steps, mean, str(planned.log) if state == "failed" else "")
 
 
-@dataclass
-class _Process:
-    planned: Planned
-    handle: subprocess.Popen[bytes]
-
-
 def run_sweep(
-    runs: list[Planned], jobs: int, watch: Callable[[list[Status]], None], interval: float = 0.5
+    runs: list[Planned], executor: Executor, watch: Callable[[list[Status]], None], interval: float = 0.5
 ) -> list[Status]:
-    """Run what is not finished, ``jobs`` at a time; returns how each run ended.
+    """Run what is not finished; returns how each run ended.
 
-    Interrupting it (Ctrl-C) ends its processes; the next sweep goes on with them. Runs that another process trains are
-    left to it and waited for.
+    Runs that another process trains are left to it and waited for. Closing the executor ends runs; the next sweep goes
+    on with them.
 
     Args:
         runs: see :func:`plan`.
-        jobs: processes at a time.
+        executor: of commands, see :func:`chemlab.agents.executors.executor`. Wherever it runs them, it has the runs'
+            folders.
         watch: is shown every run's status now and then.
         interval: seconds between looks.
 
@@ -203,7 +188,7 @@ def run_sweep(
         ValueError: a file of a run is damaged.
     """
     queue = [one for one in runs if status_of(one).state not in ("done", "other")]
-    active: list[_Process] = []
+    active: dict[Future[int], Planned] = {}
     known: dict[str, Status] = {}
 
     def look(fresh: set[str]) -> list[Status]:
@@ -213,52 +198,37 @@ def run_sweep(
                 known[one.name] = status_of(one)
         return [known[one.name] for one in runs]
 
-    try:
-        while queue or active:
-            fresh = set()
-            for process in [p for p in active if p.handle.poll() is not None]:
-                active.remove(process)
-                fresh.add(process.planned.name)
-                if process.handle.returncode == RunBusy.exit_code:  # another sweep's process was a moment earlier
-                    queue.append(process.planned)
-                elif process.handle.returncode != 0:
-                    _note_failure(process.planned, process.handle.returncode)
-            for one in list(queue):
-                if len(active) >= jobs:
-                    break
-                if one.run.busy():
-                    continue
-                queue.remove(one)
-                fresh.add(one.name)
-                if status_of(one).state != "done":
-                    active.append(_Process(one, _start(one)))
-            watch(look({p.planned.name for p in active} | fresh))
-            if queue or active:
-                time.sleep(interval)
-    finally:
-        for process in active:
-            process.handle.terminate()
-        for process in active:
-            process.handle.wait()
+    while queue or active:
+        fresh = set()
+        for future in [future for future in active if future.done()]:
+            one = active.pop(future)
+            fresh.add(one.name)
+            code = _exit_code(future)
+            if code == RunBusy.exit_code:  # another sweep's process was a moment earlier
+                queue.append(one)
+            elif code != 0:
+                write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))
+        for one in [one for one in queue if not one.run.busy()]:
+            queue.remove(one)
+            one.run.path.mkdir(parents=True, exist_ok=True)
+            one.run.failed_file.unlink(missing_ok=True)
+            active[executor.submit(run_chemlab, _words(one), one.log)] = one
+        watch(look({one.name for one in active.values()} | fresh))
+        if queue or active:
+            wait(active, timeout=interval, return_when=FIRST_COMPLETED)
     final = look({one.name for one in runs})
     watch(final)
     return final
 
 
-def _start(one: Planned) -> subprocess.Popen[bytes]:
-    one.run.path.mkdir(parents=True, exist_ok=True)
-    one.run.failed_file.unlink(missing_ok=True)
-    command = [sys.executable, "-c", _CHILD, "train", one.arguments.env_id]
-    command += [*one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
-    if may_run(otherwise=False):
-        command.append("--trust")
-    # One core a run: libraries that start threads of their own would share it with the other runs.
-    single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    with one.log.open("ab") as log:
-        return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **single}
-        )
+def _words(one: Planned) -> list[str]:
+    """The command that trains a run."""
+    words = ["train", one.arguments.env_id, *one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
+    return [*words, "--trust"] if may_run(otherwise=False) else words
 
 
-def _note_failure(one: Planned, code: int) -> None:
-    write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))
+def _exit_code(ended: Future[int]) -> int:
+    try:
+        return ended.result()
+    except WorkerLost:
+        return -9  # as of one that was killed

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder, check_target, write_text
-from .common import JsonOption, ScenarioArgument, app, out, readable_errors
+from .common import AddressOption, JsonOption, ProcessesOption, ScenarioArgument, app, out, readable_errors
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -23,7 +23,8 @@ def audit(
         Path | None,
         typer.Option(help="Folder for the results of finished parts: the same command goes on from there."),
     ] = None,
-    processes: Annotated[int | None, typer.Option(min=1, help="Default: as many as there are cores.")] = None,
+    processes: ProcessesOption = None,
+    address: AddressOption = None,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the findings as JSON.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -36,6 +37,7 @@ def audit(
         from ..agents.evaluation.audit import audit as measure
         from ..agents.evaluation.audit import job_count
         from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.executors import executor
         from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
@@ -45,9 +47,9 @@ def audit(
             check_folder(keep)
         if output is not None:
             check_target(output)
-        with counting() as progress:
+        with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=job_count(spec, BUDGETS[budget]))
-            found = measure(spec, budget, keep, processes, lambda _: progress.advance(task))
+            found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task))
     if as_json:
         typer.echo(json.dumps(found))
     else:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder
-from .common import JsonOption, SplitOption, TrustOption, app, out, readable_errors
+from .common import AddressOption, JsonOption, ProcessesOption, SplitOption, TrustOption, app, out, readable_errors
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -32,7 +32,8 @@ def benchmark(
     budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
     baseline: Annotated[str, typer.Option(help="The row that improvement is measured over.")] = "heuristic",
     records: Annotated[int, typer.Option(min=0, help="Episodes of each row and scenario that are recorded.")] = 1,
-    processes: Annotated[int | None, typer.Option(min=1, help="Default: as many as there are cores.")] = None,
+    processes: ProcessesOption = None,
+    address: AddressOption = None,
     output: Annotated[
         Path, typer.Option("--out", "-o", help="Folder: findings, leaderboard, records, and parts to go on from.")
     ] = Path("benchmark"),
@@ -46,6 +47,7 @@ def benchmark(
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
         from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.executors import executor
         from ..scenario import load_scenario
         from ..world import Split
 
@@ -58,12 +60,12 @@ def benchmark(
         rows = protocol.find_rows([name for name in names if name not in always])
         check_folder(output)
         protocol.leaderboard_lines(output / "leaderboard.json")  # before anything is played
-        with counting() as progress:
+        with counting() as progress, executor(address, processes) as jobs:
             total = protocol.part_count(specs, rows, BUDGETS[budget], seeds, split)
             task = progress.add_task("parts", total=total)
             parts = output / "parts"
             found = protocol.benchmark(
-                specs, rows, budget, seeds, split, baseline, parts, processes, lambda _: progress.advance(task)
+                specs, rows, budget, seeds, split, baseline, parts, jobs, lambda _: progress.advance(task)
             )
         protocol.write_benchmark(output, found, specs, rows, records)
     if as_json:

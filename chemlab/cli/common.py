@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from ..scenario import Scenario
 
 __all__ = [
+    "AddressOption",
     "EpisodesOption",
     "JsonOption",
     "PolicyOption",
+    "ProcessesOption",
     "ScenarioArgument",
     "SeedOption",
     "SplitOption",
@@ -114,6 +116,18 @@ TrustOption = Annotated[
         callback=_trust,
         help="Run what files of other people bring along: parts that a scenario names (module:Name, file.py:Name), "
         "checkpoints of runs that are not yours.",
+    ),
+]
+ProcessesOption = Annotated[
+    int | None,
+    typer.Option(
+        "--processes", "--jobs", min=1, help="Jobs at a time. Default: one for each core, here or of the cluster."
+    ),
+]
+AddressOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Where jobs run: auto or HOST:PORT of a Ray cluster (extra ray), or slurm (extra slurm). Default: here."
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder, check_target, write_text
-from .common import JsonOption, SeedOption, SplitOption, TrustOption, app, out, readable_errors
+from .common import AddressOption, JsonOption, SeedOption, SplitOption, TrustOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
 __all__: list[str] = []
@@ -33,6 +33,10 @@ def evaluate(
     seed: SeedOption = 0,
     split: SplitOption = "train",
     baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "heuristic",
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Jobs at a time. Default: one, or, of a cluster, one for each core.")
+    ] = None,
+    address: AddressOption = None,
     output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON.")
     ] = None,
@@ -47,15 +51,19 @@ def evaluate(
     with readable_errors():
         from ..agents.evaluation.play import evaluate as play
         from ..agents.evaluation.play import find_target
+        from ..agents.executors import executor
 
         if output is not None:
             check_target(output)
         chosen = find_target(target, bench, starts, split)
         policies = policy or ["heuristic", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
-        with counting() as progress:
+        # Most evaluations are over before other processes would have started.
+        with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:
             task = progress.add_task("episodes", total=total)
-            results = play(chosen, policies, episodes, seed, goal, baseline, watch=lambda n: progress.advance(task, n))
+            results = play(
+                chosen, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), executor=jobs
+            )
     if as_json:
         brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
         typer.echo(json.dumps({**results, "policies": brief}))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import os
 import signal
 from collections.abc import Callable
 from dataclasses import asdict
@@ -19,10 +18,12 @@ from rich.table import Table
 
 from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
 from ..files import check_target
-from .common import JsonOption, TrustOption, app, err, out, readable_errors
+from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..agents.runs import Evaluation, RunResult
     from ..agents.training.sweep import Planned, Status
 
@@ -213,7 +214,8 @@ _COLOURS = {"done": "green", "running": "cyan", "failed": "red", "other": "red",
 @app.command()
 def sweep(
     file: Annotated[Path, typer.Argument(help="Sweep file (see experiments/).")],
-    jobs: Annotated[int | None, typer.Option(min=1, help="Runs at a time. Default: one for each core.")] = None,
+    processes: ProcessesOption = None,
+    address: AddressOption = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),
     status: Annotated[bool, typer.Option("--status", help="Show what is done and run nothing.")] = False,
     trust: TrustOption = False,
@@ -221,6 +223,7 @@ def sweep(
 ) -> None:
     """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
     with readable_errors():
+        from ..agents.executors import executor
         from ..agents.training.sweep import plan, run_sweep, status_of
 
         runs = plan(file, folder)
@@ -231,9 +234,9 @@ def sweep(
 
             # A sweep that is told to stop takes its runs along, as one that is interrupted does.
             signal.signal(signal.SIGTERM, signal.default_int_handler)
-            count = jobs or os.cpu_count() or 1
             try:
-                found = run_sweep(runs, count, lambda _: None) if as_json else _live(runs, count)
+                with executor(address, processes, commands=True) as jobs:
+                    found = run_sweep(runs, jobs, lambda _: None) if as_json else _live(runs, jobs)
             except KeyboardInterrupt:
                 err.print("stopped; the same command goes on")
                 raise typer.Exit(130) from None
@@ -246,7 +249,7 @@ def sweep(
         raise typer.Exit(1)
 
 
-def _live(runs: list[Planned], jobs: int) -> list[Status]:
+def _live(runs: list[Planned], jobs: Executor) -> list[Status]:
     """Run it with a table that is kept up to date, or, where nobody watches, a line whenever a run's state changes."""
     from ..agents.training.sweep import run_sweep
 

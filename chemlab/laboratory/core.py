@@ -273,6 +273,7 @@ class Laboratories:
             stocked=np.array([layout.index(name) for name in spec.stock], dtype=np.int64),
             stock_price=np.array([spec.costs.stock_per_mol.get(name, 0.0) for name in layout.materials]),
             reading_start=table.start,
+            seen=np.array([name in spec.seen_instruments for name in spec.instruments], dtype=np.int64),
             price=table.price,
             waste_per_l=spec.costs.waste_per_l,
             tick_price=spec.costs.tick,

@@ -159,6 +159,8 @@ class Rules(NamedTuple):
     """[M] score per mol"""
     reading_start: Annotated[IntArray, Field("I+1")]
     """[I + 1] where each reading begins"""
+    seen: Annotated[IntArray, Field("I")]
+    """[I] 1 where it stands in the observation"""
     price: Annotated[FloatArray, Field("I")]
     """[I] score for a measurement"""
     waste_per_l: Annotated[float, Field("")]

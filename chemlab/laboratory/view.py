@@ -71,10 +71,9 @@ def _write_vessel(
 def _reading_channels(slot: str, scenario: Scenario, instruments: InstrumentTable) -> list[Channel]:
     channels, limit = [], float(scenario.limits.ticks)
     for c in instruments.channels:
-        channels += [
-            Channel(f"{slot}_{c.name}", c.size, c.unit, c.low, c.high, f"last reading: {c.meaning}"),
-            Channel(f"{slot}_{c.name}_age", 1, "ticks", 0.0, limit, "its age; 1 = never measured"),
-        ]
+        if c.name in scenario.seen_instruments:
+            channels.append(Channel(f"{slot}_{c.name}", c.size, c.unit, c.low, c.high, f"last reading: {c.meaning}"))
+        channels.append(Channel(f"{slot}_{c.name}_age", 1, "ticks", 0.0, limit, "its age; 1 = never measured"))
     return channels
 
 
@@ -82,10 +81,11 @@ def _reading_channels(slot: str, scenario: Scenario, instruments: InstrumentTabl
 def _write_readings(out: ObservationArray, at: int, n: int, s: int, state: ManagerState, rules: Rules) -> int:
     for k in range(state.age.shape[2]):
         start, stop, age = rules.reading_start[k], rules.reading_start[k + 1], state.age[n, s, k]
-        if age >= 0:
-            for r in range(start, stop):
-                out[at + r - start] = state.reading[n, s, r]
-        at += stop - start
+        if rules.seen[k]:
+            if age >= 0:
+                for r in range(start, stop):
+                    out[at + r - start] = state.reading[n, s, r]
+            at += stop - start
         out[at] = 1.0 if age < 0 else min(age / rules.tick_limit, 1.0)
         at += 1
     return at

@@ -56,7 +56,7 @@ def test_intervals_hold_what_they_promise() -> None:
 @pytest.fixture(scope="module")
 def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     keep = tmp_path_factory.mktemp("kept")
-    return audit("unlabelled", TINY, keep, 1), keep
+    return audit("unlabelled", TINY, keep), keep
 
 
 def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, Any], Path]) -> None:
@@ -92,7 +92,7 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
     (keep / "random.json").unlink()
     (keep / "test.json").write_text("{")
     seen: list[str] = []
-    assert audit("unlabelled", TINY, keep, 1, seen.append) == found
+    assert audit("unlabelled", TINY, keep, watch=seen.append) == found
     assert {file.stem for file in files} == set(seen)
     again = {file.name for file in files if file.stat().st_mtime_ns != kept[file.name]}
     assert again == {"random.json", "test.json"}
@@ -136,14 +136,14 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
         assert not out.exists()
     kept = {path: path.stat().st_mtime_ns for path in keep.glob("*.json")}
     assert all(json.loads(path.read_text()) for path in kept)
-    assert audit("unlabelled", TINY, keep, 1) == found
+    assert audit("unlabelled", TINY, keep) == found
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
 def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """With the stamp it had, so that it is the content alone which gives it away."""
     _, keep = unlabelled
-    crew = Crew(load_scenario("unlabelled"), TINY, keep, 1, lambda _: None)
+    crew = Crew(load_scenario("unlabelled"), TINY, keep)
     job = next(job for job in choosing_jobs(load_scenario("unlabelled")) if job.name == "plan")
     path, whole = keep / "plan.json", (keep / "plan.json").read_text()
     part = json.loads(whole)
@@ -185,7 +185,7 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
 
 def test_where_nothing_is_hidden_a_blind_plan_does() -> None:
     """The known plan of wurtz_dodecane_direct: react, distil, submit what has come over."""
-    found = audit("wurtz_dodecane_direct", AuditBudget(6, 120, 20, 2, 20), None, 1)
+    found = audit("wurtz_dodecane_direct", AuditBudget(6, 120, 20, 2, 20))
     assert not found["gates"]["blind"]
     assert not found["gates"]["measuring"]
     assert found["generalization"]["value"] is None

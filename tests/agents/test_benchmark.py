@@ -38,7 +38,7 @@ ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("pretrai
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     folder = tmp_path_factory.mktemp("benchmark")
-    return benchmark(["unlabelled"], ROWS, TINY, 2, keep=folder / "parts", processes=1), folder
+    return benchmark(["unlabelled"], ROWS, TINY, 2, keep=folder / "parts"), folder
 
 
 def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any], Path]) -> None:
@@ -103,7 +103,7 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     assert len(files) == part_count([spec], ROWS, TINY, 2, "test")
     (folder / "parts" / "unlabelled" / "random.json").unlink()
     seen: list[str] = []
-    assert benchmark([spec], ROWS, TINY, 2, keep=folder / "parts", processes=1, watch=seen.append) == found
+    assert benchmark([spec], ROWS, TINY, 2, keep=folder / "parts", watch=seen.append) == found
     assert len(seen) == len(files)
     write_benchmark(folder, found, [spec], ROWS)
     assert json.loads((folder / "benchmark.json").read_text()) == json.loads(json.dumps(found))
@@ -131,9 +131,7 @@ def test_a_benchmark_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.
     done = CliRunner().invoke(app, [*words[:-1], "1", "--json"])
     assert done.exit_code == 0, done.output
     rows = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",))]
-    assert (
-        json.loads(done.output)["scenarios"] == benchmark(["unlabelled"], rows, AUDIT_TINY, 2, processes=1)["scenarios"]
-    )
+    assert json.loads(done.output)["scenarios"] == benchmark(["unlabelled"], rows, AUDIT_TINY, 2)["scenarios"]
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert line in leaderboard_lines(board)
 
@@ -192,7 +190,7 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
     assert [row.name.rpartition(" ")[2] for row in rows] == ["(best)", "(last)"]
     for seed in (0, 1):
         assert rows[1].policies[seed] == str(Run(tmp_path / "runs" / f"seed-{seed}").checkpoint("last"))
-    found = benchmark(["unlabelled", "campaign"], rows, TINY, 2, baseline=rows[0].name, processes=1)
+    found = benchmark(["unlabelled", "campaign"], rows, TINY, 2, baseline=rows[0].name)
     cells = found["scenarios"]["unlabelled"]["cells"]
     labs = Laboratories("unlabelled", 5, split="test")
     scores = [

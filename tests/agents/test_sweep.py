@@ -14,9 +14,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from chemlab.agents import executors
+from chemlab.agents.executors import executor
 from chemlab.agents.runs import Run
-from chemlab.agents.training import sweep
-from chemlab.agents.training.sweep import Planned, Status, plan, run_sweep, status_of
+from chemlab.agents.training.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
 from chemlab.materials import DataError
 
@@ -100,7 +101,7 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
         """,
     )
     out, runner = tmp_path / "out", CliRunner()
-    command = ["sweep", str(file), "--jobs", "2", "--out", str(out)]
+    command = ["sweep", str(file), "--processes", "2", "--out", str(out)]
     first = runner.invoke(app, [*command, "--json"])
     assert first.exit_code == 1
     states = {row["run"]: row for row in json.loads(first.stdout)}
@@ -147,7 +148,7 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     (one,) = plan(file, tmp_path / "out")
     assert status_of(one).state == "waiting"
     process = subprocess.Popen(
-        [sys.executable, "-m", "chemlab", "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")],
+        [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
     )
@@ -170,12 +171,33 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     assert [point.step for point in one.run.curve()] == list(range(32, 1601, 32))
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
+    """And comes to what one comes to that nobody has killed."""
+    pytest.importorskip("stable_baselines3")
+    text = '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\nsteps = 640\ncheckpoints = 20\n'
+    one, other = (plan(sweep_file(tmp_path, text), tmp_path / name)[0] for name in ("out", "other"))
+    killed: list[int] = []
+
+    def watch(found: list[Status]) -> None:
+        if not killed and found[0].state == "running" and one.run.checkpoint("last") is not None:
+            killed.extend(child.pid for child in executors._running)
+            os.kill(killed[0], signal.SIGKILL)
+
+    with executor(processes=1, commands=True) as jobs:
+        (ended,) = run_sweep([one], jobs, watch, interval=0.01)
+        (undisturbed,) = run_sweep([other], jobs, lambda _: None)
+    assert len(killed) == 1
+    assert "resuming at step" in one.log.read_text()
+    assert (ended.state, ended.step, ended.mean) == ("done", 640, undisturbed.mean)
+
+
 def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
     """Whose process comes second waits for the first one's run, and calls nothing failed."""
     pytest.importorskip("stable_baselines3")
     file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
     (one,) = plan(file, tmp_path / "out")
-    command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--jobs", "1", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")]
     for _ in range(2):
         both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
         found = [json.loads(process.communicate()[0]) for process in both]
@@ -190,11 +212,10 @@ def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, mon
     file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
     (one,) = plan(file, tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
-    busy, start, started = one.run.busy, sweep._start, list[Planned]()
-    monkeypatch.setattr(one.run, "busy", lambda: bool(started) and busy())
-    monkeypatch.setattr(sweep, "_start", lambda planned: (started.append(planned), start(planned))[1])
+    busy = one.run.busy
+    monkeypatch.setattr(one.run, "busy", lambda: one.log.exists() and busy())
     states: list[str] = []
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as held, executor(processes=1, commands=True) as jobs:
         held.enter_context(one.run.locked())
 
         def watch(found: list[Status]) -> None:
@@ -202,7 +223,7 @@ def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, mon
             if one.log.exists() and "another process is training" in one.log.read_text():
                 held.close()
 
-        ended = run_sweep([one], 1, watch, interval=0.05)
+        ended = run_sweep([one], jobs, watch, interval=0.05)
     assert "failed" not in states
     assert ended[0].state == "done"
     assert not one.run.failed_file.exists()

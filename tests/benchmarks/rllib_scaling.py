@@ -20,7 +20,8 @@ from typing import Any
 
 import torch
 
-from chemlab.agents.rllib.train import _Team, connected
+from chemlab.agents.executors import connected
+from chemlab.agents.rllib.train import _Team
 from chemlab.agents.roles import chosen_roles
 from chemlab.agents.training.arguments import RllibArguments
 from chemlab.agents.training.loop import Progress

@@ -256,7 +256,7 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
     """A finished part of an audit or a benchmark: what cannot be one is played again, which is no error."""
     budget = AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1)
     labs = laboratory(SCENARIO)
-    crew = Crew(labs.scenario, budget, folder, 1, lambda _: None)
+    crew = Crew(labs.scenario, budget, folder)
     plain = {"scores": [0.0, 0.5, 1.0]}
     plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
     jobs: list[tuple[Job, dict[str, Any]]] = [

@@ -13,9 +13,12 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO, litres, slow_but
 
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
-from chemlab.laboratory.actions import SUBMIT
+from chemlab.datafile import DataError
+from chemlab.laboratory.actions import MEASURE, SUBMIT
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario, load_scenario, scenario_names
@@ -381,3 +384,58 @@ def test_hidden_states_differ_and_scores_with_them() -> None:
     submit = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT)[0]
     labs.act(0, labs.members, np.repeat(submit, 2))
     assert labs.rewards[0, 0] > labs.rewards[1, 0] > 0.0
+
+
+# -- readings that the manager's observation has ---------------------------------------------------------------------
+
+
+def test_readings_that_are_left_out_change_nothing_else() -> None:
+    """The same episodes, number by number, without the channels of what is not among ``readings``."""
+    kept = ["balance", "gas_chromatograph"]
+    full = Laboratories(WURTZ, 3)
+    compact = Laboratories(load_scenario({"base": WURTZ, "name": "compact", "manager": {"readings": kept}}), 3)
+    names = {channel.name for channel in compact.channels}
+    lacking = {channel.name for channel in full.channels} - names
+    assert lacking == {f"slot_{s}_{name}" for s in range(8) for name in ("uv_vis", "layer_camera")}
+    assert (full.observation_sizes[0], compact.observation_sizes[0]) == (2667, 267)
+    assert full.observation_sizes[1:] == compact.observation_sizes[1:]
+    at = channel_slices(full.channels)
+    columns = np.concatenate([np.arange(full.observation_sizes[0])[at[c.name]] for c in compact.channels])
+    rng = np.random.default_rng(0)
+    for labs in (full, compact):
+        for member in labs.members.tolist():
+            labs.seed(member, np.random.SeedSequence(member))
+        labs.reset(labs.members)
+    pictured = 0
+    for _ in range(60):
+        seen = full.observe(0, full.members)
+        np.testing.assert_array_equal(compact.observe(0, compact.members), seen[:, columns])
+        pictured += int(seen.any(axis=0).sum() > seen[:, columns].any(axis=0).sum())
+        mask = full.mask(0, full.members)
+        np.testing.assert_array_equal(compact.mask(0, compact.members), mask)
+        measures = [np.flatnonzero(row & (full.actions.table[:, 0] == MEASURE)) for row in mask]
+        if not all(map(len, measures)):
+            break  # the budget is spent
+        actions = np.array([rng.choice(own) for own in measures])
+        for labs in (full, compact):
+            labs.act(0, labs.members, actions)
+        np.testing.assert_array_equal(compact.rewards, full.rewards)
+    assert pictured, "something was measured that the one sees and the other does not"
+
+
+@pytest.mark.parametrize("policy", ["heuristic", "hasty"])
+def test_scripted_managers_play_with_what_they_see(policy: str) -> None:
+    """What they do not look at makes no difference; without what they look at they do as without the instrument."""
+
+    def scores(name: str, **changes: Any) -> list[float]:
+        labs = Laboratories(load_scenario({"base": name, "name": "other", **changes}), 4)
+        return play_laboratory(labs, make_policies(policy, labs, 0), None, 0).returns.tolist()
+
+    assert scores(WURTZ, manager={"readings": ["balance", "gas_chromatograph"]}) == scores(WURTZ)
+    nothing, none = scores("unlabelled", manager={"readings": []}), scores("unlabelled", limits={"budget": 1e-9})
+    assert nothing == pytest.approx(none, abs=1e-12)
+
+
+def test_readings_of_no_instrument_are_refused() -> None:
+    with pytest.raises(DataError, match=r"manager\.readings: 'nose' is not one of instruments \(uv_vis, layer_camera"):
+        load_scenario({"base": WURTZ, "name": "other", "manager": {"readings": ["nose"]}})
