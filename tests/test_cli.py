@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -532,3 +533,31 @@ def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:
     # All pairs of the last one are shipped, and nothing else was written.
     assert made[0] == 0, made
     assert list(tmp_path.iterdir()) == [tmp_path / "made.toml"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no terminal to pretend")
+@pytest.mark.parametrize("key", [b"\x03", b"\x04"], ids=["interrupt", "end"])
+def test_who_stops_answering_leaves_no_file(tmp_path: Path, key: bytes) -> None:
+    """`chemlab new` asks where it stands at a terminal."""
+    import pty
+
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "chemlab", "new", "lab"]
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, cwd=tmp_path, start_new_session=True
+    ) as process:
+        os.close(theirs)
+        said = b""
+        while b"reaction file: " not in said:
+            said += os.read(ours, 1000)
+        if key == b"\x03":
+            process.send_signal(signal.SIGINT)
+        else:
+            os.write(ours, key)
+        code = process.wait(60)
+    said += os.read(ours, 1000)
+    os.close(ours)
+    assert code == 1
+    assert b"Aborted" in said
+    assert b"Traceback" not in said
+    assert not list(tmp_path.iterdir())
