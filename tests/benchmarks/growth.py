@@ -229,7 +229,10 @@ def table(result: dict[str, Any]) -> list[str]:
     lines.append("|---|---|---|--:|--:|---|--:|")
     for name, one in result.items():
         fitted, last = (f"{m:.2f} [{a:.2f}, {b:.2f}]" for m, a, b in (one["exponent"], one["exponent_at_end"]))
-        times, kib = (", ".join(f"{x:.3g}" for x in xs) for xs in (one["turn_us"], [b / 1024.0 for b in one["bytes"]]))
+        times, kib = (
+            ", ".join(f"{x:.3g}" if x < 1000.0 else f"{x:,.0f}" for x in xs)
+            for xs in (one["turn_us"], [b / 1024.0 for b in one["bytes"]])
+        )
         sizes = ", ".join(f"{size:,}" for size in one["sizes"])
         lines.append(f"| {name} | {sizes} | {times} | {fitted} | {last} | {kib} | {one['bytes_exponent']:.2f} |")
     return lines
