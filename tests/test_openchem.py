@@ -205,6 +205,21 @@ def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: 
     assert not made.keys() & shipped_pairs().keys()
 
 
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["pairs", "toluene", "toluene"], "with itself"),
+        (["pairs", "toluene", "NaCl"], "no molecule in a liquid (its role is 'solid')"),
+        (["pairs", "toluene", "H2"], "no molecule in a liquid (its role is 'gas')"),
+        (["pairs", "toluene", "4-nitrotoluene"], "make it with chemlab material"),
+        (["material", "--name", "toluene=CCCCCCCCCCCCO"], "another material that is shipped"),
+    ],
+)
+def test_what_no_file_can_be_made_of_is_refused(tmp_path: Path, words: list[str], part: str) -> None:
+    assert part in " ".join(run(*words, "-o", tmp_path / "made.toml", fails=True).output.split())
+    assert not list(tmp_path.iterdir())
+
+
 # Reactions ----------------------------------------------------------------------------------------------------------
 
 

@@ -113,6 +113,9 @@ def material(
         raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
     shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, _known(None)))}
     new = [compound for compound in wanted if compound.key not in shipped]
+    for compound in new:
+        if compound.key in _known(None):
+            raise ValueError(f"{compound.key}: is another material that is shipped; give it an id with --name KEY=WHAT")
     words = [*(what or []), *_given({"--name": name, "--values": values})]
     tables: dict[str, Any] = {}
     if new:

@@ -419,13 +419,19 @@ def make_pairs(
         progress: is told of every pair that is done.
 
     Raises:
-        DataError: a material is unknown, or no form of UNIFAC has the groups of both.
+        DataError: a material is unknown, no molecule, or paired with itself; no form of UNIFAC has the groups of both.
     """
     for name in (name for two in pairs for name in two):
         if name not in materials:
             raise DataError(
                 f"pairs: unknown material {name!r}; make it with chemlab material, and name its file with --materials"
             )
+        if not is_molecule(materials[name]):
+            role = materials[name].role
+            raise DataError(f"pairs: {name!r} is no molecule in a liquid (its role is {role!r}), and has no groups")
+    for one, other in pairs:
+        if one == other:
+            raise DataError(f"pairs: {one!r} with itself; a pair is of two materials")
     known: dict[Any, Fit] = {}
     rows = []
     for two in pairs:
