@@ -44,6 +44,7 @@ __all__ = [
     "kernel",
     "only_one",
     "opened",
+    "routine",
     "scratch",
 ]
 
@@ -317,21 +318,28 @@ def inner(function: F) -> F:
 
 def helper(function: F) -> F:
     """A function that is always inlined in kernels, and that Python may call, too."""
-    return cast(F, _Helper(function)) if COMPILED else function
+    return cast(F, _Helper(function, INLINED)) if COMPILED else function
+
+
+def routine(function: F) -> F:
+    """A function of which a kernel has one copy however often it calls it, and that Python may call, too: for what is
+    long and called in several places, which takes many times as long to compile if it is inlined in all of them."""
+    return cast(F, _Helper(function, {**INLINED, "forceinline": False})) if COMPILED else function
 
 
 class _Helper:
-    """Two things by one name: what kernels inline, and a kernel for Python that is compiled if Python calls it."""
+    """Two things by one name: what is made part of kernels, and a kernel for Python that is compiled if Python calls
+    it."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], settings: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
         self.py_func = function
-        self._inlined = inner(function)
+        self._part = numba.njit(**settings)(function)
         self._kernel = kernel(function)
 
     @property
     def _numba_type_(self) -> Any:
-        return _TYPES.Dispatcher(self._inlined)
+        return _TYPES.Dispatcher(self._part)
 
     def __call__(self, *arguments: Any) -> Any:
         return self._kernel(*arguments)

@@ -332,6 +332,7 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
         np.testing.assert_allclose(mine, log_gamma(shipped, temperature, x), atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
     pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
     if not (ROOT / "tools" / "pairs.py").exists():

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import slow_but
 
 from chemlab.agents.evaluation.audit import audit, choosing_jobs, measuring_jobs, verdict
 from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
@@ -127,11 +128,14 @@ def _parent(pid: int) -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")
-def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
-    """Killed twice, then finished: what was kept is whole and is not played again, and the findings are the same."""
+@pytest.mark.parametrize("times", slow_but([[9], [2, 9]], [9]), ids=["once", "twice"])
+def test_an_audit_that_is_killed_goes_on(
+    times: list[int], unlabelled: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
+    """Killed, then finished: what was kept is whole and is not played again, and the findings are the same."""
     found, _ = unlabelled
     keep, out = tmp_path / "kept", tmp_path / "audit.json"
-    for least in (2, 9):
+    for least in times:
         killed(["audit", "unlabelled", "--keep", str(keep), "--out", str(out), "--processes", "2"], keep, least)
         assert not out.exists()
     kept = {path: path.stat().st_mtime_ns for path in keep.glob("*.json")}

@@ -117,6 +117,7 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     assert np.mean(last["step_0"]["return"]) == pytest.approx(cell["replications"][1])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")
 def test_a_benchmark_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed while parts are played; then the same command makes all of it, and the leaderboard keeps its line."""

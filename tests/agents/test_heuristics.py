@@ -224,6 +224,7 @@ def test_step_zero_makes_a_policy_forget(name: str) -> None:
     assert play_episode(env, used, 2).as_dict() == play_episode(env, fresh, 2).as_dict()
 
 
+@pytest.mark.slow
 def test_the_manager_does_the_same_in_every_process() -> None:
     """An episode that hangs on a reading: of what does not fly it has to take the same salt in every process.
 

@@ -246,13 +246,13 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
             bench["wear"]["repair_price"] *= 100.0 if case == "no repair" else 1.0
         if case == "no calibration":
             values["instruments"]["gas_chromatograph"]["drift"]["price"] = 2.0 * values["limits"]["budget"]
-        labs, watched = played("failing", "heuristic", 40, values)
+        labs, watched = played("failing", "heuristic", 25, values)
         scores[case], counts = labs.result(labs.members), counted(labs, watched)
         assert (counts["repair"] > 1.0) == (case != "no repair")
         assert (counts["calibrate"] > 1.0) == (case != "no calibration")
     for case in ("no repair", "no calibration"):
         gained = scores["as it is"] - scores[case]
-        assert gained.mean() > 2.0 * gained.std() / 40**0.5 > 0.0, case
+        assert gained.mean() > 2.0 * gained.std() / 25**0.5 > 0.0, case
 
 
 def test_nobody_takes_orders_in_turn_who_has_no_choice() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from fuzz_files import KINDS, change, fuzz, places, seeds, toml, write
+from helpers import slow_but
 
 from chemlab.datafile import read_toml
 from chemlab.scenario import load_scenario
@@ -19,8 +21,9 @@ def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
         load_scenario(tmp_path / "lab.toml")
 
 
-def test_broken_files_are_readable_errors() -> None:
-    files = 40 * len(KINDS)
+@pytest.mark.parametrize("each", slow_but((24, 40), 24))
+def test_broken_files_are_readable_errors(each: int) -> None:
+    files = each * len(KINDS)
     outcomes, failures = fuzz(files, seed=0, turns=5)
     assert not failures, "\n".join(failures)
     # The fuzzer would prove nothing if it broke nothing, or everything.

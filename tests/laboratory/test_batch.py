@@ -61,7 +61,7 @@ def assert_same_seen(one: dict[str, npt.NDArray[Any]], member: int, other: dict[
 
 
 @pytest.mark.parametrize("count", slow_but([1, 3, 8], 3))
-@pytest.mark.parametrize("name", ["wurtz_any", "wurtz_two_lines", "wurtz_scarce"])
+@pytest.mark.parametrize("name", slow_but(["wurtz_any", "wurtz_two_lines", "wurtz_scarce"], "wurtz_two_lines"))
 def test_members_are_single_laboratories(name: str, count: int) -> None:
     """Member i with seed s + i is a parallel laboratory with that seed, through several episodes, in everything."""
     batch = BatchedLaboratory(count, name, idle_observations=True)

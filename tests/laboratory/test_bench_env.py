@@ -196,6 +196,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.slow  # in laboratories: tests/laboratory/test_determinism.py
 def test_processes_agree() -> None:
     arguments = [gymnasium.spec(name).kwargs[key] for name in IDS for key in ("scenario", "bench")]
     command = [sys.executable, "-c", DIGEST, *arguments]

@@ -211,7 +211,7 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
 # -- benches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "failing", "wurtz_two_lines"))
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)

@@ -105,7 +105,7 @@ def a_round(
 
 
 @pytest.mark.parametrize("seed", slow_but(range(3), 0))
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing"))
 def test_one_script_is_one_episode(name: str, seed: int) -> None:
     """Rewards, costs, scores, infos, observations, masks and the whole state, after every round."""
     aec, parallel = raw_env(name), parallel_env(name)

@@ -196,6 +196,7 @@ def test_profile_conserves_volume_with_thin_layers(contents: dict[str, float], c
     check_profile(FICTITIOUS, contents, capacity, clock)
 
 
+@pytest.mark.slow
 def test_profile_conserves_volume_in_a_sweep() -> None:
     """The same for 4000 random vessels of up to nine liquids from traces to moles, many of them nearly settled."""
     rng = np.random.default_rng(11)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ....arrays import FloatArray, Handle
-from ....jit import inner, opened, scratch
+from ....jit import inner, opened, routine, scratch
 from ...constants import GAS_CONSTANT
 from .chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 from .liquids import Liquids, clear_liquids, nrtl, on_curve, prepare
@@ -53,7 +53,7 @@ def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, 
     return temperature
 
 
-@inner
+@routine
 def overhead(
     n: int,
     trays: int,

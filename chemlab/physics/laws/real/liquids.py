@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS
-from ....jit import helper, inner, opened, scratch
+from ....jit import helper, inner, opened, routine, scratch
 from ....pairs import REFERENCE_K
 from ...constants import TRACE_MOL
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
@@ -215,7 +215,7 @@ def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
     return beta
 
 
-@inner
+@routine
 def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     """Share the molecules out between water and the organic phase so that each has the same activity in both; then
     ``liquids.share``, ``x`` and ``log_gamma`` say how. Successive substitution, from how they stand."""

@@ -6,7 +6,7 @@ import math
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
-from ....jit import helper, inner, kernel, opened, scratch
+from ....jit import helper, inner, kernel, opened, routine, scratch
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
 from ...transfer import heat_capacity, volume
@@ -83,7 +83,7 @@ def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids
     return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
 
 
-@inner
+@routine
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
     """K at which the liquids' vapour has ``pressure`` (kPa); 10,000 where nothing boils. Then ``partial`` [n] says
     whose vapour it is, and ``liquids`` how they share out between the phases there."""
