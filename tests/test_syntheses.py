@@ -11,13 +11,16 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import script, slow_but
 
 import chemlab.scenarios
 from chemlab.agents.episodes import EpisodeResult, play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.sandbox import Flask
 from chemlab.scenario import dump_scenario, load_scenario, scenario_names, shipped_file, synthesis_names
 
@@ -157,3 +160,20 @@ def test_snar_follows_the_published_profile() -> None:
     for row in rows_of("snar"):
         if "ortho" in row.quantity and "5 equivalents" in row.quantity:
             assert row.chemlab == pytest.approx(row.published, rel=0.12)
+
+
+def test_what_rounding_leaves_of_a_liquid_is_none() -> None:
+    """A dry vessel with traces of everything, as random play has left it, and crystals that are put in: concentrations
+    in 8e-14 litres are too stiff."""
+    batch = ExperimentBatch("aspirin", "rxn")
+    batch.reset(batch.members)
+    row, layout = batch.shelf.rows[batch.experiments.places[0, 0]], batch.shelf.layout
+    row[AMOUNTS:] = 0.0
+    traces = {"salicylic_acid": 4.4e-22, "acetic_anhydride": 2.7e-28, "water": 4.2e-12, "acetic_acid": 4.3e-22}
+    for name, mol in {**traces, "acetylsalicylic_acid": 1.482e-12}.items():
+        row[AMOUNTS + layout.index(name)] = mol
+        place = AMOUNTS + len(layout.materials) + 2 * layout.dissolved.index(name)
+        row[place] = 1.2e-15 if name == "acetylsalicylic_acid" else mol
+    batch.experiments.jacket[:] = row[TEMPERATURE] = 298.13
+    batch.act(np.array([[1.0, 0.0, 0.598, 0.0]]))
+    assert row[AMOUNTS + layout.index("salicylic_acid")] == pytest.approx(0.1794)

@@ -1,35 +1,39 @@
 """Purity and recovery of the distillation bench of `wurtz_real`: what stays in the pot, by where the cut is made.
 
     python validate/front.py                        # scripted cuts: writes validate/front.csv and the figure
-    python validate/front.py --trained RUN          # the front of a trained agent, too
+    python validate/front.py --trained FOLDER       # trained agents, too: trains those that are not in the folder yet
     python validate/front.py --figure               # docs/images/front.png from the table as it is
 
 Scripted: the pot is heated in steps of 1 kJ until it reaches a temperature, with columns of several numbers of
-theoretical stages. Trained: an agent that is asked for a purity (`validate/front.toml`), made by
-
-    chemlab train chemlab/Bench-v0 --scenario validate/front.toml --bench dit --preset ppo-entropy
+theoretical stages. Trained: an agent by PPO for each purity that is asked for (`validate/front.toml`), which begins
+with nothing; of its checkpoints the one that was best in its evaluations.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from front_parts import pot
 from mixtures import write
 
 from chemlab.agents.policies import bench_policy
 from chemlab.arrays import FloatArray, ObservationArray
-from chemlab.chemistry import AMOUNTS, TEMPERATURE
+from chemlab.chemistry import TEMPERATURE
+from chemlab.files import write_text
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.scenario import Scenario, load_scenario
 
 HERE = Path(__file__).parent
 TABLE, FIGURE = HERE / "front.csv", HERE.parent / "docs" / "images" / "front.png"
-BENCH, GOAL, POT = "dit", "dodecane", 0
+BENCH, POT = "dit", 0
 STAGES = (1, 2, 5, 15)
 REFLUX = 3.0
 """mol run back for each that leaves, where there is a column."""
@@ -39,6 +43,8 @@ WATER = 0.3
 HEATING_KJ = 1.0
 MOST_STEPS = 2_000
 EPISODES = 50
+STEPS = 300_000
+"""Of training, for each purity."""
 
 
 def asked(**bench: Any) -> Scenario:
@@ -61,14 +67,11 @@ class Pots:
         for member in range(count):
             self.batch.seed(member, member)
         self.batch.reset(self.members)
-        self.begun = self.kept()[1]
+        self.begun = self.kept()[0]
 
-    def kept(self) -> FloatArray:
-        """[2, N] purity (mole fraction) and mol of the goal in each pot."""
-        shelf = self.batch.shelf
-        amounts = shelf.vessels[:, POT, AMOUNTS : AMOUNTS + len(shelf.layout.materials)]
-        goal = amounts[:, shelf.layout.index(GOAL)]
-        return np.stack([goal / np.maximum(amounts.sum(axis=1), 1e-12), goal])
+    def kept(self) -> tuple[FloatArray, FloatArray]:
+        """[N] mol of the goal in each pot, and its mole fraction there."""
+        return pot(self.bench, self.batch.shelf, self.batch.experiments, self.members)
 
     def observe(self) -> ObservationArray:
         """[N, numbers] what agents see."""
@@ -91,7 +94,7 @@ def scripted(stages: int, water: float = 0.0) -> Iterator[dict[str, Any]]:
     title = ("1 stage" if stages == 1 else f"{stages} stages") + (", not dried" if water else "")
     for _ in range(MOST_STEPS):
         kelvin = pots.batch.shelf.vessels[:, POT, TEMPERATURE]
-        purity, mol = pots.kept()
+        mol, purity = pots.kept()
         for i in cutting[kelvin[cutting] >= CUTS_K[cutting]]:
             yield row(title, CUTS_K[i], purity[i], mol[i] / pots.begun[i])
         cutting = cutting[kelvin[cutting] < CUTS_K[cutting]]
@@ -100,12 +103,38 @@ def scripted(stages: int, water: float = 0.0) -> Iterator[dict[str, Any]]:
         pots.batch.act(np.full(len(cutting), heating), cutting, pots.bench)
 
 
-def trained(run: str) -> Iterator[dict[str, Any]]:
-    """What an agent keeps for each purity that it is asked for, in the mean."""
-    for g, grade in enumerate(asked().grades.values()):
-        pots = Pots(asked(), EPISODES)
-        agent = bench_policy(run, pots.bench)
-        pots.batch.experiments.grade[:] = g
+def run_of(folder: Path, grade: str) -> Path:
+    """The run of an agent that is asked for one purity; begun or gone on with where it has not ended."""
+    folder.mkdir(parents=True, exist_ok=True)
+    others = [f"grades.{name}" for name in asked().grades if name != grade]
+    scenario = folder / f"{grade}.toml"
+    write_text(
+        scenario,
+        f'base = "{(HERE / "front.toml").as_posix()}"\nname = "front_{grade}"\nremove = {json.dumps(others)}\n',
+    )
+    command = [
+        "train",
+        "chemlab/Bench-v0",
+        "--scenario",
+        scenario,
+        "--bench",
+        BENCH,
+        "--preset",
+        "ppo-entropy",
+        "--trust",
+    ]
+    subprocess.run(
+        [sys.executable, "-m", "chemlab", *command, "--steps", str(STEPS), "--out", folder / grade], check=True
+    )
+    return folder / grade
+
+
+def trained(folder: Path) -> Iterator[dict[str, Any]]:
+    """What agents keep that are asked for a purity each, in the mean."""
+    for name, grade in asked().grades.items():
+        run = run_of(folder, name)
+        pots = Pots(load_scenario(folder / f"{name}.toml"), EPISODES)
+        agent = bench_policy(str(run), pots.bench)
         running = pots.members
         for step in range(pots.bench.step_limit):
             mask = np.zeros((EPISODES, pots.bench.action_space.n), dtype=np.int8)
@@ -115,8 +144,8 @@ def trained(run: str) -> Iterator[dict[str, Any]]:
             running = running[~pots.batch.experiments.ended[running]]
             if not len(running):
                 break
-        found = pots.kept()
-        yield row("PPO", grade.purity_at_least, found[0].mean(), (found[1] / pots.begun).mean())
+        mol, purity = pots.kept()
+        yield row("PPO", grade.purity_at_least, purity.mean(), (mol / pots.begun).mean())
 
 
 def draw() -> None:
@@ -143,7 +172,7 @@ def draw() -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trained", metavar="RUN", help="a training run of validate/front.toml")
+    parser.add_argument("--trained", type=Path, metavar="FOLDER", help="where runs of trained agents are, or will be")
     parser.add_argument("--figure", action="store_true", help="draw the table as it is")
     chosen = parser.parse_args()
     if not chosen.figure:

@@ -34,6 +34,8 @@ _ROUNDING = 4e-15
 where what a species catalyses itself would run away."""
 _LEAST_ERROR, _LONGEST_RATIO = 1e-3, 8.0
 """An error below which steps grow no further, and by how much they may at once."""
+_LEAST_LITRES = 1e-9
+"""Of a liquid that anything reacts in: what is left of one in a dry vessel, by rounding, has no concentrations."""
 _FIRST_SHARE = 0.1
 """Share of a reactant that the first trial step may use up at the first rate."""
 _HEAT_SCALE_K = 10.0
@@ -636,7 +638,7 @@ def integrate(
     litres = 0.0
     if dt > 0.0 and _can_react(row, chem):
         litres = liquid_volume(row, chem)
-    if litres <= 0.0:
+    if litres <= _LEAST_LITRES:
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres
     through = around.transfer / litres if around.transfer < math.inf else -1.0
