@@ -68,6 +68,7 @@ nitpick_ignore_regex = [
         r"py:(class|obj)",
         r"chemlab\..*\.(_\w+|A|F|M|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)",
     ),
+    (r"py:class", r"chemlab\.agents\.executors\.(J|Value)"),  # type variables
 ]
 suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
 
