@@ -543,9 +543,13 @@ def test_who_stops_answering_leaves_no_file(tmp_path: Path, key: bytes) -> None:
 
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "chemlab", "new", "lab"]
-    with subprocess.Popen(
+    # What is started in the background has been told to ignore Ctrl-C, and its children with it.
+    listens = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, cwd=tmp_path, start_new_session=True
-    ) as process:
+    )
+    signal.signal(signal.SIGINT, listens)
+    try:
         os.close(theirs)
         said = b""
         while b"reaction file: " not in said:
@@ -555,6 +559,8 @@ def test_who_stops_answering_leaves_no_file(tmp_path: Path, key: bytes) -> None:
         else:
             os.write(ours, key)
         code = process.wait(60)
+    finally:
+        process.kill()
     said += os.read(ours, 1000)
     os.close(ours)
     assert code == 1
