@@ -36,6 +36,8 @@ STILL = 1e-9
 class Timed:
     """A team, and what its rounds took: (turns, seconds of gathering, seconds of learning, episodes)."""
 
+    clock = staticmethod(time.perf_counter)
+
     def __init__(self, arguments: RllibArguments) -> None:
         scenario = load_scenario(arguments.scenario)
         roles = chosen_roles(Laboratories(scenario, 1), arguments.roles)
@@ -46,17 +48,17 @@ class Timed:
         update = group.update
 
         def timed(*given: Any, **named: Any) -> Any:
-            begun = time.perf_counter()
+            begun = self.clock()
             found = update(*given, **named)
-            self._learning += time.perf_counter() - begun
+            self._learning += self.clock() - begun
             return found
 
         group.update = timed
 
     def round(self) -> None:
-        self._learning, begun = 0.0, time.perf_counter()
+        self._learning, begun = 0.0, self.clock()
         turns, scores = self.team.learn(Progress())
-        seconds = time.perf_counter() - begun
+        seconds = self.clock() - begun
         self.rounds.append((turns, seconds - self._learning, self._learning, len(scores)))
 
 

@@ -37,7 +37,7 @@ _ROUNDS = 200
 """Of a simulation."""
 
 
-def clock(_: Any) -> float:
+def processor_seconds(_: Any) -> float:
     """Seconds of the processor that an env runner's process has taken."""
     return time.process_time()
 
@@ -52,21 +52,12 @@ class Clocked(Timed):
     """A team, and the processors' seconds of its rounds, for each turn: the slowest runner's, all that the learning
     process does besides updating, and updating."""
 
+    clock = staticmethod(time.process_time)
+
     def __init__(self, arguments: RllibArguments) -> None:
         super().__init__(arguments)
         self.seconds: list[tuple[float, float, float]] = []
         self.each: list[float] = []
-        self._updating = 0.0
-        group: Any = self.team.algorithm.learner_group
-        update = group.update
-
-        def timed(*given: Any, **named: Any) -> Any:
-            begun = time.process_time()
-            found = update(*given, **named)
-            self._updating += time.process_time() - begun
-            return found
-
-        group.update = timed
 
     def of_runners(self, function: Any) -> list[float]:
         """A number of each of them."""
@@ -76,14 +67,14 @@ class Clocked(Timed):
 
     def round(self) -> None:
         """Play and learn once."""
-        self._updating = 0.0
-        runners, mine = self.of_runners(clock), time.process_time()
+        self._learning = 0.0
+        runners, mine = self.of_runners(processor_seconds), time.process_time()
         turns, _ = self.team.learn(Progress())
         own = time.process_time() - mine
-        taken = [after - before for before, after in zip(runners, self.of_runners(clock), strict=True)]
+        taken = [after - before for before, after in zip(runners, self.of_runners(processor_seconds), strict=True)]
         share = turns / len(taken)
         self.each += [one / share for one in taken]
-        self.seconds.append((max(taken) / turns, (own - self._updating) / turns, self._updating / turns))
+        self.seconds.append((max(taken) / turns, (own - self._learning) / turns, self._learning / turns))
 
 
 def environment_alone(scenario: str, turns: int) -> float:
