@@ -17,10 +17,9 @@ from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity
 from .chemistry import MOST_FLUIDS, RealChemistry
 from .column import LADDER, MOST_STAGES, overhead
-from .heats import enthalpy, set_enthalpy
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .partition import crystallizes
-from .salts import settle_salts
+from .salts import let_salts_fall_out
 from .vapor import bubble_point, latent_heat, write_back
 
 __all__ = ["evaporate", "heat"]
@@ -113,14 +112,6 @@ def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: floa
     return float(capacity * (row[TEMPERATURE] - was))
 
 
-@inner
-def _let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
-    """What the solvent that has gone no longer holds, with its heat."""
-    before = enthalpy(row, chem)
-    if settle_salts(row, chem):
-        set_enthalpy(row, before, chem)
-
-
 @kernel
 def heat(
     row: FloatArray,
@@ -182,7 +173,7 @@ def heat(
         warming = min(warming, left)  # below 0 if the vapour took more than there was: from the pot's own heat
         left -= warming
         row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
-        _let_salts_fall_out(row, chem)
+        let_salts_fall_out(row, chem)
     if boiled:
         for a in range(n):
             i = int(liquids.who[a])

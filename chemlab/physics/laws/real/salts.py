@@ -8,9 +8,10 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, TEMPERATURE
 from ....jit import inner, opened
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .heats import enthalpy, set_enthalpy
 from .liquids import on_curve
 
-__all__ = ["change_amount", "settle_salts"]
+__all__ = ["change_amount", "let_salts_fall_out", "settle_salts"]
 
 _MOST_ROUNDS = 60
 _CLOSE = 1e-12
@@ -89,3 +90,11 @@ def settle_salts(row: FloatArray, chem: Handle) -> bool:
         if worst <= _CLOSE:
             break
     return moved
+
+
+@inner
+def let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
+    """What a solvent that has gone no longer holds falls out, and takes its heat of solution from what is left."""
+    before = enthalpy(row, chem)
+    if settle_salts(row, chem):
+        set_enthalpy(row, before, chem)

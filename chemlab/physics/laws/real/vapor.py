@@ -12,6 +12,7 @@ from ...events import RELIEF
 from ...transfer import heat_capacity, volume
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split
+from .salts import let_salts_fall_out
 
 __all__ = [
     "boiling_point",
@@ -192,6 +193,8 @@ def flash_off(
         spent = max(min(left, taken), 0.0)
         left -= spent
         row[TEMPERATURE] -= (taken - spent) / max(heat_capacity(row, chem), 1e-9)
+        # While the solvent goes and not after it: salts take heat, which then is not there to boil off more.
+        let_salts_fall_out(row, chem)
         n = gather(row, chem, liquids)
         if n == 0:
             break
