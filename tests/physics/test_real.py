@@ -323,6 +323,34 @@ def test_random_operations_keep_atoms_and_energy() -> None:
                 assert heat_content() - content == pytest.approx(balance, abs=1e-9 * max(abs(content), 1e3))
 
 
+@pytest.mark.parametrize("mol", [1e-12, 1e-9, 1e-6, 1e-3, 1.0])
+def test_a_jacket_cools_nothing_below_its_own_temperature(mol: float) -> None:
+    """Nor what is left where all has boiled away, which a jacket cools in no time at all."""
+    glass = Glass("diethyl_ether", "ethanol")
+    glass.fill(0, {"diethyl_ether": mol}, kelvin=320.0)  # boils at 307.6 K
+    around = Surroundings(263.0, 2.0, 20.0, 1e-3, 1e-6)
+    for _ in range(3):
+        laws.react(glass.rows[0], 10.0, around, glass.chem, glass.waste, glass.events, glass.work)
+        assert 263.0 - 1e-9 <= glass.rows[0, TEMPERATURE] <= 320.0
+
+
+def test_salts_fall_out_while_their_water_boils_away() -> None:
+    """What superheated brine leaves holds no more than its water dissolves, and its heat has been paid for: nothing is
+    left to fall out afterwards, and cool it, when it is stirred."""
+    glass = Glass("water", "NaCl", "ethanol")
+    glass.fill(0, {"water": 1.0, "NaCl": 0.1}, kelvin=298.15)
+    row = glass.rows[0]
+    row[TEMPERATURE] = 480.0
+    insulated = Surroundings(300.0, 0.0, 0.0, 1e-3, 1e-6)
+    laws.react(row, 1.0, insulated, glass.chem, glass.waste, glass.events, glass.work)
+    assert glass.waste[glass.names.index("water")] > 0.1
+    at, undissolved = row[TEMPERATURE], glass.mol(0, "NaCl")
+    assert undissolved > 0.001
+    glass.stir(0)
+    assert glass.mol(0, "NaCl") == pytest.approx(undissolved, rel=1e-9)
+    assert row[TEMPERATURE] == pytest.approx(at, abs=1e-6)
+
+
 def test_gas_in_a_sealed_vessel() -> None:
     glass = Glass("diethyl_ether", "ethanol", "Na", reactions="wurtz_real")
     glass.fill(0, {}, capacity_l=1.0)

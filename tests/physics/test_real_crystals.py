@@ -213,6 +213,25 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     assert [glass.mol(0, name) for name in names] == pytest.approx(expected, rel=3e-3)
 
 
+@pytest.mark.parametrize("kelvin", [365.0, 370.0])
+def test_what_flies_first_is_gone_before_the_rest(kelvin: float) -> None:
+    """Of naphthalene over hot brine hardly anything is left when the water goes: too small a number to be divided by."""
+    shelf = Shelf.empty(load_scenario("benzoic"), 1, 1)
+    names, fluids = list(shelf.layout.materials), list(shelf.layout.dissolved)
+    shelf.rows[0, TEMPERATURE] = kelvin
+    contents = {"water": 7.9, "benzoic_acid": 0.0092, "naphthalene": 0.0026, "Na+": 0.03, "SO4--": 0.015}
+    for name, mol in contents.items():
+        shelf.rows[0, AMOUNTS + names.index(name)] = mol
+        shelf.dissolved[0, 0, fluids.index(name)] = mol, 0.0
+    laws.dry(shelf.rows[0], 400.0, shelf.chem(), shelf.waste[0])
+    assert np.isfinite(shelf.rows).all()
+    amounts = dict(zip(names, shelf.amounts[0, 0] + shelf.waste[0], strict=True))
+    assert {name: amounts[name] for name in ("water", "benzoic_acid", "naphthalene")} == pytest.approx(
+        {name: contents[name] for name in ("water", "benzoic_acid", "naphthalene")}, rel=1e-12
+    )
+    assert shelf.amounts[0, 0, names.index("naphthalene")] < 1e-12
+
+
 def test_what_does_not_fly_stays() -> None:
     glass = insulated(*CRUDE)
     glass.fill(0, {"benzoic_acid": 0.3, "NaCl": 0.01, "silica": 0.1, "water": 1.0, "ethanol": 0.2})

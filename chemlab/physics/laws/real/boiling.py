@@ -42,7 +42,8 @@ def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: F
     for a in range(n):
         total += partial[a]
     for a in range(n):
-        rate = partial[a] / (total * at[a]) if at[a] > 0.0 else 0.0
+        share = total * at[a]  # of the last of something it may be too small a number
+        rate = partial[a] / share if share > 0.0 else 0.0
         liquids.mol[a] = before[a] * math.exp(-min(rate * mol, 700.0))
 
 

@@ -106,7 +106,9 @@ def react(
                 part, ahead, climb, known = shortest, 0.0, 0.0, False
             continue
         capacity = heat_capacity(row, chem)
-        heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
+        # However little is left, a jacket cools it no further than to its own temperature.
+        passed = around.transfer * part if around.jacket > at else min(around.transfer * part, capacity)
+        heat = content - enthalpy(row, chem) + passed * (around.jacket - at)
         most = _HEAT_K * capacity
         if most <= 0.0:
             return total  # it has boiled dry
