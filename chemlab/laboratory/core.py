@@ -372,11 +372,11 @@ class Laboratories:
         self.shelf.stock[members] = self._first_stock
         self.shelf.waste[members] = 0.0
         if self.worlds.active:
-            self.worlds.fill(members, self.shelf.vessels)
+            self.worlds.fill(members)
             self.worlds.rest(members, len(self.scenario.shelf.vessel))
         state = self.state
         self.table.reset(members)
-        state.terms[members] = self.worlds.terms(members)
+        self.worlds.set_terms(members, state.terms)
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)

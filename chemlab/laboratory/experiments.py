@@ -194,7 +194,7 @@ class ExperimentBatch:
         if self.bench.told:
             experiments.told[members] = self.worlds.told(members, self.bench.key)
         if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
-            self.worlds.fill(members, shelf.vessels, self.bench.key)
+            self.worlds.fill(members, self.bench.key)
         equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)
         (bench or self.bench).begin(shelf, experiments, members)
 

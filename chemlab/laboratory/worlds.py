@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
-from ..chemistry import AMOUNTS, ChemistryTable, build_chemistry
-from ..jit import kernel, opened
+from ..chemistry import AMOUNTS, Chemistry, ChemistryTable, build_chemistry
+from ..jit import inner, kernel, opened
 from ..materials import DataError
 from ..physics.laws import work_size
 from ..reactions import equation
@@ -81,15 +81,54 @@ class _Parameter:
     change: str
 
 
-@dataclass(frozen=True)
-class _Content:
-    """What is drawn of one material in one vessel: its number by quantity (with what changes how, for amounts)."""
+_CHANGES = ("factor", "offset", "value")
+_POSITION, _MATERIAL, _INERT, _CHANGE, _QUANTITIES = range(5)
+"""Columns of a table of contents: one line for what is drawn of a material in a vessel. From the last on, of each of
+:data:`~chemlab.world.VESSEL_QUANTITIES`, the column of its number, or -1 where it is not drawn."""
+_IDENTITY, _AMOUNT, _TITRE = (_QUANTITIES + VESSEL_QUANTITIES.index(what) for what in ("identity", "amount", "titre"))
 
-    position: int
-    material: int
-    mol: float
-    drawn: dict[str, tuple[int, str, int]]
-    """By quantity: column, change, index of the inert material."""
+
+@inner
+def _changed(given: float, number: float, change: int) -> float:
+    """What a drawn number makes of what the files give; ``change`` counts :data:`_CHANGES`."""
+    if change == 0:
+        return given * number
+    return given + number if change == 1 else number
+
+
+@kernel
+def _put_contents(
+    members: IntArray, contents: IntArray, mol: FloatArray, values: FloatArray, shelf: Handle, chemistry: Handle
+) -> None:
+    """Exchange the ``mol`` [C] of the files for what was drawn of them: ``contents`` [C, 7], ``values`` [N, K]."""
+    arrays, volume = opened(ShelfArrays, shelf), opened(Chemistry, chemistry[0]).molar_volume
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for i in range(members.shape[0]):
+        n = members[i]
+        for c in range(contents.shape[0]):
+            row, material, inert = arrays.rows[n * vessels + contents[c, _POSITION]], contents[c, _MATERIAL], -1
+            litres, share, real = mol[c] * volume[material], 1.0, material
+            if contents[c, _IDENTITY] >= 0:
+                real = int(values[n, contents[c, _IDENTITY]])
+            if contents[c, _TITRE] >= 0:
+                share, inert = values[n, contents[c, _TITRE]], contents[c, _INERT]
+            if contents[c, _AMOUNT] >= 0:
+                litres = _changed(mol[c], values[n, contents[c, _AMOUNT]], contents[c, _CHANGE]) * volume[material]
+            row[AMOUNTS + material] -= mol[c]
+            row[AMOUNTS + real] += share * litres / volume[real]
+            if inert >= 0:
+                row[AMOUNTS + inert] += (1.0 - share) * litres / volume[inert]
+
+
+@kernel
+def _change_terms(members: IntArray, drawn: IntArray, values: FloatArray, terms: FloatArray) -> None:
+    """Change the ``terms`` [N, orders, quantities] by what was drawn of them: quantity, order, column of ``values``
+    [N, K] and change in each line of ``drawn`` [D, 4]."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        for d in range(drawn.shape[0]):
+            which, order = drawn[d, 0], drawn[d, 1]
+            terms[n, order, which] = _changed(terms[n, order, which], values[n, drawn[d, 2]], drawn[d, 3])
 
 
 @kernel
@@ -140,7 +179,8 @@ class Worlds:
         n = len(shelf.stock)
         self.table = world_draws(n, self._variables)
         self._parameters: list[_Parameter] = []
-        self._contents: dict[str, list[_Content]] = {}
+        self._contents: dict[str, tuple[IntArray, FloatArray]] = {}
+        """By bench ("": the shelf), what is drawn of its vessels and the files' mol: see :func:`_put_contents`."""
         self._bottles: list[tuple[int, int, int]] = []
         """Material of the label, column of the number, and what the rest is: -1 where the number says what all is."""
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
@@ -148,8 +188,7 @@ class Worlds:
         self._told: dict[str, IntArray] = {}
         """By bench, the columns that it is told; found when first asked for."""
         self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
-        self._terms: list[tuple[int, int, int, str]] = []
-        """What is drawn of which order: number of the quantity, of the order, column, change."""
+        terms: list[tuple[int, int, int, int]] = []
         column = 0
         for name, draw in self._spec.draws.items():
             where = f"{scenario.origin}: world.draws.{name}"
@@ -162,13 +201,13 @@ class Worlds:
                 for target, own in zip(draw.of, columns.tolist(), strict=True):
                     self._devices.setdefault((draw.what, target), []).append((own, draw.change))
             elif draw.what in ORDER_QUANTITIES:
-                which = ORDER_QUANTITIES.index(draw.what)
-                self._terms += [
-                    (which, int(o[6:]), k, draw.change) for o, k in zip(draw.of, columns.tolist(), strict=True)
-                ]
+                which, change = ORDER_QUANTITIES.index(draw.what), _CHANGES.index(draw.change)
+                terms += [(which, int(o[6:]), k, change) for o, k in zip(draw.of, columns.tolist(), strict=True)]
             else:
                 self._parameters.append(self._parameter(scenario, draw, columns, column, where))
             column += draw.variables
+        self._drawn_terms = np.array(terms, dtype=np.int64).reshape(-1, 4)
+        """As :func:`_change_terms` takes them."""
         self._base_terms = np.array(
             [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
         ).reshape(-1, len(ORDER_QUANTITIES))
@@ -225,14 +264,20 @@ class Worlds:
             position = int(name[5:]) if slot else 0
             start = scenario.shelf.vessel[position] if slot else scenario.benches[name].start
             material = str(draw.material)
-            group = self._contents.setdefault("" if slot else name, [])
+            nothing = np.zeros((0, _QUANTITIES + len(VESSEL_QUANTITIES)), dtype=np.int64), np.zeros(0)
+            table, mol = self._contents.get("" if slot else name, nothing)
             index = materials.index(material)
-            found = next((c for c in group if (c.position, c.material) == (position, index)), None)
-            if found is None:
-                found = _Content(position, index, start.contents[material], {})
-                group.append(found)
-            inert = -1 if draw.inert is None else materials.index(draw.inert)
-            found.drawn[draw.what] = column, draw.change, inert
+            found = np.flatnonzero((table[:, _POSITION] == position) & (table[:, _MATERIAL] == index))
+            if not len(found):
+                line = [position, index] + [-1] * (table.shape[1] - 2)
+                table, mol = np.vstack([table, line]), np.append(mol, start.contents[material])
+            line = table[found[0] if len(found) else -1]
+            line[_QUANTITIES + VESSEL_QUANTITIES.index(draw.what)] = column
+            if draw.what == "titre":
+                line[_INERT] = -1 if draw.inert is None else materials.index(draw.inert)
+            elif draw.what == "amount":
+                line[_CHANGE] = _CHANGES.index(draw.change)
+            self._contents["" if slot else name] = table, mol
 
     # -- drawing ----------------------------------------------------------------------------------------------
 
@@ -300,33 +345,16 @@ class Worlds:
             parameters["bottle_share"][rows, label] = own if rest >= 0 else 0.0
             parameters["bottle_rest"][rows, label] = rest if rest >= 0 else own
 
-    def fill(self, members: IntArray, rows: FloatArray, bench: str = "") -> None:
+    def fill(self, members: IntArray, bench: str = "") -> None:
         """Put what was drawn in the place of what the files say, in vessels that have just been filled.
 
         Args:
             members: [B] laboratories.
-            rows: [N, V, W] their vessels.
-            bench: whose starting vessel is meant (``rows`` are of its positions); else the shelf's.
+            bench: whose starting vessel is meant; else the shelf's.
         """
-        volume = self._shelf.chemistry.parameters["molar_volume"][0]
-        values = self.table.arrays.values[members]
-        for content in self._contents.get(bench, ()):
-            litres = np.full(len(members), content.mol * volume[content.material])
-            share, real, inert = np.ones(len(members)), np.full(len(members), content.material), -1
-            for what, (column, change, other) in content.drawn.items():
-                value = values[:, column]
-                if what == "identity":
-                    real = value.astype(np.int64)
-                elif what == "titre":
-                    share, inert = value, other
-                else:
-                    mol = {"factor": content.mol * value, "offset": content.mol + value}.get(change, value)
-                    litres = mol * volume[content.material]
-            at = content.position
-            rows[members, at, AMOUNTS + content.material] -= content.mol
-            rows[members, at, AMOUNTS + real] += share * litres / volume[real]
-            if inert >= 0:
-                rows[members, at, AMOUNTS + inert] += (1.0 - share) * litres / volume[inert]
+        if bench in self._contents:
+            drawn, shelf = self._contents[bench], self._shelf
+            _put_contents(members, *drawn, self.table.arrays.values, shelf.handle, shelf.chemistry.handles)
 
     def drawn(self, what: str, name: str, members: IntArray, values: FloatArray) -> FloatArray:
         """``values`` [B, ...] of a bench or instrument, changed by what was drawn of it for ``members`` [B]."""
@@ -344,14 +372,12 @@ class Worlds:
     def _default(self, given: float | None) -> float:
         return self._ticks if given is None else float(given)
 
-    def terms(self, members: IntArray) -> FloatArray:
-        """[B, orders, quantities] terms of each order, in the order of :data:`~chemlab.world.ORDER_QUANTITIES`; no
-        orders where the scenario gives none."""
-        terms = np.repeat(self._base_terms[None], len(members), axis=0)
-        for which, order, column, change in self._terms:
-            drawn, given = self.table.arrays.values[members, column], terms[:, order, which]
-            terms[:, order, which] = {"factor": given * drawn, "offset": given + drawn}.get(change, drawn)
-        return terms
+    def set_terms(self, members: IntArray, terms: FloatArray) -> None:
+        """Write what each order of ``members`` [B] asks for and pays into ``terms`` [N, orders, quantities], in the
+        order of :data:`~chemlab.world.ORDER_QUANTITIES`; no orders where the scenario gives none."""
+        terms[members] = self._base_terms
+        if len(self._drawn_terms):
+            _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
 
     def told(self, members: IntArray, bench: str) -> FloatArray:
         """[B, T] what a bench is told of what has been drawn, each as :meth:`positions` has it."""

@@ -215,7 +215,7 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
 
 @pytest.mark.parametrize("kelvin", [365.0, 370.0])
 def test_what_flies_first_is_gone_before_the_rest(kelvin: float) -> None:
-    """Of naphthalene over hot brine hardly anything is left when the water goes: too small a number to be divided by."""
+    """Of naphthalene over hot brine hardly any is left when the water goes: too small a number to be divided by."""
     shelf = Shelf.empty(load_scenario("benzoic"), 1, 1)
     names, fluids = list(shelf.layout.materials), list(shelf.layout.dissolved)
     shelf.rows[0, TEMPERATURE] = kelvin
