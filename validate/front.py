@@ -163,7 +163,7 @@ def draw() -> None:
             (100.0 * float(one["recovery"]), 100.0 * (1.0 - float(one["purity"]))) for one in rows if one["by"] == by
         ]
         axes.plot(*zip(*own, strict=True), "o" if by == "PPO" else "-", label=by)
-    axes.set(xlabel="dodecane kept (%)", ylabel="impurity in the pot (mole %)", yscale="log", xlim=(60, 100.5))
+    axes.set(xlabel="dodecane kept (%)", ylabel="impurity in the pot (mole %)", yscale="log", xlim=(38, 100.5))
     axes.grid(alpha=0.3)
     axes.legend(title="cut at rising temperature")
     figure.savefig(FIGURE, dpi=110)
