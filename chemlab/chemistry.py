@@ -341,6 +341,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
         for peak in material.absorption:
             offset = (WAVELENGTHS_NM - peak.center_nm) / peak.width_nm
             basis[i] += peak.height_l_mol * np.exp(-0.5 * offset**2)
+    basis[basis < np.finfo(np.float64).tiny] = 0.0  # a sum with such numbers takes many times as long
     values = Chemistry(
         **_network(scenario),
         role=role,

@@ -156,7 +156,7 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
     temperature += (2.0 * action[0] - 1.0) * step
     chemistry = opened(Chemistry, chem)
     molar_volume = chemistry.molar_volume
-    before = heat_capacity(row, chem)
+    before = heat_capacity(row, chem) if jacketed else 0.0
     arriving = 0.0
     for i in range(rules.reagents.shape[0]):
         material = rules.reagents[i]
@@ -168,9 +168,11 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
         mol = action[2 + i] * min(state.supply[m, i], shelf.stock[m, material])
         state.supply[m, i] -= mol
         shelf.stock[m, material] -= mol
-        share, rest = chemistry.bottle_share[material], chemistry.bottle_rest[material]
+        share = chemistry.bottle_share[material]
         row[AMOUNTS + material] += share * mol
-        row[AMOUNTS + rest] += (1.0 - share) * mol * molar_volume[material] / molar_volume[rest]
+        if share < 1.0:
+            rest = chemistry.bottle_rest[material]
+            row[AMOUNTS + rest] += (1.0 - share) * mol * molar_volume[material] / molar_volume[rest]
     temperature = min(max(temperature, rules.coldest), rules.hottest)
     if jacketed:
         state.jacket[m] = temperature

@@ -327,14 +327,13 @@ class BenchVectorEnv(BatchEnv):
             self._costs[members[waiting]], self._illegal[members[waiting]] = 0.0, False
             self._events[members[waiting]] = 0.0
             waiting[:] = False
-        chosen = actions[low:high] if len(acting) == len(members) else actions[acting]
-        batch.act(chosen, acting, bench)
-        self._rewards[acting], self._costs[acting] = 0.0, 0.0
+        rows: Any = slice(low, high) if len(acting) == len(members) else acting
+        batch.act(actions[rows], acting, bench)
+        self._rewards[rows], self._costs[rows] = 0.0, 0.0
         bench.consequences(shelf, experiments, acting, self._costs, self._rewards)
         # A reset in the same step forgets these there.
-        rows: Any = slice(low, high) if len(acting) == len(members) else acting
         self._illegal[rows], self._events[rows] = experiments.illegal[rows], experiments.events[rows]
-        ended = acting[experiments.ended[acting]]
+        ended = acting[experiments.ended[rows]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
         if len(ended):
             self._terminated[ended] = True

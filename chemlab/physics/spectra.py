@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from ..arrays import FloatArray, Handle
 from ..chemistry import AMOUNTS, Chemistry
-from ..jit import helper, opened
+from ..jit import helper, inner, opened
 from .transfer import liquid_volume
 
 __all__ = ["spectrum"]
+
+
+@inner
+def _next_present(row: FloatArray, i: int, n: int) -> int:
+    """The first material from ``i`` on that is in the vessel, of ``n``; n where none is."""
+    while i < n and row[AMOUNTS + i] <= 0.0:
+        i += 1
+    return i
 
 
 @helper
@@ -22,10 +30,17 @@ def spectrum(row: FloatArray, chem: Handle, out: FloatArray) -> None:
     out[:] = 0.0
     if litres <= 1e-9:
         return
-    for i in range(chemistry.role.shape[0]):
-        if row[AMOUNTS + i] > 0.0:
-            concentration = row[AMOUNTS + i] / litres
-            for w in range(out.shape[0]):
-                out[w] += concentration * chemistry.basis[i, w]
+    basis, n = chemistry.basis, chemistry.role.shape[0]
+    i = _next_present(row, 0, n)
+    while i < n:
+        # Two at a time: what this takes is mostly reading and writing the sums.
+        other, following = i, _next_present(row, i + 1, n)
+        first, second = row[AMOUNTS + i] / litres, 0.0
+        if following < n:
+            other, second = following, row[AMOUNTS + following] / litres
+            following = _next_present(row, following + 1, n)
+        for w in range(out.shape[0]):
+            out[w] = out[w] + first * basis[i, w] + second * basis[other, w]
+        i = following
     for w in range(out.shape[0]):
         out[w] = min(max(out[w], 0.0), 1.0)
