@@ -81,7 +81,10 @@ class BatchedLaboratory:
         self._observations: list[ObservationArray] = [
             np.zeros((num_envs, size), dtype=np.float32) for size in labs.observation_sizes
         ]
-        self._masks: list[MaskArray] = [np.zeros((num_envs, count), dtype=np.int8) for count in labs.action_counts]
+        pairs = zip(labs.resting_actions, labs.action_counts, strict=True)
+        self._masks: list[MaskArray] = [
+            np.tile(np.arange(n) == rest, (num_envs, 1)).astype(np.int8) for rest, n in pairs
+        ]
         self._idle_actions = [
             np.zeros(num_envs, dtype=np.int64) if count else np.zeros((num_envs, *(labs.action_space(a).shape or ())))
             for a, count in enumerate(labs.action_counts)
@@ -131,17 +134,17 @@ class BatchedLaboratory:
         mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
         )
-        labs = self.laboratories
+        labs, members = self.laboratories, np.flatnonzero(mask)
         if world is not None:
             labs.worlds.check(world)
-        for member in np.flatnonzero(mask):
+        for member in members.tolist():
             member_seed = seeds[member]
             if member_seed is not None:
-                labs.seed(int(member), member_seed)
-        self._restart(np.flatnonzero(mask), goal, world)
+                labs.seed(member, member_seed)
+        self._restart(members, goal, world)
         self._begun = True
         self._look()
-        return self._seen(), self._infos(begun=True)
+        return self._seen(), self._infos(self._told(members[:0], begun=True))
 
     def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         self.laboratories.reset(members, goal, world)
@@ -192,51 +195,41 @@ class BatchedLaboratory:
                 checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
             else:
                 raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
-        acted = self._turns.copy()
         labs.act_round(members, checked)
-        rewards = {agent: labs.rewards[:, i].copy() for i, agent in enumerate(self.possible_agents)}
-        scores = labs.scores.copy()
+        rewards = dict(zip(self.possible_agents, labs.state.rewards.copy(), strict=True))
         status = labs.state.status.copy()
         over = members[status != RUNNING]
-        told = [self._told(number, acted[number]) for number in range(len(self.possible_agents))]
-        elapsed = labs.state.ticks - self._last_turn
+        told = self._told(over)
         finals: list[ObservationArray] = []
         if len(over):
-            scores[over, 0] = labs.result(over)
-            for number in range(len(self.possible_agents)):
-                finals.append(labs.observe(number, over))
+            finals = [labs.observe(number, over) for number in range(len(self.possible_agents))]
             if self.autoreset:
                 self._restart(over)
         self._look()
         if not self.autoreset and len(over):
             for seen, final in zip(self._observations, finals, strict=True):
                 seen[over] = final
-        infos = self._infos()
-        for number, agent in enumerate(self.possible_agents):
-            ended = np.isfinite(scores[:, number])
-            infos[agent].update(told[number], elapsed_ticks=elapsed[number], experiment_over=ended)
-            infos[agent]["score"] = np.where(ended, scores[:, number], 0.0)
-            if finals:
-                infos[agent]["final_obs"] = finals[number]
+        infos = self._infos(told)
+        for agent, final in zip(self.possible_agents, finals, strict=False):
+            infos[agent]["final_obs"] = final
         return self._seen(), rewards, status == TERMINATED, (status != RUNNING) & (status != TERMINATED), infos
 
     def _look(self) -> None:
         """Bring turns, observations and masks up to date."""
         labs, members = self.laboratories, self.laboratories.members
+        before = self._turns.copy()
         labs.turns(members, self._turns)
         for number, resting in enumerate(labs.resting_actions):
-            turn = self._turns[number]
-            who = members[turn]
+            who = members[self._turns[number]]
             shown = members if self.idle_observations else who
-            if len(shown) == self.num_envs:
-                labs.observe(number, members, self._observations[number])
-            elif len(shown):
-                self._observations[number][shown] = labs.observe(number, shown)
+            if len(shown):
+                rows = None if len(shown) == self.num_envs else shown
+                labs.observe(number, shown, self._observations[number], rows)
             if resting >= 0:
-                masks = self._masks[number]
-                if len(who) < self.num_envs:
-                    masks[~turn] = 0
-                    masks[~turn, resting] = 1
+                masks, rest = self._masks[number], members[before[number] & ~self._turns[number]]
+                if len(rest):
+                    masks[rest] = 0
+                    masks[rest, resting] = 1
                 if len(who):
                     legal = labs.mask(number, who)
                     assert legal is not None, "a resting action means discrete actions"
@@ -246,29 +239,38 @@ class BatchedLaboratory:
         pairs = zip(self.possible_agents, self._observations, strict=True)
         return {agent: array.copy() if self.copy else array for agent, array in pairs}
 
-    def _told(self, number: int, acted: npt.NDArray[np.bool_]) -> Arrays:
-        """What the agent is told of the round, before episodes that it ended begin anew."""
-        labs = self.laboratories
-        cost = labs.cost[:, number].copy()
-        info: Arrays = {"cost": cost, "illegal_action": labs.illegal(number) & acted}
-        if number == 0:
-            kinds = len(self.scenario.safety_events)
-            return {**info, "events": np.zeros((self.num_envs, kinds)), **manager_accounts(labs, slice(None))}
+    def _told(self, over: IntArray, begun: bool = False) -> list[Arrays]:
+        """What every agent is told of the round, before the episodes of ``over``, which it has ended, begin anew; or of
+        episodes that have only ``begun``."""
+        labs, state = self.laboratories, self.laboratories.state
+        acted = np.zeros_like(self._turns) if begun else self._turns
+        scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
+        if len(over):
+            scores[0, over] = labs.result(over)
+        ended, cost = np.isfinite(scores), state.cost.copy()
+        scores[~ended] = 0.0
         # An experiment may begin with an accident, in a round in which its agent has not acted.
-        info["events"] = labs.experiments[number - 1].events * (acted | (cost > 0.0))[:, None]
-        return info
+        eventful = acted | (cost > 0.0)
+        elapsed = state.ticks - self._last_turn
+        told: list[Arrays] = []
+        for number in range(len(self.possible_agents)):
+            info: Arrays = {"elapsed_ticks": elapsed[number], "cost": cost[number]}
+            info["illegal_action"] = labs.illegal(number) & acted[number]
+            if number == 0:
+                info["events"] = np.zeros((self.num_envs, len(self.scenario.safety_events)))
+                info.update(manager_accounts(labs, slice(None)))
+            else:
+                info["events"] = labs.experiments[number - 1].events * eventful[number, :, None]
+            told.append({**info, "experiment_over": ended[number], "score": scores[number]})
+        return told
 
-    def _infos(self, begun: bool = False) -> dict[str, Arrays]:
-        ticks = self.laboratories.state.ticks
+    def _infos(self, told: list[Arrays]) -> dict[str, Arrays]:
+        """Everybody's infos: what they are ``told`` of the round, whose turn it is next, and what is legal."""
+        turns, ticks = self._turns.copy(), self.laboratories.state.ticks
+        np.copyto(self._last_turn, ticks, where=turns)
         infos: dict[str, Arrays] = {}
         for number, agent in enumerate(self.possible_agents):
-            turn = self._turns[number].copy()
-            info: Arrays = {"has_turn": turn, "elapsed_ticks": ticks - self._last_turn[number]}
-            if begun:
-                nothing = np.zeros(self.num_envs)
-                info.update(self._told(number, turn & False), experiment_over=turn & False, score=nothing)
-            self._last_turn[number][turn] = ticks[turn]
+            infos[agent] = {"has_turn": turns[number], **told[number]}
             if self.laboratories.action_counts[number]:
-                info["action_mask"] = self._masks[number].copy() if self.copy else self._masks[number]
-            infos[agent] = info
+                infos[agent]["action_mask"] = self._masks[number].copy() if self.copy else self._masks[number]
         return infos

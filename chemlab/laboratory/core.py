@@ -317,7 +317,8 @@ class Laboratories:
         """Have what is not compiled yet compiled before the first episode, and not piece by piece in the midst of
         it."""
         self._rehearsed = True
-        kernels = [manager_act, manager_observe, *(kernel for bench in self.benches for kernel in bench.kernels)]
+        kernels: list[Callable[..., Any]] = [manager_act, manager_observe]
+        kernels += [kernel for bench in self.benches for kernel in bench.kernels]
         dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
         compile_first(kernels, dimensions, functools.partial(_rehearsal_of, self.scenario), self.rehearsal())
 
@@ -334,7 +335,7 @@ class Laboratories:
             lambda: manager_act(none, none, *handles),
             lambda: self._measure(none, none),
             lambda: wear.wear_out(self.benches[0], self.experiments[0], none),
-            lambda: manager_observe(none, *handles, np.empty((0, self.observation_sizes[0]), dtype=np.float32)),
+            lambda: self.observe(0, none),
             lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
             lambda: self.mask(0, none),
             lambda: self._charge(0, none, begun=True),
@@ -628,12 +629,13 @@ class Laboratories:
         minus costs; an order without a submission, or with one that falls short of its specification, is worth nothing.
         """
         if self.scenario.demand.order:
-            return np.asarray(self.state.paid[members].mean(axis=1) - self.charges(members).sum(axis=1))
-        rules, goals = self.rules.arrays, self.state.goal[members]
-        amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
-        shares = amount * purity / rules.maximum[goals]
-        shares[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
-        return np.asarray(shares.mean(axis=1) - self.charges(members).sum(axis=1))
+            worth = self.state.paid[members]
+        else:
+            rules, goals = self.rules.arrays, self.state.goal[members]
+            amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+            worth = amount * purity / rules.maximum[goals]
+            worth[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
+        return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
 
     def charges(self, members: IntArray) -> FloatArray:
         """[B, items] what the managers have been charged so far, in units of the score; items as in
@@ -667,25 +669,39 @@ class Laboratories:
         """The agent's action space."""
         return self.manager_action_space if agent == 0 else self.benches[agent - 1].action_space
 
-    def observe(self, agent: int, members: IntArray, out: ObservationArray | None = None) -> ObservationArray:
-        """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros."""
+    def observe(
+        self, agent: int, members: IntArray, out: ObservationArray | None = None, rows: IntArray | None = None
+    ) -> ObservationArray:
+        """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros.
+
+        Args:
+            agent: number of the agent.
+            members: [B] laboratories.
+            out: what is written into and returned; default: a new array.
+            rows: [B] row of ``out`` for each laboratory, where it has others besides; default: in order.
+        """
         if out is None:
             out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
         if agent > 0:
-            self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, out)
+            seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
+            self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, seen)
+            if rows is not None:
+                out[rows] = seen
             return out
-        manager_observe(members, *self._handles(), out)
+        if rows is None:
+            rows = np.arange(len(members))
+        manager_observe(members, *self._handles(), out, rows)
         if self._reporting:
-            seen = self.state.report[members][:, self._reporting]
-            out[:, self._reports_from : self._own_channels] = seen.reshape(len(members), -1)
+            reports = self.state.report[members][:, self._reporting]
+            out[rows, self._reports_from : self._own_channels] = reports.reshape(len(members), -1)
         at = self._own_channels
         channels = self.channels[len(self.channels) - len(self._added) :]
         for (name, part), channel in zip(self._added.items(), channels, strict=True):
-            out[:, at : at + channel.size] = part.seen(name, len(members), channel.size, self, members)
+            out[rows, at : at + channel.size] = part.seen(name, len(members), channel.size, self, members)
             at += channel.size
         return out
 
-    @property
+    @functools.cached_property
     def resting_actions(self) -> list[int]:
         """What each agent is shown to play while it does not have the turn: the manager waits, benches end; -1 where
         actions are continuous."""

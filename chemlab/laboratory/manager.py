@@ -134,6 +134,12 @@ def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
     return closed
 
 
+@inner
+def _differ(action: IntArray, other: IntArray) -> bool:
+    """Whether two rows of the table differ in what :func:`_allowed` depends on."""
+    return bool(action[0] != other[0] or action[1] != other[1] or action[2] != other[2])
+
+
 @helper
 def _any_busy(n: int, busy: BoolArray) -> bool:
     found = False
@@ -150,8 +156,13 @@ def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Ha
         n = members[i]
         slots = _count_slots(n, _first_row(n, arrays), state, rules, arrays)
         any_busy = _any_busy(n, state.busy)
+        before, allowed = 0, False
         for a in range(rules.table.shape[0]):
-            out[i, a] = _allowed(n, a, slots, any_busy, state, rules, arrays)
+            # Goals and grades of one start stand together, and are legal or not together.
+            if a == 0 or _differ(rules.table[a], rules.table[before]):
+                allowed = _allowed(n, a, slots, any_busy, state, rules, arrays)
+                before = a
+            out[i, a] = allowed
 
 
 @kernel

@@ -239,21 +239,28 @@ def _write_upkeep(out: ObservationArray, at: int, n: int, state: ManagerState, r
 
 @kernel
 def manager_observe(
-    members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
+    members: IntArray,
+    manager: Handle,
+    scenario: Handle,
+    shelf: Handle,
+    chemistry: Handle,
+    out: ObservationArray,
+    rows: IntArray,
 ) -> None:
-    """Write what the manager sees into ``out`` [B, observation size]."""
+    """Write what the managers of ``members`` [B] see into ``rows`` [B] of ``out`` [any, observation size]."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
         chem = chemistry[arrays.variant[n]]
-        out[i, :] = 0.0
+        seen = out[rows[i]]
+        seen[:] = 0.0
         at = 0
         for s in range(rules.slots):
-            at = _write_vessel(out[i], at, n, s, state, rules, arrays, chem)
-            at = _write_readings(out[i], at, n, s, state, rules)
+            at = _write_vessel(seen, at, n, s, state, rules, arrays, chem)
+            at = _write_readings(seen, at, n, s, state, rules)
         for b in range(state.busy.shape[0]):
-            at = _write_bench(out[i], at, n, b, state, rules)
-        at = _write_stock(out[i], at, n, rules, arrays)
-        at = _write_orders(out[i], at, n, state, rules)
-        at = _write_limits(out[i], at, n, state, rules)
-        _write_upkeep(out[i], at, n, state, rules)
+            at = _write_bench(seen, at, n, b, state, rules)
+        at = _write_stock(seen, at, n, rules, arrays)
+        at = _write_orders(seen, at, n, state, rules)
+        at = _write_limits(seen, at, n, state, rules)
+        _write_upkeep(seen, at, n, state, rules)
