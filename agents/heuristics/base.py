@@ -1,9 +1,9 @@
-"""What scripted managers have in common."""
+"""What scripted policies have in common."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -16,9 +16,12 @@ from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 
-__all__ = ["ScriptedManager", "Setting", "cheapest"]
+__all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "cheapest", "count_pixels"]
 
 M = TypeVar("M")
+
+SAME_SHADE = 1e-3
+"""Grey values closer than this are the same material."""
 
 
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
@@ -26,6 +29,11 @@ def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
     none if there is none."""
     specs = scenario.seen_instruments
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
+
+
+def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
+    """How many pixels of a picture [pixels] show one of some materials, by their grey values."""
+    return sum(int(np.count_nonzero(np.abs(picture - shade) < SAME_SHADE)) for shade in shades)
 
 
 class Setting(NamedTuple):

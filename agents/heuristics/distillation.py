@@ -4,18 +4,21 @@ or nothing was there to boil off, swap the receiver and distil the goal over."""
 from __future__ import annotations
 
 import copy
-from typing import Any
+import math
+from bisect import bisect_right
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import CAMERA_PIXELS, channel_slices
+from chemlab.bench.base import CAMERA_PIXELS, Channel, channel_slices
 from chemlab.bench.distillation import DistillationBench
+
+from .base import SAME_SHADE, count_pixels
 
 __all__ = ["DistillationHeuristic"]
 
-_SAME = 1e-3
 _KJ_PER_L_K = 1.7
 """Rough heat capacity of an organic liquid, and below its rough heat of vaporization: enough to choose a step by."""
 _KJ_PER_L = 200.0
@@ -25,6 +28,16 @@ _HEEL_PIXELS = 1
 """Of the goal, left in a vessel that must not boil dry."""
 
 STRIP, SWAP, COLLECT, DONE = range(4)
+
+
+class _Seen(NamedTuple):
+    """What is seen of one bench."""
+
+    picture: ObservationArray
+    """[pixels] of DV"""
+    goal: int
+    kelvin: float
+    litres: float
 
 
 class DistillationHeuristic:
@@ -51,13 +64,13 @@ class DistillationHeuristic:
             point = liquids.get(goal)
             if point is None:  # the goal does not boil: drive everything else off
                 self._strip_to.append(highest + _MARGIN_K)
-                self._boils_at.append(np.inf)
+                self._boils_at.append(math.inf)
             else:
                 lower = max([t for t in liquids.values() if t < point - 1e-9], default=point - 2.0 * _MARGIN_K)
                 self._strip_to.append(0.5 * (lower + point))
                 self._boils_at.append(point)
         for point in self._boils_at:
-            self._next_boils_at.append(min([t for t in liquids.values() if t > point + 1e-9], default=np.inf))
+            self._next_boils_at.append(min([t for t in liquids.values() if t > point + 1e-9], default=math.inf))
         self._capacity_l = bench.spec.start.capacity_l
         self._shade = [materials[goal].shade for goal in bench.goals.names]
         self._air = materials["air"].shade
@@ -66,7 +79,8 @@ class DistillationHeuristic:
         starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
         heat = next(i for i, process in enumerate(processes) if process.kind == "heat")
         swap = next(i for i, p in enumerate(processes) if p.kind == "pour" and (p.vessel, p.target) == ("B1", "B2"))
-        self._heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
+        heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
+        self._kilojoules, self._heats = [m for m, _ in heats], [action for _, action in heats]
         self._swap = int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
         self._end = bench.end_action
         self._phase: dict[int, int] = {}
@@ -77,10 +91,17 @@ class DistillationHeuristic:
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
+        pictures, goals = observation[:, :CAMERA_PIXELS], observation[:, self._slices["goal"]].argmax(axis=1).tolist()
+        gauges = self._gauge(observation, self._temperature), self._gauge(observation, self._volume)
+        seen = map(_Seen, pictures, goals, *gauges)
+        rows = zip(seen, mask, step.tolist(), members.tolist(), strict=True)
+        return np.array([self._decide(*row) for row in rows], dtype=np.int64)
+
+    def _gauge(self, observation: ObservationArray, channel: Channel) -> list[float]:
+        """[B] what a gauge shows, in its unit."""
+        shown = observation[:, self._slices[channel.name]][:, 0].astype(np.float64)
+        numbers: list[float] = (channel.low + shown * (channel.high - channel.low)).tolist()
+        return numbers
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.laboratory.policy.Policy`."""
@@ -93,13 +114,12 @@ class DistillationHeuristic:
     def _heat(self, kilojoules: float) -> int:
         """The largest heating step of at most ``kilojoules`` (the smallest there is, if none)."""
         if not self._careful:
-            return self._heats[-1][1]
-        return next((action for q, action in reversed(self._heats) if q <= kilojoules), self._heats[0][1])
+            return self._heats[-1]
+        return self._heats[max(bisect_right(self._kilojoules, kilojoules) - 1, 0)]
 
-    def _shows(self, observation: ObservationArray, shades: list[float]) -> bool:
-        """Whether any pixel of DV shows one of the materials."""
-        picture = observation[:CAMERA_PIXELS]
-        return any(bool((np.abs(picture - shade) < _SAME).any()) for shade in shades)
+    def _others(self, goal: int) -> list[float]:
+        """Grey values of the liquids that do not look like the goal."""
+        return [shade for shade in self._liquids if abs(shade - self._shade[goal]) > SAME_SHADE]
 
     def _strip_step(self, goal: int, kelvin: float, litres: float, member: int) -> float:
         """kJ that bring the contents nearer to the stripping temperature without boiling the goal."""
@@ -108,45 +128,39 @@ class DistillationHeuristic:
         trust = min(2.0 * trust, 64.0) if abs(kelvin - last) < 0.5 else 1.0
         self._memory[member] = (kelvin, trust)
         warming = _CAUTION * _KJ_PER_L_K * litres * (self._strip_to[goal] - kelvin)
-        if not np.isfinite(self._boils_at[goal]):
+        if not math.isfinite(self._boils_at[goal]):
             return max(warming, 2.0 * trust)
         # However much boils meanwhile, the last of it must not take the goal along: a goal that is left alone
         # in little volume is warmed by little heat.
         spare = _CAUTION * _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin)
         return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
 
-    def _collect_step(self, goal: int, kelvin: float, litres: float, observation: ObservationArray) -> float:
+    def _collect_step(self, seen: _Seen) -> float:
         """kJ that boil the goal over, but not what is left of heavier liquids once the goal is gone."""
+        picture, goal, kelvin, litres = seen
         boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
         if self._heel:
-            left = int((np.abs(observation[:CAMERA_PIXELS] - self._shade[goal]) < _SAME).sum())
+            left = count_pixels(picture, [self._shade[goal]])
             boiling = _CAUTION * _KJ_PER_L * (left - _HEEL_PIXELS) / CAMERA_PIXELS * self._capacity_l
         step = max(boiling, _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
-        picture = observation[:CAMERA_PIXELS]
-        others = [shade for shade in self._liquids if abs(shade - self._shade[goal]) > _SAME]
-        pixels = sum(int((np.abs(picture - shade) < _SAME).sum()) for shade in others)
+        pixels = count_pixels(picture, self._others(goal))
         if pixels:
             heavier = pixels / CAMERA_PIXELS * self._capacity_l
             step = min(step, _CAUTION * _KJ_PER_L_K * heavier * (self._next_boils_at[goal] - kelvin))
         return step
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        goal = int(observation[self._slices["goal"]].argmax())
+    def _decide(self, seen: _Seen, mask: MaskArray, step: int, member: int) -> int:
+        picture, goal, kelvin, litres = seen
         if step == 0:
             self._memory.pop(member, None)
             # A vessel that shows the goal and nothing to boil off was brought here to be distilled over.
-            shows_goal = self._shows(observation, [self._shade[goal]])
-            others = [shade for shade in self._liquids if abs(shade - self._shade[goal]) > _SAME]
-            alone = shows_goal and not self._shows(observation, others) and np.isfinite(self._boils_at[goal])
+            alone = math.isfinite(self._boils_at[goal]) and count_pixels(picture, [self._shade[goal]]) > 0
+            alone = alone and not count_pixels(picture, self._others(goal))
             self._phase[member] = SWAP if alone else STRIP
-        t, v = self._temperature, self._volume
-        kelvin = t.low + float(observation[self._slices["temperature"]][0]) * (t.high - t.low)
-        litres = v.low + float(observation[self._slices["volume"]][0]) * (v.high - v.low)
         phase = self._phase[member]
         if phase == STRIP and kelvin >= self._strip_to[goal]:
-            picture = observation[:CAMERA_PIXELS]
-            other = (np.abs(picture - self._shade[goal]) > _SAME) & (np.abs(picture - self._air) > _SAME)
-            phase = SWAP if other.any() and np.isfinite(self._boils_at[goal]) else DONE
+            other = (np.abs(picture - self._shade[goal]) > SAME_SHADE) & (np.abs(picture - self._air) > SAME_SHADE)
+            phase = SWAP if other.any() and math.isfinite(self._boils_at[goal]) else DONE
             self._phase[member] = phase
         if phase == STRIP:
             return self._heat(self._strip_step(goal, kelvin, litres, member))
@@ -155,10 +169,9 @@ class DistillationHeuristic:
             if mask[self._swap]:
                 return self._swap
             phase = COLLECT
-        left = int((np.abs(observation[:CAMERA_PIXELS] - self._shade[goal]) < _SAME).sum())
-        if phase == COLLECT and self._heel and left <= _HEEL_PIXELS:
+        if phase == COLLECT and self._heel and count_pixels(picture, [self._shade[goal]]) <= _HEEL_PIXELS:
             phase = DONE
         if phase == COLLECT and kelvin < self._boils_at[goal] + 1.0:
-            return self._heat(self._collect_step(goal, kelvin, litres, observation))
+            return self._heat(self._collect_step(seen))
         self._phase[member] = DONE
         return self._end

@@ -12,11 +12,11 @@ from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import CAMERA_PIXELS
 from chemlab.bench.extraction import ExtractionBench
 
+from .base import count_pixels
+
 __all__ = ["ExtractionHeuristic"]
 
 _WASHES = 4
-_SAME = 1e-3
-"""Grey values closer than this are the same material."""
 
 DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
@@ -67,13 +67,8 @@ class ExtractionHeuristic:
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
-        return np.array(
-            [
-                self._decide(o[:CAMERA_PIXELS], m, int(s), int(i))
-                for o, m, s, i in zip(observation, mask, step, members, strict=True)
-            ],
-            dtype=np.int64,
-        )
+        rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
+        return np.array([self._decide(*row) for row in rows], dtype=np.int64)
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.laboratory.policy.Policy`."""
@@ -83,21 +78,17 @@ class ExtractionHeuristic:
         """See :class:`chemlab.laboratory.policy.Policy`."""
         self._phase, self._washes = copy.deepcopy(memory)
 
-    def _pixels(self, picture: ObservationArray, shades: list[float]) -> int:
-        """How many pixels show one of the materials."""
-        return sum(int((np.abs(picture - shade) < _SAME).sum()) for shade in shades)
-
     def _drain(self, pixels: int) -> int:
         percent = 100.0 * pixels / CAMERA_PIXELS
         return next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), self._drains[-1][1])
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         if step == 0:
-            self._phase[member] = DECANT if self._pixels(picture, self._metals) else ADD
+            self._phase[member] = DECANT if count_pixels(picture, self._metals) else ADD
             self._washes[member] = 0
         phase = self._phase[member]
         if phase == DECANT:
-            solid = self._pixels(picture, self._solids)
+            solid = count_pixels(picture, self._solids)
             if solid:
                 return self._drain(solid)
             # What is less than a pixel may hide: one pixel of liquid more takes it along.
@@ -115,7 +106,7 @@ class ExtractionHeuristic:
             self._phase[member] = DRAIN
             return self._settle
         if phase == DRAIN:
-            lower = self._pixels(picture, [self._wash_shade])
+            lower = count_pixels(picture, [self._wash_shade])
             if lower:
                 return self._drain(lower)
             self._phase[member] = ADD

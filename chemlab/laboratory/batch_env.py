@@ -288,7 +288,8 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         infos = self._infos()
         ended = self._terminated | self._truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            final = np.zeros_like(self._observations)
+            # Not zeros_like(), which writes all of it: most rows may stay as they are.
+            final = np.zeros(self._observations.shape, dtype=self._observations.dtype)
             for members, observations in finals:
                 final[members] = observations
             infos["final_obs"], infos["_final_obs"] = final, ended

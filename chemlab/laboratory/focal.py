@@ -223,7 +223,7 @@ class FocalVectorEnv(BatchEnv):
     def _collect(self, members: IntArray) -> None:
         """Add up what the last turn, whoever's it was, meant for the agent."""
         labs, focal = self.laboratories, self.focal
-        self._rewards[members] += labs.rewards[members, focal]
+        self._rewards[members] += labs.state.rewards[focal][members]
         if focal > 0:
             self._costs[members] += labs.cost[members, focal]
             scores = labs.scores[members, focal]
