@@ -21,7 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Channel, channel_slices
-from chemlab.datafile import DataError, read_json, validated
+from chemlab.datafile import DataError, read_json
+from chemlab.datamodel import validated
 from chemlab.files import write_text
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.core import Laboratories

@@ -28,7 +28,8 @@ from scipy.special import expit
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
 from chemlab.bench.kinds import discretised_twin
-from chemlab.datafile import DataError, read_json, validated
+from chemlab.datafile import DataError, read_json
+from chemlab.datamodel import validated
 from chemlab.files import write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
 from chemlab.laboratory.policy import Memory, Policy

@@ -34,7 +34,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 import chemlab
-from chemlab.datafile import DataError, bounded, parse_json, read_json, read_text, validated
+from chemlab.datafile import DataError, bounded, parse_json, read_json, read_text
+from chemlab.datamodel import validated
 from chemlab.files import write_text
 
 __all__ = [

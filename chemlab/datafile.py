@@ -1,20 +1,17 @@
-"""Reading data files that others wrote: within bounds before they are parsed, against a model afterwards.
+"""Reading data files that others wrote, within bounds; :mod:`chemlab.datamodel` checks them against models.
 
 Whatever is wrong with a file is a :class:`DataError` that names file, key, value and bound.
 """
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
-
-from pydantic import BaseModel, SerializerFunctionWrapHandler, TypeAdapter, ValidationError, model_serializer
+from typing import Any
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -23,14 +20,13 @@ else:
 
 __all__ = [
     "DataError",
-    "Grown",
     "bounded",
     "dotted_key",
     "parse_json",
     "read_json",
     "read_text",
     "read_toml",
-    "validated",
+    "shown",
 ]
 
 _FILE_BYTES = 1_000_000
@@ -39,7 +35,6 @@ _ENTRIES = 10_000
 _TEXT = 4000
 _KEY = 100
 _INTEGER = 2**53  # beyond it a number in a file is no longer the number that is computed with
-_LINES = 20
 _SHOWN = 100
 
 _DOTTED = re.compile(
@@ -71,7 +66,7 @@ def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
     except FileNotFoundError as error:
         raise DataError(f"{path}: no such file") from error
     except OSError as error:
-        raise DataError(f"{_shown(str(path))}: {error.strerror or error}") from error
+        raise DataError(f"{shown(str(path))}: {error.strerror or error}") from error
     if len(content) > limit:
         raise DataError(f"{path}: is larger than {limit} bytes")
     try:
@@ -141,7 +136,7 @@ def dotted_key(text: object, where: str) -> list[str]:
         if found != 0:
             raise ValueError(text)
     except ValueError as error:
-        raise DataError(f"{where}: must be keys as in a.b or a.'Na+', given {_shown(text)}") from error
+        raise DataError(f"{where}: must be keys as in a.b or a.'Na+', given {shown(text)}") from error
     return parts
 
 
@@ -165,7 +160,7 @@ def bounded(content: Any, where: str) -> Any:
         at, depth, value = left.pop()
         if isinstance(value, str):
             if len(value) > _TEXT or _CONTROL.search(value):
-                given = _shown(value)
+                given = shown(value)
                 raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {given}", at)
             continue
         if isinstance(value, float):
@@ -180,7 +175,7 @@ def bounded(content: Any, where: str) -> Any:
         if isinstance(value, (dict, Mapping)):  # in this order: looking up an abstract class takes long
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
-                    raise wrong(f"a key must be 1 to {_KEY} printable characters, given {_shown(key)}", at)
+                    raise wrong(f"a key must be 1 to {_KEY} printable characters, given {shown(key)}", at)
             inside: Iterable[tuple[Any, Any]] = value.items()
         elif isinstance(value, (list, tuple)):
             inside = enumerate(value)
@@ -194,56 +189,10 @@ def bounded(content: Any, where: str) -> Any:
     return content
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as a message shows it, of bounded length."""
     try:
         text = repr(value)
     except (RecursionError, ValueError):
         text = f"a {type(value).__name__}"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(text)} characters)"
-
-
-def _described(error: ValidationError, where: str) -> str:
-    """Turn a pydantic error into lines ``where: key: problem (given value)``."""
-    found = error.errors(include_url=False)
-    lines = []
-    for item in found[:_LINES]:
-        place = ".".join(str(part) for part in item["loc"])
-        message = re.sub(r"^Value error, ", "", item["msg"])
-        given = item.get("input")
-        bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"
-        lines.append(": ".join(filter(None, (where, place, message))) + ("" if bare else f", given {_shown(given)}"))
-    if len(found) > _LINES:
-        lines.append(f"{where}: and {len(found) - _LINES} more")
-    return "\n".join(lines)
-
-
-@functools.cache
-def _reader(kind: type) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
-
-
-def validated(kind: type, values: Any, where: str) -> Any:
-    """Build ``kind``, a model or a dataclass, from ``values``.
-
-    Raises:
-        DataError: that cannot be; the message names ``where`` and the key.
-    """
-    try:
-        return _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
-    except ValidationError as error:
-        raise DataError(_described(error, where)) from error
-
-
-class Grown(BaseModel):
-    """A model that has got fields since its first version: they are left out of what is written down while they are at
-    their defaults, so that a scenario that does not use them is the same as ever, down to its hash in a record."""
-
-    _later: ClassVar[tuple[str, ...]] = ()
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        for key in self._later:
-            if getattr(self, key) == type(self).model_fields[key].default:
-                values.pop(key, None)
-        return values

@@ -26,6 +26,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.datamodel import models
 from numba.core.extending import _Intrinsic
+from numba.core.runtime.nrt import rtsys
 from numba.core.typing import templates
 from numba.np import arrayobj
 
@@ -51,12 +52,14 @@ __all__ = [
 _TYPES: Any = types
 _BUILD: Any = cgutils
 _ARRAYS: Any = arrayobj
+_CACHE: Any = caching.FunctionCache
 _CACHE_FILE: Any = caching.IndexDataCacheFile
 _EXTENDING: Any = numba.extending
 _MODELS: Any = models
 _TEMPLATES: Any = templates
 _LIBRARY: Any = JITCodeLibrary
 _COMPILER: Any = Compiler
+_RUNTIME: Any = rtsys
 """numba's insides, which have no types."""
 
 fcntl: Any
@@ -156,19 +159,31 @@ def kernel(function: F, **options: Any) -> F:
 
     With ``NUMBA_DISABLE_JIT=1`` the plain Python function runs instead, slowly, for debugging.
     """
-    settings = {"cache": True, **SETTINGS, **options}
-    try:
-        compiled: Any = numba.njit(**settings)(function)
-    except RuntimeError as error:
-        if "locator" not in str(error):
-            raise
-        _say_once("there is no folder to keep compiled kernels in: they are compiled anew in every process")
-        compiled = numba.njit(**{**settings, "cache": False})(function)
-    cache: Any = getattr(compiled, "_cache", None)
-    if getattr(cache, "_cache_file", None) is not None:
-        stamp = _fingerprint(function.__code__.co_filename)
-        cache._cache_file = _CheckedCacheFile(cache._cache_path, cache._impl.filename_base, stamp)
+    compiled: Any = numba.njit(**{**SETTINGS, **options})(function)
+    if COMPILED:
+        try:
+            compiled._cache = _KernelCache(function)
+        except RuntimeError as error:
+            if "locator" not in str(error):
+                raise
+            _say_once("there is no folder to keep compiled kernels in: they are compiled anew in every process")
     return cast(F, compiled)  # numba's dispatcher stands in for the function
+
+
+class _KernelCache(_CACHE):  # type: ignore[misc]  # numba has no types
+    """Where numba looks for a kernel before it compiles it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = _fingerprint(function.__code__.co_filename)
+        self._cache_file = _CheckedCacheFile(self._cache_path, self._impl.filename_base, stamp)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The kernel, or None. numba prepares all that it would compile with first, which took half of the time to a
+        first step; what is compiled needs its runtime alone, and whoever compiles prepares it all the same."""
+        _RUNTIME.initialize(target)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, target)
 
 
 @functools.cache
@@ -313,7 +328,7 @@ def _other_tiers(modules: tuple[str, ...]) -> str:
 def inner(function: F) -> F:
     """A function that only kernels call, and that is always inlined: for what is called many times a step, and what
     takes opened tables."""
-    return cast(F, numba.njit(**INLINED)(function))
+    return cast(F, _Part(function, INLINED)) if COMPILED else function
 
 
 def helper(function: F) -> F:
@@ -327,25 +342,36 @@ def routine(function: F) -> F:
     return cast(F, _Helper(function, {**INLINED, "forceinline": False})) if COMPILED else function
 
 
-class _Helper:
-    """Two things by one name: what is made part of kernels, and a kernel for Python that is compiled if Python calls
-    it."""
+class _Part:
+    """What is made part of kernels: no sooner than one is compiled, because most never are in most processes."""
 
     def __init__(self, function: Callable[..., Any], settings: dict[str, Any]) -> None:
-        functools.update_wrapper(self, function)
+        functools.update_wrapper(cast(Any, self), function)
         self.py_func = function
-        self._part = numba.njit(**settings)(function)
-        self._kernel = kernel(function)
+        self._settings = settings
+
+    @functools.cached_property
+    def _dispatcher(self) -> Any:
+        return numba.njit(**self._settings)(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
-        return _TYPES.Dispatcher(self._part)
+        return _TYPES.Dispatcher(self._dispatcher)
+
+
+class _Helper(_Part):
+    """Two things by one name: what is made part of kernels, and a kernel for Python that is compiled if Python calls
+    it."""
+
+    @functools.cached_property
+    def _kernel(self) -> Any:
+        return kernel(self.py_func)
 
     def __call__(self, *arguments: Any) -> Any:
         return self._kernel(*arguments)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "_kernel":
+        if name.startswith("__") or name in ("_kernel", "_settings", "py_func"):
             raise AttributeError(name)  # while a copy is being made
         return getattr(self._kernel, name)
 

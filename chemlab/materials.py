@@ -17,7 +17,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .arrays import FloatArray
-from .datafile import DataError, Grown, read_toml, validated
+from .datafile import DataError, read_toml
+from .datamodel import Grown, validated
 
 __all__ = [
     "AbsorptionPeak",

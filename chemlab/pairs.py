@@ -21,7 +21,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .arrays import FloatArray
-from .datafile import DataError, read_toml, validated
+from .datafile import DataError, read_toml
+from .datamodel import validated
 from .materials import Text
 
 __all__ = [

@@ -23,7 +23,8 @@ from pydantic import (
     model_validator,
 )
 
-from .datafile import DataError, Grown, bounded, read_toml, validated
+from .datafile import DataError, bounded, read_toml
+from .datamodel import Grown, validated
 from .inherit import completed, scenario_names, shipped_file, synthesis_names
 from .materials import Material, load_materials, shipped_materials
 from .pairs import Pair, load_pairs, shipped_pairs
@@ -893,7 +894,9 @@ def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
     family = load_reactions(spec.reactions, known, folder, where)
     # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
     _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
-    pairs = {**shipped_pairs(), **load_pairs(folder / file for file in spec.pair_files)}
+    pairs = load_pairs(folder / file for file in spec.pair_files)
+    if spec.physics != "paper":
+        pairs = {**shipped_pairs(), **pairs}
     return _equipped(spec, known, family, pairs, where)
 
 

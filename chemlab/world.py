@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Bound
 
 from .arrays import Field, FloatArray, Handle, IntArray, StreamArray
-from .datafile import Grown
+from .datamodel import Grown
 from .jit import inner, kernel, opened
 from .rng import normal, random_bits, uniform
 from .tables import Table

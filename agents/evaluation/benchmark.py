@@ -44,7 +44,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from chemlab.arrays import FloatArray
-from chemlab.datafile import DataError, read_json, validated
+from chemlab.datafile import DataError, read_json
+from chemlab.datamodel import validated
 from chemlab.files import write_text
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import MANAGER_AGENT

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from chemlab.datafile import DataError, read_json, validated
+from chemlab.datafile import DataError, read_json
+from chemlab.datamodel import validated
 from chemlab.files import write_text
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories

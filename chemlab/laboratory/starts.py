@@ -19,7 +19,8 @@ from pydantic import BaseModel, ConfigDict
 
 from ..arrays import Field, FloatArray, IntArray, StreamArray
 from ..chemistry import ChemistryTable
-from ..datafile import DataError, read_json, validated
+from ..datafile import DataError, read_json
+from ..datamodel import validated
 from ..files import write_text
 from ..jit import inner
 from ..rng import uniform

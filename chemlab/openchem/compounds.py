@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..datafile import DataError, read_toml, validated
+from ..datafile import DataError, read_toml
+from ..datamodel import validated
 from ..materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .properties import Properties, Value

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..datafile import DataError, validated
+from ..datafile import DataError
+from ..datamodel import validated
 from ..files import write_text
 from ..inherit import completed
 from ..materials import Material, shipped_materials

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..datafile import DataError, validated
+from ..datafile import DataError
+from ..datamodel import validated
 from ..materials import Material
 from ..physics.constants import GAS_CONSTANT
 from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
