@@ -219,8 +219,11 @@ class Players:
         labs = self._labs
         cursor, status = labs.state.cursor, labs.state.status
         for number, policy in enumerate(self._policies):
-            group = members[(cursor[members] == number - 1) & (status[members] == RUNNING)]
-            if len(group) and policy is not None:
+            if policy is None:
+                continue
+            here = members[cursor[members] == number - 1]
+            group = here[status[here] == RUNNING]
+            if len(group):
                 seen, mask = labs.observe(number, group), labs.mask(number, group)
                 actions = policy.act(seen, mask, labs.turns_had(number)[group], group)
                 space = labs.action_space(number)
