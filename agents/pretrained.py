@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load_file, save
-from scipy.special import expit
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
@@ -322,6 +321,8 @@ class PretrainedPolicy:
 
     def _remembered(self, seen: FloatArray, step: IntArray, members: IntArray) -> FloatArray:
         """[B, H] what the LSTM puts out."""
+        from scipy.special import expit  # takes as long to import as an episode does; few networks remember
+
         hidden, cell = self._memory.recall(step, members)
         into, over, bias = self._lstm
         gates = seen @ into.T + hidden @ over.T + bias
