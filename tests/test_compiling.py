@@ -119,6 +119,15 @@ with event.install_recorder("numba:compile") as compiled:
     normal(np.array([7], dtype=np.uint64))
 print(sum(e.data["dispatcher"].py_func is normal.py_func and e.is_start for _, e in compiled.buffer))
 """
+LOADED = """
+import sys
+import numba
+import numpy as np
+from chemlab.rng import uniform
+
+print(uniform(np.array([7], dtype=np.uint64)), "numba.np.arraymath" in sys.modules)
+print(numba.njit(lambda numbers: numbers.sum())(np.ones(3)))
+"""
 
 
 def start(code: str, cache: Path | None = None) -> subprocess.Popen[str]:
@@ -139,3 +148,11 @@ def test_several_processes_compile_a_kernel_once(tmp_path: Path) -> None:
     processes = [start(TOGETHER, tmp_path) for _ in range(2)]
     counts = [int(process.communicate(timeout=300)[0]) for process in processes]
     assert sum(counts) == 1
+
+
+@compiled
+def test_a_kernel_in_the_cache_is_loaded_without_numbas_compiler(tmp_path: Path) -> None:
+    """Which is there all the same for whoever compiles something."""
+    first, second = (start(LOADED, tmp_path).communicate(timeout=300)[0].split() for _ in range(2))
+    assert first[1:] == ["True", "3.0"]
+    assert second == [first[0], "False", "3.0"]

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-HEAVY = ("gymnasium", "numba", "numpy", "pettingzoo", "torch")
+HEAVY = ("gymnasium", "numba", "numpy", "pettingzoo", "pydantic", "torch")
 AFTERWARDS = """
 assert "chemlab/LabManager-v0" in gymnasium.registry and "chemlab/RealWurtzReaction-v0" in gymnasium.registry
 assert gymnasium.spec("chemlab/WurtzReaction-v0").kwargs == {"scenario": "wurtz_dodecane", "bench": "rxn"}
