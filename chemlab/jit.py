@@ -358,6 +358,9 @@ class _Part:
     def _numba_type_(self) -> Any:
         return _TYPES.Dispatcher(self._dispatcher)
 
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__  # by its name, as functions are
+
 
 class _Helper(_Part):
     """Two things by one name: what is made part of kernels, and a kernel for Python that is compiled if Python calls

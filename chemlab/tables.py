@@ -26,9 +26,12 @@ def _reset_rows(members: IntArray, arrays: IntArray, first: npt.NDArray[np.uint8
     at = 0
     for k in range(arrays.shape[0] // SLOT):
         rows = opened(_Bytes, arrays[k * SLOT : (k + 1) * SLOT]).rows
+        # Without a sum or a look-up in the inner loop, which compilers then take many bytes at a time.
+        values = first[at : at + rows.shape[1]]
         for i in range(members.shape[0]):
-            for byte in range(rows.shape[1]):
-                rows[members[i], byte] = first[at + byte]
+            row = rows[members[i]]
+            for byte in range(row.shape[0]):
+                row[byte] = values[byte]
         at += rows.shape[1]
 
 

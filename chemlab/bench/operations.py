@@ -236,9 +236,10 @@ def _observe(
             continue
         at = 0
         for p in range(state.image.shape[1]):
-            for x in range(state.image.shape[2]):
-                out[b, at] = state.image[m, p, x]
-                at += 1
+            shown, image = out[b, at : at + state.image.shape[2]], state.image[m, p]
+            for x in range(image.shape[0]):
+                shown[x] = image[x]
+            at += image.shape[0]
         if rules.gauges.shape[0] > 0:
             row, chem = arrays.rows[state.places[m, 0]], chemistry[arrays.variant[m]]
             ambient, filled = opened(Chemistry, chem).ambient_pressure, volume(row, chem)

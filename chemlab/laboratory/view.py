@@ -83,8 +83,9 @@ def _write_readings(out: ObservationArray, at: int, n: int, s: int, state: Manag
         start, stop, age = rules.reading_start[k], rules.reading_start[k + 1], state.age[n, s, k]
         if rules.seen[k]:
             if age >= 0:
-                for r in range(start, stop):
-                    out[at + r - start] = state.reading[n, s, r]
+                shown, values = out[at : at + stop - start], state.reading[n, s, start:stop]
+                for r in range(values.shape[0]):
+                    shown[r] = values[r]
             at += stop - start
         out[at] = 1.0 if age < 0 else min(age / rules.tick_limit, 1.0)
         at += 1

@@ -38,7 +38,7 @@ ROWS: dict[str, str] = {
     "raw_env, agent steps": "laboratory(raw_env, SECONDS)",
     "parallel_env, agent steps": "parallel(SECONDS)",
     "256 laboratories, turns": "batched_laboratory(256, 3 * SECONDS)",
-    "manager's view, 64": "manager_view(64, SECONDS)",
+    **{f"manager's view, {count}": f"manager_view({count}, SECONDS)" for count in (64, 256)},
 }
 WORKER = """
 import json, sys

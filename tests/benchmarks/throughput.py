@@ -261,7 +261,10 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
         "`raw_env`, agent steps": laboratory(raw_env, seconds),
         "`parallel_env`, agent steps": parallel(seconds),
         "256 at once, all roles random, turns": batched_laboratory(256, 4.0 * seconds),
-        "manager's view, 64 at once, benches scripted, decisions": manager_view(64, seconds),
+        **{
+            f"manager's view, {count} at once, benches scripted, decisions": manager_view(count, seconds)
+            for count in (64, 256)
+        },
     }
     for name in IDS[::2]:
         result["start_up_s"][name] = {"warm": in_a_process(START_UP.format(name=name))}
