@@ -30,6 +30,7 @@ LEARNERS: dict[str, Any] = {
     "td3": TD3,
     "maskable-ppo": MaskablePPO,
     "recurrent-ppo": RecurrentPPO,
+    "maskable-recurrent-ppo": RecurrentPPO,
 }
 """By the name that ``chemlab train --algo`` has for it."""
 

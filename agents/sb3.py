@@ -40,6 +40,8 @@ class ChemlabVecEnv(VecEnv):
         env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` or
             :class:`~chemlab.laboratory.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
+        show_masks: whether observations end with the mask of discrete actions, one number an action, for learners that
+            take no masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
     Infos: a member's info has ``TimeLimit.truncated`` (False on a bench: an experiment's end is a terminal state),
@@ -55,11 +57,13 @@ class ChemlabVecEnv(VecEnv):
     environment reset with s + i plays.
 
     Raises:
-        ValueError: another autoreset mode, or arguments beside an existing batch.
+        ValueError: another autoreset mode, masks of continuous actions, or arguments beside an existing batch.
         TypeError: the environment is not a batched bench.
     """
 
-    def __init__(self, env: int | gymnasium.vector.VectorEnv[Any, Any, Any], **arguments: Any) -> None:
+    def __init__(
+        self, env: int | gymnasium.vector.VectorEnv[Any, Any, Any], *, show_masks: bool = False, **arguments: Any
+    ) -> None:
         if isinstance(env, (int, np.integer)):
             mode = arguments.pop("autoreset_mode", AutoresetMode.SAME_STEP)
             env = BenchVectorEnv(int(env), autoreset_mode=mode, **arguments)
@@ -70,14 +74,21 @@ class ChemlabVecEnv(VecEnv):
             raise TypeError(f"needs a number of members or one of chemlab's batches, given {env!r}")
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
+        if show_masks and not batch.action_count:
+            raise ValueError("show_masks: continuous actions have no masks")
         self.env = env
         self.batch = batch
+        self._legal = np.ones(batch.action_count or 0, dtype=np.float32) if show_masks else None
         self._actions: Any = None
         self._started = time.time()
         self._returns = np.zeros(batch.num_envs)
         self._lengths = np.zeros(batch.num_envs, dtype=np.int64)
         self._quiet: Infos = [self._info() for _ in range(batch.num_envs)]
-        super().__init__(batch.num_envs, env.single_observation_space, env.single_action_space)
+        space: Any = env.single_observation_space
+        if self._legal is not None:
+            low, high = np.append(space.low, 0.0 * self._legal), np.append(space.high, self._legal)
+            space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        super().__init__(batch.num_envs, space, env.single_action_space)
 
     @staticmethod
     def _info(cost: float = 0.0, illegal: bool = False) -> dict[str, Any]:
@@ -126,7 +137,7 @@ class ChemlabVecEnv(VecEnv):
             info = infos[i] = {**infos[i], **self._info(float(cost[i]), bool(illegal[i]))}
             if dones[i]:
                 info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-                info["terminal_observation"] = np.array(found["final_obs"][i])
+                info["terminal_observation"] = self._ended(found["final_obs"][i])
                 if found["experiment_over"][i]:
                     info["score"] = float(found["score"][i])
                 info["episode"] = {
@@ -137,7 +148,13 @@ class ChemlabVecEnv(VecEnv):
                 self._returns[i], self._lengths[i] = 0.0, 0
         return self._kept(observations), rewards.astype(np.float32), dones, infos
 
+    def _ended(self, observation: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        # At the end nothing is chosen any more.
+        return np.array(observation) if self._legal is None else np.append(observation, self._legal)
+
     def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        if self._legal is not None:
+            return np.concatenate([observations, self.batch.action_masks()], axis=1, dtype=np.float32)
         # SB3 still uses the last observations after the next step.
         return observations if self.batch.copy else np.array(observations)
 
@@ -176,7 +193,7 @@ class ChemlabVecEnv(VecEnv):
                 raise AttributeError("continuous actions have no action_masks")
             return [_Masks(self.batch, member) for member in members]
         if attr_name in ("observation_space", "action_space"):
-            return [getattr(self.env, f"single_{attr_name}")] * len(members)
+            return [getattr(self, attr_name)] * len(members)
         return [getattr(self._owner(attr_name), attr_name)] * len(members)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:

@@ -26,6 +26,7 @@ from chemlab.datafile import read_toml
 __all__ = [
     "ALGORITHMS",
     "PRESETS",
+    "RECURRENT",
     "Arguments",
     "JointArguments",
     "RllibArguments",
@@ -38,14 +39,14 @@ __all__ = [
     "resolved",
 ]
 
-ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", "dqn", "qr-dqn", "sac", "td3", "maskable-ppo", "recurrent-ppo")
-"""What ``algo`` may be."""
-
-_PPO = ("ppo", "maskable-ppo", "recurrent-ppo")
+RECURRENT: tuple[str, ...] = ("recurrent-ppo", "maskable-recurrent-ppo")
+"""Algorithms that remember an episode."""
+_PPO = ("ppo", "maskable-ppo", *RECURRENT)
 _ON_POLICY = (*_PPO, "a2c")
-_IMITATORS = ("ppo", "maskable-ppo", "a2c")
 _VALUES = ("dqn", "qr-dqn")
 _REPLAY = (*_VALUES, "sac", "td3")
+ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", *_REPLAY, "maskable-ppo", *RECURRENT)
+"""What ``algo`` may be."""
 
 _MANAGER: dict[str, Any] = {
     "algo": "maskable-ppo",
@@ -71,7 +72,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 _SHORT = {"manager": "chemlab/LabManager-v0"}
 """What people may call an environment for short."""
 
-_SB3_BATCH = {"maskable-ppo": 64, "recurrent-ppo": 128}
+_SB3_BATCH = {"maskable-ppo": 64, **dict.fromkeys(RECURRENT, 128)}
 """Minibatch in SB3 of those that normalize the advantages of a single step."""
 
 _MOST_SEED = 2**32 - 1
@@ -206,7 +207,7 @@ class Arguments:
         unsaid = [f.name for f in fields(self) if f.metadata.get("place")]
         # What there was no other of when the first runs were described.
         unsaid += ["split"] if self.split == "train" else []
-        unsaid += ["actions"] if getattr(self, "actions", None) is None else []
+        unsaid += [name for name in ("actions", "memory") if getattr(self, name, None) is None]
         return {name: value for name, value in asdict(self).items() if name not in unsaid}
 
     @property
@@ -305,6 +306,7 @@ class TrainArguments(Arguments):
         None, "Standard deviation of TD3's exploration, of [-1, 1].", least=0.0, otherwise=0.1
     )
     net_arch: tuple[int, ...] | None = _argument(None, "Hidden layers; repeat the option.", least=1, most=16_384)
+    memory: int | None = _argument(None, "Size of the LSTM of a recurrent learner.", least=1, most=65_536)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -436,8 +438,8 @@ class RllibArguments(TeamArguments):
 
 
 _ONLY: dict[str, tuple[str, ...]] = {
-    "imitate": _IMITATORS,
-    "imitate_steps": _IMITATORS,
+    "imitate": _ON_POLICY,
+    "imitate_steps": _ON_POLICY,
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),
     "ent_coef_start": ("sac",),
@@ -450,6 +452,7 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "exploration_steps": _VALUES,
     "exploration_final": _VALUES,
     "action_noise": ("td3",),
+    "memory": RECURRENT,
 }
 """Fields that are some algorithms' own."""
 

@@ -91,8 +91,9 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
 def _largest_in_sequence(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
     """The same of policies with a memory, which see one observation after the other."""
     original, nobody, worst = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
+    legal = np.ones((1, policy.card.action_size), dtype=np.int8) if policy.card.output == "argmax" else None
     for i, seen in enumerate(observation):
-        theirs, ours = (one.act(seen[None], None, nobody + i, nobody) for one in (original, policy))
+        theirs, ours = (one.act(seen[None], legal, nobody + i, nobody) for one in (original, policy))
         if policy.card.output == "argmax" and (theirs != ours).any():
             return float("inf")
         worst = max(worst, _relative(ours, theirs))

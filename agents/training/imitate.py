@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from sb3_contrib.common.recurrent.type_aliases import RNNStates
 
-from chemlab.arrays import BoolArray, FloatArray
+from chemlab.arrays import BoolArray, FloatArray, IntArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
 
@@ -28,6 +29,8 @@ _EPOCHS = 10
 _UPDATES = 1_100
 """At least; few examples are gone through more often."""
 _BATCH = 256
+_SEQUENCES_BATCH = 2_048
+"""About how many turns a minibatch of whole episodes has."""
 _LEARNING_RATE = 1e-3
 _ENTROPY = 0.03
 """Keeps the clone from being certain where its examples happen to agree, so that it can still find better."""
@@ -38,7 +41,7 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
     """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
 
     Args:
-        model: PPO, A2C or MaskablePPO.
+        model: PPO, A2C, MaskablePPO or RecurrentPPO.
         batch: where the policy plays, with ``autoreset_mode="SameStep"``; it is reset.
         policy: whom to imitate.
         steps: about how many of its turns to learn from; those of episodes that did not end are left out.
@@ -48,7 +51,8 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
-    return fit(model, *_examples(batch, policy, steps, seed, model.gamma), seed)
+    *examples, lengths = _examples(batch, policy, steps, seed, model.gamma)
+    return fit(model, *examples, seed, lengths if hasattr(model.policy, "lstm_actor") else None)
 
 
 def fit(
@@ -58,6 +62,7 @@ def fit(
     actions: npt.NDArray[Any],
     returns: npt.NDArray[np.float32],
     seed: int,
+    lengths: IntArray | None = None,
 ) -> float:
     """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
 
@@ -68,39 +73,136 @@ def fit(
         actions: [T] (discrete) or [T, numbers] what was played.
         returns: [T] discounted return from that turn on.
         seed: of the order of minibatches.
+        lengths: [E] turns of each episode, one after the other, for a learner that remembers; None for any other.
     """
+    shown = _Turns(model, observations, masks, actions)
+    if lengths is not None:
+        shown = _Episodes(model, observations, masks, actions, lengths)
     network, rng = model.policy, np.random.default_rng(seed)
     network.set_training_mode(True)
     optimizer = torch.optim.Adam(network.parameters(), lr=_LEARNING_RATE)
-    masked = masks is not None and hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
-    minibatches = max(1, len(actions) // _BATCH)
+    minibatches = max(1, shown.count // shown.batch)
     epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
     # What the examples agree on is found fast; thresholds between two actions only in small steps.
     falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
     for _ in range(epochs):
-        for rows in np.array_split(rng.permutation(len(actions)), minibatches):
-            seen, played = torch.as_tensor(observations[rows]), torch.as_tensor(actions[rows])
-            legal = {"action_masks": masks[rows]} if masked and masks is not None else {}
-            values, log_probability, entropy = network.evaluate_actions(seen, played, **legal)
+        for some in np.array_split(rng.permutation(shown.count), minibatches):
+            values, log_probability, entropy = shown.evaluated(some)
             bonus = entropy.mean() if entropy is not None else -log_probability.mean()
-            missed = torch.nn.functional.mse_loss(values.flatten(), torch.as_tensor(returns[rows]))
-            loss = -log_probability.mean() - _ENTROPY * bonus + _VALUES * missed
+            missed = torch.nn.functional.mse_loss(values, torch.as_tensor(returns[shown.rows(some)]))
+            loss: Any = -log_probability.mean() - _ENTROPY * bonus + _VALUES * missed
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), model.max_grad_norm)
             optimizer.step()
             falling.step()
-    legal = {"action_masks": masks} if masked and masks is not None else {}
-    chosen = np.asarray(model.predict(observations, deterministic=True, **legal)[0])
-    if np.issubdtype(actions.dtype, np.integer):
-        return float((chosen == actions).mean())
-    return float(np.abs(chosen - actions).mean())
+    with torch.no_grad():
+        parts = np.array_split(np.arange(shown.count), minibatches)
+        chosen = np.concatenate([shown.chosen(some) for some in parts])
+    if np.issubdtype(shown.actions.dtype, np.integer):
+        return float((chosen == shown.actions).mean())
+    return float(np.abs(chosen - shown.actions).mean())
+
+
+class _Turns:
+    """What a learner is shown: T turns, each by itself.
+
+    Args:
+        model, observations, masks, actions: as for :func:`fit`.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        observations: npt.NDArray[np.float32],
+        masks: npt.NDArray[np.int8] | None,
+        actions: npt.NDArray[Any],
+    ) -> None:
+        network = model.policy
+        self._network, self._observations, self.actions = network, observations, actions
+        masked = hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
+        self._masks = masks if masked else None
+        self.count, self.batch = len(actions), _BATCH
+
+    def rows(self, some: IntArray) -> IntArray:
+        """The turns of some of ``count``."""
+        return some
+
+    def evaluated(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """(values, log-probabilities of what was played, entropies) of :meth:`rows`."""
+        seen, played = torch.as_tensor(self._observations[some]), torch.as_tensor(self.actions[some])
+        legal = {} if self._masks is None else {"action_masks": self._masks[some]}
+        values, log_probability, entropy = self._network.evaluate_actions(seen, played, **legal)
+        return values.flatten(), log_probability, entropy
+
+    def chosen(self, some: IntArray) -> npt.NDArray[Any]:
+        """What the learner would play in :meth:`rows`."""
+        legal = {} if self._masks is None else {"action_masks": self._masks[some]}
+        return np.asarray(self._network.predict(self._observations[some], deterministic=True, **legal)[0])
+
+
+class _Episodes(_Turns):
+    """The same of a learner that remembers: whole episodes.
+
+    Args:
+        lengths: [E] turns of each episode, one after the other.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        observations: npt.NDArray[np.float32],
+        masks: npt.NDArray[np.int8] | None,
+        actions: npt.NDArray[Any],
+        lengths: IntArray,
+    ) -> None:
+        super().__init__(model, observations, masks, actions)
+        if masks is not None and model.observation_space.shape[0] > observations.shape[1]:
+            self._observations = np.concatenate([observations, masks], axis=1, dtype=np.float32)
+        self._lengths, self._first = lengths, np.cumsum(lengths) - lengths
+        self.count, self.batch = len(lengths), max(1, int(_SEQUENCES_BATCH / lengths.mean()))
+
+    def rows(self, some: IntArray) -> IntArray:
+        """See :class:`_Turns`."""
+        padded, there = self._padded(some)
+        return padded[there]
+
+    def _padded(self, some: IntArray) -> tuple[IntArray, BoolArray]:
+        """[E * longest] turns, one episode after the other, and which of them there are."""
+        turn = np.arange(self._lengths[some].max())
+        there = turn < self._lengths[some, None]
+        return np.where(there, self._first[some, None] + turn, 0).ravel(), there.ravel()
+
+    def _begun(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor]:
+        """What an LSTM remembers when these episodes begin: nothing."""
+        layers, _, size = self._network.lstm_hidden_state_shape
+        nothing = torch.zeros(layers, len(some), size)
+        return nothing, nothing
+
+    def evaluated(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """See :class:`_Turns`."""
+        padded, there = self._padded(some)
+        seen, played = torch.as_tensor(self._observations[padded]), torch.as_tensor(self.actions[padded])
+        memory = RNNStates(self._begun(some), self._begun(some))
+        values, log_probability, entropy = self._network.evaluate_actions(
+            seen, played, memory, torch.zeros(len(padded))
+        )
+        kept = torch.as_tensor(there)
+        return values.flatten()[kept], log_probability[kept], None if entropy is None else entropy[kept]
+
+    def chosen(self, some: IntArray) -> npt.NDArray[Any]:
+        """See :class:`_Turns`."""
+        padded, there = self._padded(some)
+        seen = torch.as_tensor(self._observations[padded])
+        distribution, _ = self._network.get_distribution(seen, self._begun(some), torch.zeros(len(padded)))
+        return np.asarray(distribution.get_actions(deterministic=True).numpy()[there])
 
 
 def _examples(
     batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, gamma: float
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int8] | None, npt.NDArray[Any], npt.NDArray[np.float32]]:
-    """(observations, masks, actions, discounted returns) of the turns of whole episodes."""
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int8] | None, npt.NDArray[Any], npt.NDArray[np.float32], IntArray]:
+    """(observations, masks, actions, discounted returns) of the turns of whole episodes, one episode after the other;
+    and how many turns each has."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
     members, turns = np.arange(n), np.zeros(n, dtype=np.int64)
     rows: list[tuple[Any, Any, Any]] = []
@@ -124,5 +226,11 @@ def _examples(
         returns[t], kept[t] = following, whole
     if not kept.any():
         raise ValueError(f"imitate_steps: no episode ended within {steps} turns of {n} environments; give more")
-    seen, masks, actions = ([row[i] for row in rows] for i in range(3))
-    return np.stack(seen)[kept], np.stack(masks)[kept] if discrete else None, np.stack(actions)[kept], returns[kept]
+
+    def in_order(column: list[Any]) -> npt.NDArray[Any]:
+        return np.stack(column).swapaxes(0, 1)[kept.T]
+
+    seen, masks, actions = zip(*rows, strict=True)
+    lengths = np.diff(np.flatnonzero(in_order(ends)), prepend=-1)
+    legal = in_order(list(masks)) if discrete else None
+    return in_order(list(seen)), legal, in_order(list(actions)), returns.T[kept.T], lengths

@@ -27,7 +27,7 @@ from chemlab.laboratory.policy import Policy, as_policy
 
 from ..pretrained import load_pretrained
 from ..runs import Evaluation, Run, RunConfig, RunResult
-from .arguments import ALGORITHMS, Stage, TrainArguments, curriculum_of, label_of, resolved
+from .arguments import ALGORITHMS, RECURRENT, Stage, TrainArguments, curriculum_of, label_of, resolved
 from .tasks import Task, find_task
 
 try:
@@ -36,6 +36,7 @@ try:
     from stable_baselines3.common.noise import NormalActionNoise
 
     from ..learners import LEARNERS
+    from ..recurrent import MaskedLstmPolicy
     from ..sb3 import ChemlabVecEnv
     from .checkpoints import load_agent, save_agent
     from .imitate import IMITATED, imitate
@@ -52,9 +53,9 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
     a = arguments
     optional: dict[str, Any] = {"learning_rate": a.learning_rate, "batch_size": a.batch_size, "ent_coef": a.ent_coef}
     settings: dict[str, Any] = {"gamma": a.gamma}
-    if a.net_arch is not None:
-        settings["policy_kwargs"] = {"net_arch": list(a.net_arch)}
-    if a.algo in ("ppo", "a2c", "maskable-ppo", "recurrent-ppo"):
+    layers = {} if a.net_arch is None else {"net_arch": list(a.net_arch)}
+    settings["policy_kwargs"] = layers if a.memory is None else {**layers, "lstm_hidden_size": a.memory}
+    if a.algo in ("ppo", "a2c", "maskable-ppo", *RECURRENT):
         settings["n_steps"] = a.rollout
         optional["gae_lambda"] = a.gae_lambda
         if a.algo != "a2c":
@@ -72,7 +73,7 @@ def _learner(arguments: TrainArguments, venv: ChemlabVecEnv, total: int) -> Base
         size = venv.batch.single_action_space.shape or ()
         settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, a.action_noise))
     settings |= {name: value for name, value in optional.items() if value is not None}
-    network = "MlpLstmPolicy" if a.algo == "recurrent-ppo" else "MlpPolicy"
+    network = {"recurrent-ppo": "MlpLstmPolicy", "maskable-recurrent-ppo": MaskedLstmPolicy}.get(a.algo, "MlpPolicy")
     model: BaseAlgorithm = LEARNERS[a.algo](network, venv, seed=a.seed, device="cpu", **settings)
     return model
 
@@ -103,7 +104,7 @@ class _Agent(Trainee):
         self._run, self._task, self._rollout = run, task, a.envs * a.rollout
         self._config, self._command = config, command
         self.steps = math.ceil(a.steps / self._rollout) * self._rollout
-        self.venv = ChemlabVecEnv(task.batch(a.envs))
+        self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo")
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         last, self.progress = run.checkpoint("last"), Progress()
@@ -160,7 +161,7 @@ class _Agent(Trainee):
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:
-    other = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo")
+    other = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo")
     if algo in other:
         fitting = ", ".join(name for name in ALGORITHMS if name not in other)
         kind = "discrete" if discrete else "continuous"
@@ -183,10 +184,10 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
     run, command, arguments = Run(out), arguments.command_line(), resolved(arguments)
     task = find_task(arguments)
     _check_algorithm(arguments.algo, discrete=bool(task.workplace.action_count))
-    if arguments.algo == "recurrent-ppo" and task.background is not None and task.agent != MANAGER_AGENT:
+    if arguments.algo in RECURRENT and task.background is not None and task.agent != MANAGER_AGENT:
         raise ValueError(
-            f"algo: recurrent-ppo: a laboratory's bench begins anew with each experiment, and {arguments.env_id} has "
-            "several in an episode; train the bench on its own (chemlab/Bench-v0), or the manager"
+            f"algo: {arguments.algo}: a laboratory's bench begins anew with each experiment, and {arguments.env_id} "
+            "has several in an episode; train the bench on its own (chemlab/Bench-v0), or the manager"
         )
     warning = task.warning()
     if warning is not None:

@@ -18,6 +18,8 @@ from ..runs import RunConfig
 try:
     from sb3_contrib import MaskablePPO
     from torch import nn
+
+    from ..recurrent import MaskedLstmPolicy
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
@@ -39,10 +41,14 @@ def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedP
             weights are not finite.
     """
     weights, activation, output = _network_of(model)
-    own: dict[str, Any] = {"activation": activation, "output": output, "masked": isinstance(model, MaskablePPO)}
+    own: dict[str, Any] = {"activation": activation, "output": output, "masked": _has_masks(model)}
     if "lstm.bias" in weights:
         own["memory"] = int(model.policy.lstm_actor.hidden_size)
     return PretrainedPolicy(Card.of(workplace, **own, **card), weights)
+
+
+def _has_masks(model: Any) -> bool:
+    return isinstance(model, MaskablePPO) or isinstance(model.policy, MaskedLstmPolicy)
 
 
 def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConfig, **card: Any) -> None:

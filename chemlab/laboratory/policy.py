@@ -93,17 +93,23 @@ class Memory:
 
 
 class _RecurrentModel:
-    """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action."""
+    """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action.
+
+    Sb3-contrib hands it no masks; one whose observations end with them gets them there.
+    """
 
     def __init__(self, model: Any) -> None:
         self._model, lstm = model, model.policy.lstm_actor
         self._shape = (lstm.num_layers, lstm.hidden_size)
         self._memory = Memory(*2 * [lstm.num_layers * lstm.hidden_size])
+        self._size = model.observation_space.shape[0]
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`Policy`; it knows no masks."""
+        """See :class:`Policy`."""
+        if mask is not None and observation.shape[1] < self._size:
+            observation = np.concatenate([observation, mask], axis=1, dtype=np.float32)
         layers, hidden = self._shape
         kept = [
             array.reshape(-1, layers, hidden).swapaxes(0, 1).astype(np.float32)

@@ -10,14 +10,19 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from sb3_contrib import MaskablePPO, RecurrentPPO
+
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.runs import Run
+from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
 from chemlab.agents.training.arguments import Stage, TrainArguments, curriculum_of
+from chemlab.agents.training.imitate import fit
 from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import LaboratoryTask
-from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.starts import SUBMIT, lab_starts
 from chemlab.materials import DataError
@@ -256,10 +261,38 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
     assert result.mean > 0.5 * result.heuristic_mean
 
 
+def test_a_clone_that_has_to_remember() -> None:
+    """What is to be played all the time is seen in the first turn alone: a learner without memory hits half of it."""
+    draw, episodes, turns = np.random.default_rng(0), 200, 6
+    venv = ChemlabVecEnv(2, bench="dit", show_masks=True)
+    first = draw.integers(2, size=episodes)
+    actions = np.repeat(first, turns)
+    lengths = draw.integers(2, turns + 1, size=episodes)  # and episodes are not equally long
+    kept = (np.arange(turns) < lengths[:, None]).ravel()
+    seen = np.zeros((episodes, turns, BenchEnv(bench="dit").observation_space.shape[0]), dtype=np.float32)
+    seen[:, 0, 0] = first
+    shown = (seen.reshape(len(actions), -1)[kept], np.ones((kept.sum(), venv.action_space.n), dtype=np.int8))
+    returns = actions[kept].astype(np.float32)
+    small = {"policy_kwargs": {"lstm_hidden_size": 32}, "device": "cpu", "seed": 0}
+    model = RecurrentPPO(MaskedLstmPolicy, venv, **small)
+    assert fit(model, *shown, actions[kept], returns, 0, lengths) > 0.99
+    forgetful = MaskablePPO("MlpPolicy", ChemlabVecEnv(2, bench="dit"), device="cpu", seed=0)
+    assert fit(forgetful, *shown, actions[kept], returns, 0) < 0.75
+
+
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
     arguments = TrainArguments.of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
     with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
         train(arguments, tmp_path / "run")
+
+
+@pytest.mark.parametrize("algo", ["recurrent-ppo", "maskable-recurrent-ppo"])
+def test_recurrent_managers_imitate(algo: str, tmp_path: Path) -> None:
+    values = {**SMALL, "preset": "paper", "algo": algo, "memory": 8, "imitate": "heuristic", "imitate_steps": 200}
+    train(TrainArguments.of(values), tmp_path / "run")
+    assert (Run(tmp_path / "run").config() or {})["memory"] == 8
+    with pytest.raises(ValueError, match="memory: is for recurrent-ppo"):
+        TrainArguments.of({**SMALL, "memory": 8})
 
 
 def test_only_learners_with_a_policy_can_imitate() -> None:

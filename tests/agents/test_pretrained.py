@@ -109,8 +109,10 @@ def test_card_says_the_preset() -> None:
     )
 
 
-@pytest.mark.parametrize("env_id", [RXN, DIT])
-def test_recurrent_exports_remember_as_the_learner_does(env_id: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")]
+)
+def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
     """The same actions over experiments that begin and end at different times, in members that are not all there."""
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
@@ -119,15 +121,16 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, tmp_path: P
     from chemlab.agents.training.export import export_run
     from chemlab.agents.training.learn import train
 
-    values: dict[str, Any] = {"env_id": env_id, "algo": "recurrent-ppo", "envs": 2, "rollout": 16, "steps": 64}
+    values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
     run = Run(tmp_path / "run")
     train(TrainArguments.of(values), run.path)
     card = export_run(run.path, tmp_path / "mine")
-    assert card.memory == 256
+    assert card.memory == 16
+    masked = algo.startswith("maskable")
     policy, folder = load_pretrained(tmp_path / "mine"), run.checkpoint("best")
     assert folder is not None
-    original: Any = as_policy(load_learner(folder, "recurrent-ppo"))
+    original: Any = as_policy(load_learner(folder, algo))
     draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
     kept, sees = None, policy.card.observation_size
     for turn in range(30):
@@ -135,8 +138,13 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, tmp_path: P
         if not len(members):
             continue
         seen = draw.random((len(members), sees), dtype=np.float32)
-        ours, theirs = (one.act(seen, None, steps[members], members) for one in (policy, original))
+        mask = (draw.random((len(members), card.action_size)) < 0.5).astype(np.int8) if masked else None
+        if mask is not None:
+            mask[:, -1] = 1
+        ours, theirs = (one.act(seen, mask, steps[members], members) for one in (policy, original))
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
+        if mask is not None:
+            assert mask[np.arange(len(members)), ours].all()
         steps[members] = np.where(draw.random(len(members)) < 0.1, 0, steps[members] + 1)
         if turn == 20:
             kept, after = policy.get_memory(), steps.copy()

@@ -16,7 +16,7 @@ pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not instal
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
 
 import torch
-from sb3_contrib import MaskablePPO
+from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
@@ -24,6 +24,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.wrappers import GoalConditioned, VectorPotentialShaping
@@ -202,6 +203,30 @@ def test_continuous_actions_have_no_masks() -> None:
         venv.env_method("action_masks")
 
 
+def test_observations_that_end_with_the_mask() -> None:
+    """The members play on as they did; what is new stands behind what there was, in the space, too."""
+    plain, shown = ChemlabVecEnv(3, bench="dit"), ChemlabVecEnv(3, bench="dit", show_masks=True)
+    size, actions = plain.observation_space.shape[0], plain.action_space.n  # type: ignore[index, attr-defined]
+    assert shown.observation_space.shape == (size + actions,)
+    assert shown.get_attr("observation_space") == [shown.observation_space] * 3
+    for venv in (plain, shown):
+        venv.seed(4)
+    seen, both, ended = plain.reset(), shown.reset(), 0
+    for action in plan("dit", 80, 3):
+        np.testing.assert_array_equal(both, np.concatenate([seen, plain.action_masks()], axis=1))
+        assert all(shown.observation_space.contains(one) for one in both)
+        seen, rewards, _, _ = plain.step(action)
+        both, same, dones, infos = shown.step(action)
+        np.testing.assert_array_equal(rewards, same)
+        for i in np.flatnonzero(dones):
+            assert shown.observation_space.contains(infos[i]["terminal_observation"])
+            ended += 1
+    assert ended
+    np.testing.assert_array_equal(shown.set_state(shown.get_state()), both)
+    with pytest.raises(ValueError, match="show_masks: continuous"):
+        ChemlabVecEnv(2, bench="rxn", show_masks=True)
+
+
 def test_an_existing_batch_wrapped_or_not() -> None:
     batch = BenchVectorEnv(2, bench="rxn", autoreset_mode="SameStep")
     gamma, shift = 0.9, 3.0
@@ -302,6 +327,13 @@ def test_masked_ppo_never_plays_a_masked_action(bench: str) -> None:
     model.learn(512, watch)
     assert watch.ends >= 8
     assert watch.illegal == 0
+    remembering, watch_it = ChemlabVecEnv(4, bench=bench, show_masks=True), NeverIllegal()
+    small = {"lstm_hidden_size": 8}
+    RecurrentPPO(
+        MaskedLstmPolicy, remembering, n_steps=64, n_epochs=1, seed=0, device="cpu", policy_kwargs=small
+    ).learn(512, watch_it)
+    assert watch_it.ends >= 8
+    assert watch_it.illegal == 0
     plain = PPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
     plain.learn(256, unmasked)
     assert unmasked.illegal > 0, "without masks it does"

@@ -60,7 +60,8 @@ RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 
 def small(algo: str, **more: Any) -> TrainArguments:
     """Arguments of a run of a second."""
-    values = {"env_id": DIT if algo in ("dqn", "qr-dqn", "maskable-ppo", "a2c") else RXN, "algo": algo, **SMALL, **more}
+    discrete = ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo", "a2c")
+    values = {"env_id": DIT if algo in discrete else RXN, "algo": algo, **SMALL, **more}
     if algo in ("dqn", "qr-dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
@@ -462,6 +463,7 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "exploration_final": (-0.1, 1.1, NAN),
     "action_noise": (-0.1, NAN, INFINITY),
     "net_arch": ((64, 0), (-1,)),
+    "memory": (0,),
     "period": (0,),
     "runners": (0,),
     "batch": (0,),
@@ -484,6 +486,7 @@ def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
     if kind is not TrainArguments:
         return {}
     others = {"exploration_steps": "dqn", "exploration_final": "dqn", "action_noise": "td3", "ent_coef_start": "sac"}
+    others["memory"] = "recurrent-ppo"
     replay = ("gradient_steps", "buffer_size", "learning_starts")
     return {"algo": others.get(name, "sac" if name in replay else "ppo")}
 

@@ -1,0 +1,65 @@
+"""A recurrent policy that chooses among legal actions, for sb3-contrib's ``RecurrentPPO``, which has no masks.
+
+What it sees ends with the mask, one number an action (:class:`~chemlab.agents.sb3.ChemlabVecEnv`, ``show_masks``), so
+that the learner's buffers keep it with the observation. Its LSTM does not see the mask.
+
+Needs the extra: ``pip install "chemlab-marl[train]"``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import torch
+
+try:
+    from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
+    from stable_baselines3.common.distributions import Distribution
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+except ImportError as error:
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+
+__all__ = ["MaskedLstmPolicy"]
+
+_NEVER = -1e8
+"""Logit of what is illegal; finite, because padding has no legal action at all."""
+
+
+class _Apart(BaseFeaturesExtractor):
+    """Takes the mask off the observations' end, and keeps it for who chooses the actions."""
+
+    def __init__(self, observation_space: gymnasium.spaces.Box, actions: int) -> None:
+        super().__init__(observation_space, observation_space.shape[0] - actions)
+        self.legal = torch.ones(0, dtype=torch.bool)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        seen = self.features_dim
+        self.legal = observations[:, seen:] > 0.5
+        return observations[:, :seen]
+
+
+class MaskedLstmPolicy(RecurrentActorCriticPolicy):
+    """sb3-contrib's LSTM policy for observations that end with the mask of discrete actions.
+
+    Args:
+        observation_space: of observation and mask together.
+        action_space: discrete.
+        lr_schedule, settings: as for sb3-contrib's policy, without ``features_extractor_class`` and ``_kwargs``.
+    """
+
+    def __init__(
+        self,
+        observation_space: gymnasium.spaces.Box,
+        action_space: gymnasium.spaces.Discrete,
+        lr_schedule: Any,
+        **settings: Any,
+    ) -> None:
+        own = {"features_extractor_class": _Apart, "features_extractor_kwargs": {"actions": int(action_space.n)}}
+        super().__init__(observation_space, action_space, lr_schedule, **{**settings, **own})
+
+    def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
+        # Whatever leads here has extracted the features of the same observations just before.
+        assert isinstance(self.features_extractor, _Apart), "as it was made"
+        logits = self.action_net(latent_pi).masked_fill(~self.features_extractor.legal, _NEVER)
+        return self.action_dist.proba_distribution(logits)
