@@ -361,7 +361,8 @@ def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> di
         for one in found.values()
         if one["cells"][name]["value"] is not None and one["cells"][baseline]["value"] is not None
     ]
-    told: dict[str, Any] = {"policy": name, "scenarios": len(there), "hours": row.hours, "steps": row.steps}
+    effort = {"runs": len(row.policies), "hours": row.hours, "steps": row.steps}
+    told: dict[str, Any] = {"policy": name, "scenarios": len(there), **effort}
     if not there:
         return {**told, "interquartile_mean": None, "mean": None, "improvement": None, "profile": None}
     own = [cells[name]["replications"] for cells in there]
@@ -511,7 +512,7 @@ def _write_leaderboard(
     for scenario, one in found["scenarios"].items():
         for name, cell in one["cells"].items():
             own = {key: cell.get(key) for key in ("value", "low", "high", "score", "generalization", "reason")}
-            effort = {key: summaries[name][key] for key in ("hours", "steps")}
+            effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
     new = {(line["scenario"], line["policy"], line["split"]) for line in lines}

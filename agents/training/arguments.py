@@ -208,6 +208,7 @@ class Arguments:
         # What there was no other of when the first runs were described.
         unsaid += ["split"] if self.split == "train" else []
         unsaid += [name for name in ("actions", "memory") if getattr(self, name, None) is None]
+        unsaid += ["critic"] if getattr(self, "critic", "own") == "own" else []
         return {name: value for name, value in asdict(self).items() if name not in unsaid}
 
     @property
@@ -381,6 +382,11 @@ class JointArguments(TeamArguments):
     command = "train-together"
 
     regime: str = _argument("together", "together, or in-turns (round-robin).", known=("together", "in-turns"))
+    critic: str = _argument(
+        "own",
+        "What critics see: own (their agent's observation), or state (the laboratory's, too).",
+        known=("own", "state"),
+    )
     period: int = _argument(10, "Updates before the next role's turn (in-turns).", least=1, most=10**9)
     begin_from: str | None = _argument(
         None,
@@ -398,8 +404,9 @@ class JointArguments(TeamArguments):
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
 
     def folder(self) -> Path:
-        """Where a run stands in a folder of results: scenario, regime, seed."""
-        return Path(f"{Path(self.scenario).stem}-joint", self.regime, f"seed-{self.seed}")
+        """Where a run stands in a folder of results: scenario, regime (and critic), seed."""
+        regime = self.regime if self.critic == "own" else f"{self.regime}-{self.critic}"
+        return Path(f"{Path(self.scenario).stem}-joint", regime, f"seed-{self.seed}")
 
 
 @dataclass(frozen=True)

@@ -73,9 +73,11 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
-    theirs, ours = _outputs(model, observation), policy.values(observation)
+    lacking = model.observation_space.shape[0] - observation.shape[1]  # what its critic was shown besides
+    shown = np.pad(observation, ((0, 0), (0, lacking)))
+    theirs, ours = _outputs(model, shown), policy.values(observation)
     nothing = np.zeros(len(observation), dtype=np.int64)
-    played = np.asarray(model.predict(observation, deterministic=True)[0])
+    played = np.asarray(model.predict(shown, deterministic=True)[0])
     actions = policy.act(observation, None, nothing, nothing)
     if policy.card.output == "argmax":
         if not (hasattr(model.policy, "q_net") or hasattr(model.policy, "quantile_net")):

@@ -51,8 +51,9 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
-    *examples, lengths = _examples(batch, policy, steps, seed, model.gamma)
-    return fit(model, *examples, seed, lengths if hasattr(model.policy, "lstm_actor") else None)
+    seen, masks, actions, returns, lengths = _examples(batch, policy, steps, seed, model.gamma)
+    remembers = hasattr(model.policy, "lstm_actor")
+    return fit(model, seen, masks, actions, returns, seed, lengths if remembers else None)
 
 
 def fit(

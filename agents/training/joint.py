@@ -7,11 +7,15 @@ role's reward, elapsed time and episodes are its own.
 Two regimes: ``together`` (all learners are updated after every rollout) and ``in-turns`` (round-robin: one role learns
 for a while, the others play as they are).
 
+Critics see what their agent sees, or the laboratory's true state, too (``critic="state"``: MAPPO where all learn
+together); actors never do.
+
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +26,7 @@ import numpy.typing as npt
 
 from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.global_state import GlobalState
 from chemlab.laboratory.policy import Players, as_policy
 from chemlab.laboratory.state import RUNNING
 from chemlab.scenario import Scenario
@@ -42,6 +47,7 @@ try:
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv
 
+    from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
     from ..learners import load_learner, load_team, save_team
     from .checkpoints import load_state, random_state, restore_random_state, save_state
     from .imitate import IMITATED, fit
@@ -149,25 +155,34 @@ class _Learner:
 class _Acting:
     """A learner as the policy of one agent: it explores, and its turns become experience.
 
-    Where ``shown`` is given, that plays, and its turns become experience.
+    Where ``shown`` is given, that plays, and its turns become experience. Where ``whole`` is, the learner's critic sees
+    that, too.
     """
 
     def __init__(
-        self, learner: _Learner, stream: Callable[[IntArray], IntArray], ticks: IntArray, shown: Policy | None = None
+        self,
+        learner: _Learner,
+        stream: Callable[[IntArray], IntArray],
+        ticks: IntArray,
+        shown: Policy | None = None,
+        whole: GlobalState | None = None,
     ) -> None:
-        self._learner, self._stream, self._ticks, self._shown = learner, stream, ticks, shown
+        self._learner, self._stream, self._ticks, self._shown, self._whole = learner, stream, ticks, shown, whole
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.laboratory.policy.Policy`."""
+        seen = observation
+        if self._whole is not None:
+            seen = np.concatenate([observation, self._whole.see(members)], axis=1)
         if self._shown is None:
-            drawn, played, value, log_probability = self._learner.sample(observation, mask)
+            drawn, played, value, log_probability = self._learner.sample(seen, mask)
         else:
             drawn = played = np.asarray(self._shown.act(observation, mask, step, members))
             value = log_probability = np.zeros(len(members))
         self._learner.experience.begin(
-            self._stream(members), observation, mask, drawn, value, log_probability, self._ticks[members]
+            self._stream(members), seen, mask, drawn, value, log_probability, self._ticks[members]
         )
         return played
 
@@ -183,13 +198,15 @@ class _Team(LaboratoryTrainee):
         self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
         # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
+        self._whole = GlobalState(labs) if a.critic == "state" else None
         self.learning = roles
         self.learners: dict[str, _Learner] = {}
         for role in self.learning:
             number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
             alike = sum(role_of(agent) == role for agent in labs.agents)
-            spaces = labs.observation_space(number), labs.action_space(number)
-            self.learners[role] = _Learner(self._model(role, *spaces), *spaces, alike * a.envs)
+            actions = labs.action_space(number)
+            model = self._model(role, labs.observation_space(number), actions)
+            self.learners[role] = _Learner(model, model.observation_space, actions, alike * a.envs)
         self.returns: list[float] = []
         seeds = np.random.SeedSequence(a.seed).generate_state(a.envs, np.uint64)
         for member, seed in zip(labs.members, seeds, strict=True):
@@ -197,7 +214,7 @@ class _Team(LaboratoryTrainee):
         labs.reset(labs.members)
         self._players = self._played_by(None)
 
-    def _model(self, role: str, space: gymnasium.Space[Any], actions: gymnasium.Space[Any]) -> Any:
+    def _model(self, role: str, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any]) -> Any:
         a = self.arguments
         discrete = isinstance(actions, gymnasium.spaces.Discrete)
         settings: dict[str, Any] = {
@@ -212,7 +229,15 @@ class _Team(LaboratoryTrainee):
             "seed": a.seed,
             "device": "cpu",
         }
-        model: Any = (MaskablePPO if discrete else PPO)("MlpPolicy", _Spaces(space, actions), **settings)
+        network: Any = "MlpPolicy"
+        if self._whole is not None:
+            network = MaskableCentralisedPolicy if discrete else CentralisedPolicy
+            settings["policy_kwargs"] = {"own": space.shape[0]}
+            low, high = (
+                np.append(*both) for both in ((space.low, self._whole.space.low), (space.high, self._whole.space.high))
+            )
+            space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        model: Any = (MaskablePPO if discrete else PPO)(network, _Spaces(space, actions), **settings)
         model.set_logger(Logger(None, []))
         return model
 
@@ -230,7 +255,7 @@ class _Team(LaboratoryTrainee):
         labs, seed, role = self.labs, self.arguments.seed, role_of(self.labs.agents[number])
         if role in self.learners:
             teacher = None if shown is None else agent_policy(shown, labs, number, seed)
-            return _Acting(self.learners[role], self._stream(number), labs.state.ticks, teacher)
+            return _Acting(self.learners[role], self._stream(number), labs.state.ticks, teacher, self._whole)
         return agent_policy(self.arguments.background, labs, number, seed)
 
     def imitate(self, shown: str, turns: int) -> dict[str, float]:
@@ -383,7 +408,9 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
         team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
         progress = Progress() if last is None else team.load(last)
         if last is None and arguments.imitate is not None:
+            begun = time.perf_counter()
             team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED)
+            progress.seconds = time.perf_counter() - begun
         if last is None and arguments.begin_from is not None:
             _begin_from(arguments.begin_from, team)
         return train_in_rounds(run, described, team, arguments, progress, watcher)

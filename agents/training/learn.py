@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -115,8 +116,9 @@ class _Agent(Trainee):
             shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
             self.model = _learner(a, self.venv, self.steps)
             if a.imitate is not None:
-                turns = a.imitate_steps or IMITATED
+                turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
                 imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed)
+                self.progress.seconds = time.perf_counter() - begun
         self._player: Policy = as_policy(self.model)
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:

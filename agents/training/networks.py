@@ -93,6 +93,9 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     for i, layer in enumerate(linear):
         weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
         weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
+    if hasattr(policy, "pi_features_extractor") and hasattr(policy.pi_features_extractor, "own"):
+        # Its actor sees nothing behind its own observation.
+        weights["0.weight"] = weights["0.weight"][:, : policy.pi_features_extractor.own].copy()
     if hasattr(policy, "lstm_actor"):
         ih, hh, *biases = (p.detach().numpy() for p in policy.lstm_actor.parameters())
         weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))

@@ -129,17 +129,24 @@ class _RecurrentModel:
 
 
 class _Model:
-    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them."""
+    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them.
+
+    In training a critic may have been shown more, behind the observation: nothing stands there.
+    """
 
     def __init__(self, model: Any, deterministic: bool = True) -> None:
         self._model, self._deterministic = model, deterministic
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
+        shape = getattr(getattr(model, "observation_space", None), "shape", None)
+        self._size = shape[0] if shape else 0
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
+        if observation.shape[1] < self._size:
+            observation = np.pad(observation, ((0, 0), (0, self._size - observation.shape[1])))
         actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
         return np.asarray(actions)
 

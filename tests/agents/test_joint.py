@@ -13,7 +13,10 @@ from chemlab.agents.training.experience import Experience
 
 pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
 
+import torch
+
 from chemlab.agents.learners import load_learner, load_team
+from chemlab.agents.policies import as_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.training import joint
@@ -172,9 +175,9 @@ class _Stopping:
         pass
 
 
-@pytest.mark.parametrize("regime", ["together", "in-turns"])
-def test_a_stopped_run_goes_on_alike(regime: str, tmp_path: Path) -> None:
-    arguments = JointArguments(**SMALL, regime=regime, period=1)
+@pytest.mark.parametrize(("regime", "critic"), [("together", "own"), ("in-turns", "own"), ("together", "state")])
+def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -> None:
+    arguments = JointArguments(**SMALL, regime=regime, critic=critic, period=1)
     whole = train_together(arguments, tmp_path / "whole")
     with pytest.raises(_Stop):
         train_together(arguments, tmp_path / "stopped", _Stopping())
@@ -228,6 +231,42 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     for role, message in ((None, "give one of its roles: dit, rxn; given None"), ("ext", "dit, rxn; given 'ext'")):
         with pytest.raises(ValueError, match=message):
             export_run(tmp_path / "run", tmp_path / "other", role)
+
+
+def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
+    """In the state are what the world hides, too; what plays was given the same at whatever state, and is exported."""
+    arguments = JointArguments(**SMALL, scenario="rush", critic="state")
+    team = team_of(arguments)
+    for _ in range(6):
+        team.collect()
+    for role, learner in team.learners.items():
+        number = 0 if role == "manager" else 1
+        own = team.labs.observation_space(number).shape[0]
+        rows, policy = learner.experience.finished(), learner.model.policy
+        seen = torch.as_tensor(learner.experience.observation[rows])
+        assert seen[:, own:].std(dim=0).max() > 0.1
+        other = torch.cat([seen[:, :own], 1.0 - seen[:, own:]], dim=1)
+        with torch.no_grad():
+            values, others = policy.predict_values(seen), policy.predict_values(other)
+            actor, unaware = (policy.get_distribution(one).distribution for one in (seen, other))
+            forward = policy(seen, deterministic=True)[1]
+        torch.testing.assert_close(forward, values)
+        assert (values - others).abs().max() > 1e-3
+        for name in ("mean",) if role == "rxn" else ("logits",):
+            torch.testing.assert_close(getattr(actor, name), getattr(unaware, name))
+    train_together(arguments, tmp_path / "run")
+    assert (Run(tmp_path / "run").config() or {})["critic"] == "state"
+    best = Run(tmp_path / "run").checkpoint("best")
+    assert best is not None
+    policies, models = (load_pretrained(best / "manager"), load_pretrained(best / "rxn")), load_team(best)
+    for policy in policies:
+        seen_now = np.random.default_rng(0).random((20, policy.card.observation_size), dtype=np.float32)
+        nobody = np.zeros(20, dtype=np.int64)
+        expected = as_policy(models[policy.card.bench]).act(seen_now, None, nobody, nobody)
+        np.testing.assert_allclose(policy.act(seen_now, None, nobody, nobody), expected, atol=1e-5)
+    assert arguments.folder() != JointArguments(**SMALL, scenario="rush").folder()
+    with pytest.raises(ValueError, match="manager was trained for other spaces"):
+        train_together(JointArguments(**SMALL, scenario="rush", begin_from=str(tmp_path / "run")), tmp_path / "next")
 
 
 def test_a_last_minibatch_of_one_does_no_harm() -> None:

@@ -1,0 +1,109 @@
+"""Put the table of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
+
+With ``--play RESULTS`` it first has ``chemlab benchmark`` play what was trained there (``experiments/worlds.toml``,
+``experiments/worlds_joint.sh``): of each learner and scenario the runs, where none of them is unfinished. What has been
+played is kept in ``RESULTS/benchmark``; its leaderboard is copied to ``docs/results/leaderboard.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
+from chemlab.agents.runs import find_runs
+from chemlab.files import replace_between
+
+__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "effort", "table"]
+
+ROOT = Path(__file__).parent.parent
+LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
+PAGE = ROOT / "docs" / "protocol.md"
+_SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
+LEARNERS = {
+    "manager_0/feedforward": "PPO",
+    "manager_0/recurrent": "recurrent PPO",
+    "joint/together": "IPPO",
+    "joint/together-state": "MAPPO",
+}
+"""Folders of runs below RESULTS, behind the scenario's name, and what the table calls them."""
+_KINDS = ("best", "last")
+
+
+def _lines() -> dict[tuple[str, str], dict[str, Any]]:
+    """The committed leaderboard by scenario and row; learners' rows as ``LEARNERS`` has them."""
+    found = {}
+    for line in leaderboard_lines(LEADERBOARD):
+        found[line["scenario"], line["policy"].removeprefix(f"{line['scenario']}-")] = line
+    return found
+
+
+def _cell(line: dict[str, Any] | None) -> str:
+    if line is None or line["value"] is None:
+        return ""
+    runs = f" ({line['runs']})" if line["steps"] else ""
+    return f"{line['value']:.2f} [{line['low']:.2f}, {line['high']:.2f}]{runs}"
+
+
+def _markdown(rows: list[list[str]]) -> list[str]:
+    head, *body = rows
+    return [f"| {' | '.join(row)} |" for row in [head, ["---"] + ["--:"] * (len(head) - 1), *body]]
+
+
+def table() -> list[str]:
+    """The committed baselines as a Markdown table: best by validation of everything that learns."""
+    lines = _lines()
+    names = {**_SCRIPTED, **{f"{folder} (best)": name for folder, name in LEARNERS.items()}}
+    rows = [["scenario", *names.values()]]
+    for scenario in world_scenarios():
+        rows.append([f"`{scenario}`", *(_cell(lines.get((scenario, name))) for name in names)])
+    return _markdown(rows)
+
+
+def effort() -> list[str]:
+    """What each learner took, and what became of its last checkpoint and of its score in training worlds."""
+    lines = _lines()
+    rows = [["scenario and learner", "runs", "steps of each", "hours in all", *_KINDS, "test less train (best)"]]
+    for scenario in world_scenarios():
+        for folder, name in LEARNERS.items():
+            best, last = (lines.get((scenario, f"{folder} ({kind})")) for kind in _KINDS)
+            if best is None or last is None:
+                continue
+            gap = best["generalization"] or {"value": float("nan")}
+            numbers = [str(best["runs"]), f"{best['steps']:,}", f"{best['hours']:.2f}"]
+            scores = [f"{one['value']:.2f}" for one in (best, last)]
+            rows.append([f"`{scenario}`, {name}", *numbers, *scores, f"{gap['value']:+.2f}"])
+    return _markdown(rows)
+
+
+def _play(results: Path, budget: str) -> None:
+    """Have the command play everything that has been trained to its end."""
+    for scenario in world_scenarios():
+        chosen = []
+        for learner in LEARNERS:
+            folder = Path(f"{scenario}-{learner}")
+            runs = find_runs(results / folder) if (results / folder).is_dir() else []
+            if runs and all(run.result() is not None for run in runs):
+                chosen += ["--policy", folder.as_posix()]
+            else:
+                print(f"{folder}: {'unfinished' if runs else 'not begun'}", flush=True)
+        words = ["benchmark", scenario, "--policy", "heuristic", *chosen, "--budget", budget, "--records", "0"]
+        command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
+        subprocess.run(command, check=True, cwd=results)
+    written = json.loads((results / "benchmark" / "leaderboard.json").read_text(encoding="utf-8"))
+    LEADERBOARD.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--play", type=Path, metavar="RESULTS", help="play what has been trained there first")
+    parser.add_argument("--budget", default="full", help="of chemlab benchmark (default: %(default)s)")
+    asked = parser.parse_args()
+    if asked.play is not None:
+        _play(asked.play, asked.budget)
+    replace_between(PAGE, "baselines", table())
+    replace_between(PAGE, "effort", effort())
