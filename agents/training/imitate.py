@@ -32,6 +32,8 @@ _BATCH = 256
 _SEQUENCES_BATCH = 2_048
 """About how many turns a minibatch of whole episodes has."""
 _LEARNING_RATE = 1e-3
+_SEQUENCES_LEARNING_RATE = 3e-3
+"""Of whole episodes, of which a minibatch has more turns."""
 _ENTROPY = 0.03
 """Keeps the clone from being certain where its examples happen to agree, so that it can still find better."""
 _VALUES = 0.5
@@ -81,7 +83,7 @@ def fit(
         shown = _Episodes(model, observations, masks, actions, lengths)
     network, rng = model.policy, np.random.default_rng(seed)
     network.set_training_mode(True)
-    optimizer = torch.optim.Adam(network.parameters(), lr=_LEARNING_RATE)
+    optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate)
     minibatches = max(1, shown.count // shown.batch)
     epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
     # What the examples agree on is found fast; thresholds between two actions only in small steps.
@@ -123,7 +125,7 @@ class _Turns:
         self._network, self._observations, self.actions = network, observations, actions
         masked = hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
         self._masks = masks if masked else None
-        self.count, self.batch = len(actions), _BATCH
+        self.count, self.batch, self.learning_rate = len(actions), _BATCH, _LEARNING_RATE
 
     def rows(self, some: IntArray) -> IntArray:
         """The turns of some of ``count``."""
@@ -162,6 +164,7 @@ class _Episodes(_Turns):
             self._observations = np.concatenate([observations, masks], axis=1, dtype=np.float32)
         self._lengths, self._first = lengths, np.cumsum(lengths) - lengths
         self.count, self.batch = len(lengths), max(1, int(_SEQUENCES_BATCH / lengths.mean()))
+        self.learning_rate = _SEQUENCES_LEARNING_RATE
 
     def rows(self, some: IntArray) -> IntArray:
         """See :class:`_Turns`."""
