@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.scenario import scenario_names
+from chemlab.agents.evaluation.benchmark import leaderboard_lines
+from chemlab.record import scenario_hash
+from chemlab.scenario import load_scenario, scenario_names
 
 README = Path(__file__).parent.parent / "README.md"
 TEXT = README.read_text(encoding="utf-8")
@@ -50,3 +52,16 @@ def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.Monke
 
     for page in PAGES:
         assert "\n".join(table()) in page.read_text(encoding="utf-8"), "run: python docs/audits.py"
+
+
+@pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
+def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And of the scenarios as they are; nobody knows more than who knows the world."""
+    monkeypatch.syspath_prepend(str(README.parent / "docs"))
+    from baselines import LEADERBOARD, PAGE, effort, table
+
+    for rows in (table(), effort()):
+        assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
+    for line in leaderboard_lines(LEADERBOARD):
+        assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"
+        assert line["value"] is None or line["value"] <= 1.0
