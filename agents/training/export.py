@@ -73,8 +73,8 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
-    lacking = model.observation_space.shape[0] - observation.shape[1]  # what its critic was shown besides
-    shown = np.pad(observation, ((0, 0), (0, lacking)))
+    besides = model.observation_space.shape[0] - policy.card.observation_size  # what its critic was shown
+    shown = np.pad(observation, ((0, 0), (0, besides)))
     theirs, ours = _outputs(model, shown), policy.values(observation)
     nothing = np.zeros(len(observation), dtype=np.int64)
     played = np.asarray(model.predict(shown, deterministic=True)[0])

@@ -108,7 +108,7 @@ class _RecurrentModel:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
-        if mask is not None and observation.shape[1] < self._size:
+        if mask is not None and observation.shape[1] + mask.shape[1] == self._size:
             observation = np.concatenate([observation, mask], axis=1, dtype=np.float32)
         layers, hidden = self._shape
         kept = [
@@ -137,16 +137,16 @@ class _Model:
     def __init__(self, model: Any, deterministic: bool = True) -> None:
         self._model, self._deterministic = model, deterministic
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
-        shape = getattr(getattr(model, "observation_space", None), "shape", None)
-        self._size = shape[0] if shape else 0
+        own = getattr(getattr(getattr(model, "policy", None), "pi_features_extractor", None), "own", None)
+        self._behind = 0 if own is None else model.observation_space.shape[0] - own
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
-        if observation.shape[1] < self._size:
-            observation = np.pad(observation, ((0, 0), (0, self._size - observation.shape[1])))
+        if self._behind:
+            observation = np.pad(observation, ((0, 0), (0, self._behind)))
         actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
         return np.asarray(actions)
 

@@ -264,6 +264,8 @@ def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
         nobody = np.zeros(20, dtype=np.int64)
         expected = as_policy(models[policy.card.bench]).act(seen_now, None, nobody, nobody)
         np.testing.assert_allclose(policy.act(seen_now, None, nobody, nobody), expected, atol=1e-5)
+    card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
+    assert card.observation_size == team.labs.observation_space(0).shape[0]
     assert arguments.folder() != JointArguments(**SMALL, scenario="rush").folder()
     with pytest.raises(ValueError, match="manager was trained for other spaces"):
         train_together(JointArguments(**SMALL, scenario="rush", begin_from=str(tmp_path / "run")), tmp_path / "next")
