@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
 
 from chemlab.agents.evaluation.jobs import AUDIT_SEED
@@ -151,6 +152,8 @@ def learned(algorithm: str, envs: Any, budget: Budget, callback: Any = None, **s
 
     torch.set_num_threads(1)  # networks this small are slower on several
     network = "MlpLstmPolicy" if algorithm.startswith("recurrent") else "MlpPolicy"
+    if isinstance(envs.observation_space, gymnasium.spaces.Dict):
+        network = "MultiInputPolicy"
     if algorithm.endswith("ppo"):
         settings = {"n_steps": _ROLLOUT, **settings}
     model = LEARNERS[algorithm](network, envs, seed=budget.seed, device="cpu", **settings)
