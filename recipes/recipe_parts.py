@@ -6,7 +6,6 @@ import argparse
 import json
 import shlex
 import sys
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -93,7 +92,6 @@ def cook(recipe: Recipe, page: str | None, environment: str, steps: int, episode
     budget = Budget(given.seed, given.steps, given.episodes, given.toy)
     if given.toy:
         budget = budget._replace(steps=min(given.steps, _ENVS * _ROLLOUT), episodes=min(given.episodes, 2))
-    begun = time.perf_counter()
     found = [recipe(budget._replace(seed=given.seed + i)) for i in range(given.seeds)]
     result = {
         "kind": "recipe",
@@ -103,7 +101,6 @@ def cook(recipe: Recipe, page: str | None, environment: str, steps: int, episode
         "toy": given.toy,
         "seeds": given.seeds,
         "episodes": budget.episodes,
-        "minutes": round((time.perf_counter() - begun) / 60.0, 1),
         "versions": versions(),
         "outcomes": {who: _summary([one[who] for one in found]) for who in found[0]},
     }
