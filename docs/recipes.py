@@ -1,0 +1,81 @@
+"""Put the table of the recipes' results into docs/recipes.md: ``python docs/recipes.py``.
+
+One is made by ``python recipes/NAME.py --out recipes/results/NAME.json``; the exact command stands in each.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+from chemlab.files import replace_between
+
+__all__ = ["PAGE", "RECIPES", "recipes", "table"]
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "recipes.md"
+RECIPES = ROOT / "recipes"
+_LAST = ("plain PPO", "scripted")
+
+
+def recipes() -> list[Path]:
+    """The recipes, by name."""
+    return sorted(path for path in RECIPES.glob("*.py") if path.stem != "recipe_parts")
+
+
+def _paradigm(path: Path) -> str:
+    """The first line of a recipe's documentation."""
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return text.partition("\n")[0].rstrip(".")
+
+
+def _cell(outcome: dict[str, Any] | None) -> str:
+    """Mean over seeds, the seeds' range where there are several, and what it cost where it cost something."""
+    if outcome is None:
+        return ""
+    spread = f" ({min(outcome['by_seed']):.3f} to {max(outcome['by_seed']):.3f})" if len(outcome["by_seed"]) > 1 else ""
+    cost = f", cost {outcome['cost']:.4f}" if outcome["cost"] >= 5e-5 else ""
+    return f"{outcome['mean']:.3f}{spread}{cost}"
+
+
+def _steps(outcomes: dict[str, Any]) -> str:
+    taken = sorted({one["steps"] for one in outcomes.values() if one["steps"]})
+    return " to ".join(f"{steps:,}" for steps in dict.fromkeys((taken[0], taken[-1]))) if taken else "none"
+
+
+def _rows(path: Path) -> list[str]:
+    head = f"`{path.name}`: {_paradigm(path)}"
+    kept = RECIPES / "results" / f"{path.stem}.json"
+    if not kept.is_file():
+        return [head, "", "not run yet", *[""] * 5]
+    found = json.loads(kept.read_text(encoding="utf-8"))
+    outcomes = found["outcomes"]
+    first, *others = (f"{who} {_cell(one)}" for who, one in outcomes.items() if who not in _LAST)
+    gained = "" if _LAST[0] not in outcomes else f"{_gain(outcomes):+.3f}"
+    return [
+        head,
+        found["environment"],
+        "; ".join([first, *others]),
+        *(_cell(outcomes.get(who)) for who in _LAST),
+        gained,
+        _steps(outcomes),
+        f"{found['seeds']} x {found['episodes']}",
+    ]
+
+
+def _gain(outcomes: dict[str, Any]) -> float:
+    """What the paradigm, which comes first, has over plain PPO."""
+    return float(next(iter(outcomes.values()))["mean"] - outcomes[_LAST[0]]["mean"])
+
+
+def table() -> list[str]:
+    """The recipes' results as a Markdown table."""
+    heads = ["recipe", "where", "scored", *_LAST, "gained over PPO", "steps", "seeds x episodes"]
+    rows = [heads, ["---"] * 3 + ["--:"] * (len(heads) - 3), *(_rows(path) for path in recipes())]
+    return [f"| {' | '.join(row)} |" for row in rows]
+
+
+if __name__ == "__main__":
+    replace_between(PAGE, "recipes", table())

@@ -1,0 +1,87 @@
+"""Bayesian optimization of how long batches are heated.
+
+In `campaign` four batches react in the same unknown world, to the product and on to waste. Each batch is an evaluation:
+it is heated for as many runs of the oven as promise the most expected improvement (Jones et al. 1998, "Efficient Global
+Optimization of Expensive Black-Box Functions"), its purity is read from one chromatogram, and a Gaussian process of
+purity over the logarithm of the runs learns from that. The last batch is heated for what the process thinks best, and
+not measured. It knows nothing of kinetics; the scripted manager beside it knows everything but the rate, and may
+measure and go on. PPO has no part in this: nothing is trained.
+
+    python recipes/bayesian.py --out recipes/results/bayesian.json
+
+Needs scikit-learn (the extra ``recipes``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from recipe_parts import AUDIT_SEED, SCRIPTED, Budget, Outcome, cook
+from scipy.stats import norm
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from chemlab.agents.evaluation.play import LaboratoryTarget
+from chemlab.agents.heuristics.campaign import run_once
+from chemlab.arrays import FloatArray
+from chemlab.laboratory.core import Laboratories
+from chemlab.scenario import load_scenario
+
+TARGET = LaboratoryTarget(load_scenario("campaign"), "test")
+GOAL, INSTRUMENT = "2-chlorohexane", "gas_chromatograph"
+RUNS = np.arange(1, 41)
+KERNEL = ConstantKernel(0.3**2) * RBF(0.7) + WhiteKernel(0.05**2)
+"""Guesses: purities differ by some 0.3, over factors of two of time, and are read to 0.05."""
+GUESS = 0.4
+"""Purity that is expected where nothing is known."""
+
+
+def improvement(process: GaussianProcessRegressor, best: float) -> FloatArray:
+    """[runs] expected improvement over the best purity so far."""
+    mean, deviation = process.predict(np.log(RUNS)[:, None], return_std=True)
+    above = mean + GUESS - best
+    gained: FloatArray = above * norm.cdf(above / deviation) + deviation * norm.pdf(above / deviation)
+    return gained
+
+
+def purity(labs: Laboratories, slot: int) -> float:
+    """Of a vessel, as a chromatogram that is paid for has it."""
+    labs.act(0, labs.members, np.array([labs.actions.encode("measure", slot, INSTRUMENT)]))
+    names = labs.instruments.analytes[labs.instruments.names.index(INSTRUMENT)]
+    amounts = np.maximum(labs.state.reading[0, slot, : len(names)], 0.0)
+    return float(amounts[names.index(GOAL)] / max(amounts.sum(), 1e-9))
+
+
+def campaign(seed: int, first: int) -> float:
+    """Score of one episode, whose first batch has so many runs."""
+    labs = Laboratories(TARGET.scenario, 1, split=TARGET.split)
+    labs.seed(0, np.random.SeedSequence(seed))
+    labs.reset(labs.members, GOAL)
+    process = GaussianProcessRegressor(KERNEL, optimizer=None)
+    tried: list[int] = []
+    read: list[float] = []
+    for batch in range(TARGET.scenario.orders):
+        last = batch == TARGET.scenario.orders - 1
+        if tried:
+            process.fit(np.log(tried)[:, None], np.array(read) - GUESS)
+            worth = process.predict(np.log(RUNS)[:, None]) if last else improvement(process, max(read))
+            first = int(RUNS[worth.argmax()])
+        for _ in range(first):
+            run_once(labs, "rxn_0", GOAL, batch)
+        if not last:
+            tried.append(first)
+            read.append(purity(labs, batch))
+        labs.act(0, labs.members, np.array([labs.actions.encode("submit", batch, batch)]))
+    return float(labs.result(labs.members)[0])
+
+
+def recipe(budget: Budget) -> dict[str, Outcome]:
+    """One seed: of how long the first batch is heated, of which nothing is known."""
+    random = np.random.default_rng(budget.seed)
+    firsts = random.integers(2, 20, budget.episodes)
+    scores = [campaign(AUDIT_SEED + i, int(first)) for i, first in enumerate(firsts)]
+    scripted = TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)
+    return {"Bayesian optimization": Outcome(float(np.mean(scores)), 0.0, 0), SCRIPTED: Outcome.of(scripted)}
+
+
+if __name__ == "__main__":
+    cook(recipe, __doc__, f"the laboratory of `campaign`, {GOAL}", steps=1, episodes=40)

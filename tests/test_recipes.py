@@ -1,0 +1,106 @@
+"""Recipes run, and their page has the numbers that are kept of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import script
+
+ROOT = Path(__file__).parent.parent
+RECIPES = sorted(path for path in (ROOT / "recipes").glob("*.py") if path.stem != "recipe_parts")
+NEEDS = {"bayesian": ("sklearn",), "planning": ()}
+"""Packages that a recipe needs, where it is not what most need."""
+LEARNING = ("stable_baselines3", "sb3_contrib")
+pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_recipes_run(path: Path, tmp_path: Path) -> None:
+    """What is kept of a toy run is what it printed, finite, and of everybody it names."""
+    for package in NEEDS.get(path.stem, LEARNING):
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"needs {package}")
+    out = tmp_path / "result.json"
+    command = [sys.executable, str(path), "--toy", "--seeds", "2", "--out", str(out)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert found == json.loads(done.stdout)
+    assert found["toy"]
+    assert {"plain PPO", "scripted"} & set(found["outcomes"])
+    for outcome in found["outcomes"].values():
+        assert len(outcome["by_seed"]) == 2
+        assert all(math.isfinite(value) for value in (outcome["mean"], outcome["cost"], *outcome["by_seed"]))
+        assert outcome["mean"] == pytest.approx(sum(outcome["by_seed"]) / 2, abs=1e-4)
+    # The script knows nothing that a seed would change, and plays the same episodes.
+    assert len(set(found["outcomes"].get("scripted", {"by_seed": [0.0]})["by_seed"])) == 1
+
+
+def test_the_page_has_the_kept_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    from recipes import PAGE, table
+
+    assert "\n".join(table()) in PAGE.read_text(encoding="utf-8"), "run: python docs/recipes.py"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "recipes" / "results").glob("*.json")), ids=lambda path: path.stem)
+def test_kept_results_are_no_toys(path: Path) -> None:
+    """And say the command that makes them, which names this file."""
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert not found["toy"]
+    assert found["command"].startswith(f"python recipes/{path.stem}.py ")
+    assert f"recipes/results/{path.name}" in found["command"]
+
+
+def test_a_multiplier_takes_cost_off_rewards_and_ascends(monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in LEARNING:
+        pytest.importorskip(package)
+    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
+    constrained: Any = script("recipes/constrained.py")
+    envs = [constrained.Priced(constrained.training_envs(constrained.TARGET, constrained.GOAL), m) for m in (0.0, 3.0)]
+    for env in envs:
+        env.seed(0)
+        env.reset()
+    everything_hot = np.tile(np.array([1.0, 0.5, 1.0], dtype=np.float32), (envs[0].num_envs, 1))
+    total = np.zeros(envs[0].num_envs)
+    for _ in range(constrained.PRICED.benches["rxn"].step_limit):
+        (_, free, _, infos), (_, priced, dones, _) = (env.step(everything_hot) for env in envs)
+        cost = np.array([info["cost"] for info in infos])
+        np.testing.assert_allclose(priced, free - 3.0 * cost, atol=1e-6)
+        total += cost
+    assert dones.all()
+    assert total.max() > 0.0
+    np.testing.assert_allclose(envs[1].ended, total)
+    callback = constrained.DualAscent()
+    callback.model = SimpleNamespace(get_env=lambda: envs[1])
+    callback.on_rollout_end()
+    assert envs[1].multiplier == pytest.approx(3.0 + constrained.RATE * (total.mean() - constrained.LIMIT))
+    assert envs[1].ended == []
+
+
+def test_a_mixture_pays_at_the_end_where_all_of_it_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in LEARNING:
+        pytest.importorskip(package)
+    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
+    goals: Any = script("recipes/goals.py")
+    env = goals.Mixtures(np.array([[0.0] * 5 + [1.0]]))
+    env.reset(seed=0)
+    rewards, over = [], False
+    while not over:
+        seen, reward, over, _, _ = env.step(env.action_space.n - 1)  # hold: nothing is made
+        rewards.append(reward)
+    assert rewards == [0.0] * (len(rewards) - 1) + [1.0]
+    near = seen["achieved_goal"] + np.array([0.049, 0.0, 0.0, 0.0, 0.0, 0.0])
+    far = seen["achieved_goal"] + np.array([0.051, 0.0, 0.0, 0.0, 0.0, 0.0])
+    achieved = np.stack([seen["achieved_goal"]] * 2)
+    assert env.compute_reward(achieved, np.stack([near, far]), None).tolist() == [1.0, 0.0]
