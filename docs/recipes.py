@@ -53,21 +53,24 @@ def _rows(path: Path) -> list[str]:
     found = json.loads(kept.read_text(encoding="utf-8"))
     outcomes = found["outcomes"]
     first, *others = (f"{who} {_cell(one)}" for who, one in outcomes.items() if who not in _LAST)
-    gained = "" if _LAST[0] not in outcomes else f"{_gain(outcomes):+.3f}"
     return [
         head,
         found["environment"],
         "; ".join([first, *others]),
         *(_cell(outcomes.get(who)) for who in _LAST),
-        gained,
+        _gain(outcomes),
         _steps(outcomes),
         f"{found['seeds']} x {found['episodes']}",
     ]
 
 
-def _gain(outcomes: dict[str, Any]) -> float:
-    """What the paradigm, which comes first, has over plain PPO."""
-    return float(next(iter(outcomes.values()))["mean"] - outcomes[_LAST[0]]["mean"])
+def _gain(outcomes: dict[str, Any]) -> str:
+    """What the paradigm, which comes first, has over plain PPO: return, and cost where that changes."""
+    if _LAST[0] not in outcomes:
+        return ""
+    own, plain = next(iter(outcomes.values())), outcomes[_LAST[0]]
+    cost = own["cost"] - plain["cost"]
+    return f"{own['mean'] - plain['mean']:+.3f}" + (f", cost {cost:+.3f}" if abs(cost) >= 5e-4 else "")
 
 
 def table() -> list[str]:
