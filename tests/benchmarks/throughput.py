@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -31,6 +32,7 @@ from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 
+ROUNDS = 5
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
 START_UP = """
 import time, sys
@@ -233,16 +235,10 @@ def in_a_process(code: str, **environment: str) -> float:
     )
 
 
-def measure(seconds: float, quick: bool) -> dict[str, Any]:
-    """All figures."""
+def rates(seconds: float, quick: bool) -> dict[str, Any]:
+    """Everything that is measured while it runs, once."""
     cartpole = single("CartPole-v1", seconds)
-    result: dict[str, Any] = {
-        "cartpole_single": cartpole,
-        "single": {},
-        "batched": {},
-        "parts_us": {},
-        "start_up_s": {},
-    }
+    result: dict[str, Any] = {"cartpole_single": cartpole, "single": {}, "batched": {}, "parts_us": {}}
     for name in IDS:
         result["single"][name] = single(f"chemlab/{name}-v0", seconds)
         sizes = ((256, 1), (256, 2)) if quick else [(n, t) for n in (1, 16, 256, 4096) for t in (1, 2) if t <= n]
@@ -266,6 +262,20 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
             for count in (64, 256)
         },
     }
+    return result
+
+
+def medians(found: list[Any]) -> Any:
+    """Of figures that have been measured several times, each one's median."""
+    if isinstance(found[0], dict):
+        return {key: medians([one[key] for one in found]) for key in found[0]}
+    return statistics.median(found)
+
+
+def measure(seconds: float, quick: bool) -> dict[str, Any]:
+    """All figures: medians of rounds, so that what else a machine does for a while spoils none of them."""
+    result: dict[str, Any] = medians([rates(seconds, quick) for _ in range(1 if quick else ROUNDS)])
+    result["start_up_s"] = {}
     for name in IDS[::2]:
         result["start_up_s"][name] = {"warm": in_a_process(START_UP.format(name=name))}
         if not quick:
@@ -324,7 +334,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--quick", action="store_true", help="fewer sizes, shorter runs, no cold start")
+    parser.add_argument("--quick", action="store_true", help="fewer sizes, one round, no cold start")
     parser.add_argument(
         "--update",
         type=Path,
@@ -334,7 +344,7 @@ def main() -> None:
         help="replace the tables between the marks `throughput` (all) or `speed` (a few) in Markdown files",
     )
     arguments = parser.parse_args()
-    result = measure(0.3 if arguments.quick else 1.5, arguments.quick)
+    result = measure(0.3, arguments.quick)
     for file in arguments.update:
         if "<!-- speed: begin -->" in file.read_text(encoding="utf-8"):
             replace_between(file, "speed", short_table(result).splitlines())

@@ -106,9 +106,10 @@ def react(
                 part, ahead, climb, known = shortest, 0.0, 0.0, False
             continue
         capacity = heat_capacity(row, chem)
+        made = content - enthalpy(row, chem)
         # However little is left, a jacket cools it no further than to its own temperature.
-        passed = around.transfer * part if around.jacket > at else min(around.transfer * part, capacity)
-        heat = content - enthalpy(row, chem) + passed * (around.jacket - at)
+        coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
+        heat = max(made + around.transfer * (around.jacket - at) * part, coolest)
         most = _HEAT_K * capacity
         if most <= 0.0:
             return total  # it has boiled dry
