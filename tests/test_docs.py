@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 import typer
+from helpers import slow_but
 
 from chemlab.cli import app
 from chemlab.materials import load_materials, read_toml
@@ -145,7 +146,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS).with_suffix("")))
+LONG = DOCS / "how-to" / "physics-tier.md"  # compiles a tier of its own
+PLAYED = slow_but(PAGES, *(page for page in PAGES if page != LONG))
+
+
+@pytest.mark.parametrize("page", PLAYED, ids=lambda page: str(page.relative_to(DOCS).with_suffix("")))
 def test_code_runs(page: Path, folder: Path) -> None:
     """A page's blocks one after the other in one folder, each in a namespace of its own."""
     left_out: list[str] = []

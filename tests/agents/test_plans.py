@@ -116,6 +116,7 @@ def test_the_search_improves_on_what_scripted_managers_do() -> None:
     assert not any("measure" in words for words in plan_words(load_scenario("wurtz_dodecane"), best.plan))
 
 
+@pytest.mark.slow
 def test_every_public_context_gets_a_plan() -> None:
     """Plans differ with the goal, which is public; the others begin with what the first has found."""
     search = search_plan("fictitious", budget=500, seed=0)
