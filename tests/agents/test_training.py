@@ -328,8 +328,8 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     (run,) = find_runs(tmp_path)
     config = run.config()
     assert config is not None
-    # The split goes without saying, as it did before there were others.
-    assert {f.name for f in fields(TrainArguments)} - {"split", "actions"} <= set(config)
+    # These go without saying, as they did before there were others.
+    assert {f.name for f in fields(TrainArguments)} - {"split", "actions", "memory"} <= set(config)
     assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
     assert config["gamma"] == 0.99
     assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])
