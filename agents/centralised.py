@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
 
 try:
@@ -43,12 +44,34 @@ class _Side(BaseFeaturesExtractor):
         return torch.cat([own, torch.zeros_like(observations[:, self.own :])], dim=1)
 
 
-def _sides(settings: dict[str, Any], own: int) -> dict[str, Any]:
-    sides = {"features_extractor_class": _Side, "features_extractor_kwargs": {"own": own}}
-    return {**settings, **sides, "share_features_extractor": False}
+class _Centralised:
+    """What both policies add to theirs of Stable-Baselines3."""
+
+    observation_space: Any
+    pi_features_extractor: Any
+
+    def __init__(
+        self, observation_space: Any, action_space: Any, lr_schedule: Any, *, own: int, **settings: Any
+    ) -> None:
+        sides = {"features_extractor_class": _Side, "features_extractor_kwargs": {"own": own}}
+        settings = {**settings, **sides, "share_features_extractor": False}
+        super().__init__(observation_space, action_space, lr_schedule, **settings)  # type: ignore[call-arg]
+        self.pi_features_extractor.is_actor = True
+
+    @property
+    def own(self) -> int:
+        """How many numbers the agent's observation has."""
+        return int(self.pi_features_extractor.own)
+
+    def obs_to_tensor(self, observation: Any) -> tuple[torch.Tensor, bool]:
+        """Stable-Baselines3's, of an agent's observations, too: behind them nothing stands."""
+        behind = self.observation_space.shape[0] - observation.shape[-1]
+        padded = np.pad(observation, [(0, 0)] * (observation.ndim - 1) + [(0, behind)])
+        found: tuple[torch.Tensor, bool] = super().obs_to_tensor(padded)  # type: ignore[misc]
+        return found
 
 
-class CentralisedPolicy(ActorCriticPolicy):
+class CentralisedPolicy(_Centralised, ActorCriticPolicy):
     """PPO's policy with a critic that sees the state.
 
     Args:
@@ -57,20 +80,6 @@ class CentralisedPolicy(ActorCriticPolicy):
         settings: more of Stable-Baselines3's, but the feature extractors.
     """
 
-    def __init__(
-        self, observation_space: Any, action_space: Any, lr_schedule: Any, *, own: int, **settings: Any
-    ) -> None:
-        super().__init__(observation_space, action_space, lr_schedule, **_sides(settings, own))
-        assert isinstance(self.pi_features_extractor, _Side), "as it was made"
-        self.pi_features_extractor.is_actor = True
 
-
-class MaskableCentralisedPolicy(MaskableActorCriticPolicy):
+class MaskableCentralisedPolicy(_Centralised, MaskableActorCriticPolicy):
     """The same of MaskablePPO's policy."""
-
-    def __init__(
-        self, observation_space: Any, action_space: Any, lr_schedule: Any, *, own: int, **settings: Any
-    ) -> None:
-        super().__init__(observation_space, action_space, lr_schedule, **_sides(settings, own))
-        assert isinstance(self.pi_features_extractor, _Side), "as it was made"
-        self.pi_features_extractor.is_actor = True

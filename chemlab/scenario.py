@@ -895,8 +895,6 @@ def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
     # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
     _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
     pairs = load_pairs(folder / file for file in spec.pair_files)
-    if spec.physics != "paper":
-        pairs = {**shipped_pairs(), **pairs}
     return _equipped(spec, known, family, pairs, where)
 
 
@@ -932,7 +930,8 @@ def _equipped(
         check_without_real(kept, where)
         present, kept = _of_paper(present, kept, where)
     else:
-        spec._pairs = {names: pair for names, pair in pairs.items() if names <= set(present)}
+        every = {**shipped_pairs(), **pairs}
+        spec._pairs = {names: pair for names, pair in every.items() if names <= set(present)}
     spec._materials = present
     spec._family = kept
     spec._origin = where

@@ -16,7 +16,7 @@ from typing import Any
 
 from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
 from chemlab.agents.runs import find_runs
-from chemlab.files import replace_between
+from chemlab.files import replace_between, write_text
 
 __all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "effort", "table"]
 
@@ -95,7 +95,7 @@ def _play(results: Path, budget: str) -> None:
         command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
         subprocess.run(command, check=True, cwd=results)
     written = json.loads((results / "benchmark" / "leaderboard.json").read_text(encoding="utf-8"))
-    LEADERBOARD.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    write_text(LEADERBOARD, json.dumps(written, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -73,11 +73,9 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
-    besides = model.observation_space.shape[0] - policy.card.observation_size  # what its critic was shown
-    shown = np.pad(observation, ((0, 0), (0, besides)))
-    theirs, ours = _outputs(model, shown), policy.values(observation)
+    theirs, ours = _outputs(model, observation), policy.values(observation)
     nothing = np.zeros(len(observation), dtype=np.int64)
-    played = np.asarray(model.predict(shown, deterministic=True)[0])
+    played = np.asarray(model.predict(observation, deterministic=True)[0])
     actions = policy.act(observation, None, nothing, nothing)
     if policy.card.output == "argmax":
         if not (hasattr(model.policy, "q_net") or hasattr(model.policy, "quantile_net")):

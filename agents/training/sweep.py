@@ -75,7 +75,7 @@ class Status:
 
 
 def plan(file: Path, out: Path) -> list[Planned]:
-    """The runs of a sweep file, in the order in which they are run.
+    """The runs of a sweep file, in the order in which they are run: the first seed of everything comes first.
 
     Raises:
         DataError: the file is missing or not TOML.
@@ -89,13 +89,14 @@ def plan(file: Path, out: Path) -> list[Planned]:
             f"{file}: needs [[runs]] tables, and may have [defaults]; found {', '.join(content) or 'nothing'}"
         )
     found: dict[Path, Planned] = {}
+    turns: dict[Path, int] = {}
     defaults = content.get("defaults", {})
     for number, table in enumerate(tables, start=1):
         where = f"{file}: runs {number}"
         if not isinstance(table, dict) or not isinstance(defaults, dict):
             raise DataError(f"{where}: [[runs]] and [defaults] must be tables")
         values = {**defaults, **table}
-        for seed in _seeds(values.get("seeds", 1), where):
+        for turn, seed in enumerate(_seeds(values.get("seeds", 1), where)):
             for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
                 own = {k: v for k, v in values.items() if k not in _OWN}
                 arguments = TrainArguments.of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
@@ -105,9 +106,10 @@ def plan(file: Path, out: Path) -> list[Planned]:
                 if path in found and found[path].arguments != arguments:
                     raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
                 found.setdefault(path, one)
+                turns.setdefault(path, turn)
                 if len(found) > _MOST_RUNS:
                     raise DataError(f"{where}: more than {_MOST_RUNS} runs")
-    return list(found.values())
+    return [found[path] for path in sorted(found, key=turns.__getitem__)]
 
 
 def _folder(arguments: TrainArguments, label: str, where: str) -> Path:

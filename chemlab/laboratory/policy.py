@@ -129,24 +129,17 @@ class _RecurrentModel:
 
 
 class _Model:
-    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them.
-
-    In training a critic may have been shown more, behind the observation: nothing stands there.
-    """
+    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them."""
 
     def __init__(self, model: Any, deterministic: bool = True) -> None:
         self._model, self._deterministic = model, deterministic
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
-        own = getattr(getattr(getattr(model, "policy", None), "pi_features_extractor", None), "own", None)
-        self._behind = 0 if own is None else model.observation_space.shape[0] - own
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
-        if self._behind:
-            observation = np.pad(observation, ((0, 0), (0, self._behind)))
         actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
         return np.asarray(actions)
 

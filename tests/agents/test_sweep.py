@@ -64,9 +64,9 @@ def test_order_and_folders(tmp_path: Path) -> None:
     )
     runs = plan(file, tmp_path / "out")
     cells = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "dqn")]
-    middle = [f"{cell}/seed-{seed}" for seed in (0, 1) for cell in cells]
+    first, second = ([f"{cell}/seed-{seed}" for cell in cells] for seed in (0, 1))
     last = ["WurtzExtraction/ppo-xl/seed-0", "salt_from_oil-ext/ppo-lab/seed-0"]
-    assert [one.name for one in runs] == ["WurtzReaction/ppo/seed-3", *middle, *last]
+    assert [one.name for one in runs] == ["WurtzReaction/ppo/seed-3", *first, *last, *second]
     assert [one.arguments.steps for one in runs[:2]] == [64, 100_000]
     assert runs[-2].arguments.envs == 2, "the file's defaults win over the preset's"
     assert runs[0].run.path == tmp_path / "out" / "WurtzReaction" / "ppo" / "seed-3"
