@@ -335,6 +335,19 @@ def test_a_jacket_brings_nothing_past_its_own_temperature(mol: float, jacket: fl
         assert min(jacket, 303.0) - 1e-9 <= glass.rows[0, TEMPERATURE] <= max(jacket, 303.0) + 1e-9
 
 
+@pytest.mark.parametrize("charge", [charge for charge, _ in CHARGES.values()], ids=list(CHARGES))
+def test_a_lot_of_heat_boils_off_what_it_does_little_by_little(charge: dict[str, float]) -> None:
+    """What short steps leave is the limit of long ones."""
+    at_once, slowly = Glass(*charge), Glass(*charge)
+    for glass, times in ((at_once, 3), (slowly, 150)):
+        glass.fill(0, charge)
+        for _ in range(times):
+            glass.heat(1.25e5 / times)
+    for name, mol in charge.items():
+        assert at_once.mol(0, name) == pytest.approx(slowly.mol(0, name), abs=0.006 * mol)
+    assert at_once.rows[0, TEMPERATURE] == pytest.approx(slowly.rows[0, TEMPERATURE], abs=0.6)
+
+
 def test_salts_fall_out_while_their_water_boils_away() -> None:
     """What superheated brine leaves holds no more than its water dissolves, and its heat has been paid for: nothing is
     left to fall out afterwards, and cool it, when it is stirred."""

@@ -24,7 +24,7 @@ from .vapor import bubble_point, latent_heat, write_back
 
 __all__ = ["evaporate", "heat"]
 
-_STEP = 0.08
+_STEP = 0.15
 """Share of the liquid that may boil off in a step of the integration (second order)."""
 _MOST_STEPS = 400
 _MOST_ATTEMPTS = 6
@@ -65,10 +65,11 @@ def _boil(
     row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
 ) -> tuple[float, float]:
     """A step of the integration, by the midpoint, of at most ``left`` joules: leaves the pot's amounts in ``liquids``,
-    those that it had in ``still.before``. Returns the joules that went into vapour and into the pot's warmth."""
+    those that it had in ``still.before``. Returns the joules that went into vapour, and by how many K the pot follows
+    its boiling point; vapour leaves it halfway."""
     chemistry = opened(RealChemistry, chem)
     ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
-    mol, spent, warming = 0.0, 0.0, 0.0
+    mol, spent, rise = 0.0, 0.0, 0.0
     for a in range(n):
         before[a] = liquids.mol[a]
         mol += _STEP * liquids.mol[a]
@@ -84,22 +85,22 @@ def _boil(
         if still.trays > 0:
             overhead(n, still.trays, still.returned, True, chem, liquids, still.ladder, partial)
         evaporate(n, mol, partial, before, halfway, liquids)
-        spent, after = 0.0, heat_capacity(row, chem)
+        # The pot goes along with its boiling point, as hot as what heats it.
+        rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
+        spent, warming = 0.0, rise * heat_capacity(row, chem)
         for a in range(n):
             i = int(liquids.who[a])
             gone = before[a] - liquids.mol[a]
-            spent += gone * on_curve(chemistry.vaporizing, i, boiling, chem)
-            after -= gone * chemistry.heat_capacity[i]
+            spent += gone * on_curve(chemistry.vaporizing, i, boiling + 0.5 * rise, chem)
+            warming -= 0.5 * rise * gone * chemistry.heat_capacity[i]
         spent *= 1.0 + still.returned
-        # The pot goes along with its boiling point, as hot as what heats it.
-        warming = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0) * max(after, 0.0)
         if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
             break
         mol *= _SHORT * left / (spent + warming)
         for a in range(n):
             liquids.mol[a] = before[a]
         bubble_point(n, ambient, boiling, chem, liquids, partial)
-    return spent, warming
+    return spent, rise
 
 
 @inner
@@ -161,19 +162,21 @@ def heat(
         if left <= _TRIFLE * joules:
             hottest = boiling
             break
-        spent, warming = _boil(row, n, boiling, left, boiled, still, chem, liquids)
+        spent, rise = _boil(row, n, boiling, left, boiled, still, chem, liquids)
         for a in range(n):
             gone = before[a] - liquids.mol[a]
             distilled[a] += gone
-            sensible = chemistry.heat_capacity[int(liquids.who[a])] * (boiling - chemistry.ambient_temperature)
-            condenser += gone * sensible
+            capacity = gone * chemistry.heat_capacity[int(liquids.who[a])]
+            condenser += capacity * (boiling + 0.5 * rise - chemistry.ambient_temperature)
+            left -= 0.5 * rise * capacity
         condenser += spent
         left -= spent
         boiled = True
         write_back(row, n, chem, liquids)
-        warming = min(warming, left)  # below 0 if the vapour took more than there was: from the pot's own heat
+        capacity = max(heat_capacity(row, chem), 1e-9)
+        warming = min(rise * capacity, left)  # below 0 if the vapour took more than there was: from the pot's own heat
         left -= warming
-        row[TEMPERATURE] += warming / max(heat_capacity(row, chem), 1e-9)
+        row[TEMPERATURE] += warming / capacity
         let_salts_fall_out(row, chem)
     if boiled:
         for a in range(n):
