@@ -1,8 +1,8 @@
 """Put the table of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
 With ``--play RESULTS`` it first has ``chemlab benchmark`` play what was trained there (``experiments/worlds.toml``,
-``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario the runs, where none of them is unfinished. What
-has been played is kept in ``RESULTS/benchmark``; its leaderboard is copied to ``docs/results/leaderboard.json``.
+``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario the runs, where none of them is unfinished.
+What has been played is kept in ``RESULTS/benchmark``; its leaderboard is copied to ``docs/results/leaderboard.json``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Turns per second of training on RLlib with 1 and 2 env runners.
+"""Turns per second of training on RLlib with 1 and 2 env runners; and the manager's view, one by one and in a batch.
 
 Run ``python tests/benchmarks/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a look, ``--update PAGE`` to
 write the table between its marks). The runs stand side by side and take turns, a round each, so that whatever else the
@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import torch
 
 from chemlab.agents.executors import connected
@@ -31,6 +32,7 @@ from chemlab.scenario import load_scenario
 
 STILL = 1e-9
 """A learning rate that moves nothing."""
+VIEW, LABORATORIES = "chemlab/LabManager-v0", 64
 
 
 class Timed:
@@ -89,6 +91,35 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
     return rows
 
 
+def _view(settings: Any) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]:
+    """The manager's view: a batch where a runner asks for one."""
+    if "num_envs" in settings:
+        return gymnasium.make_vec(VIEW, settings["num_envs"], vectorization_mode="vector_entry_point")
+    return gymnasium.make(VIEW)
+
+
+def inside(rounds: int) -> dict[str, float]:
+    """Decisions a second that one runner gathers of :data:`LABORATORIES` laboratories, one by one and in a batch."""
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+    from ray.tune.registry import register_env
+
+    register_env("view", _view)
+    runners = {}
+    for mode in ("sync", "vector_entry_point"):
+        config = PPOConfig().environment("view")
+        config = config.env_runners(num_envs_per_env_runner=LABORATORIES, gym_env_vectorize_mode=mode)
+        runners[mode] = SingleAgentEnvRunner(config=config)
+    rates: dict[str, list[float]] = {mode: [] for mode in runners}
+    turns = 32 * LABORATORIES
+    for _ in range(rounds + 1):
+        for mode, runner in runners.items():
+            begun = Timed.clock()
+            runner.sample(num_timesteps=turns)
+            rates[mode].append(turns / (Timed.clock() - begun))
+    return {mode: statistics.median(found[1:]) for mode, found in rates.items()}
+
+
 def table(rows: list[dict[str, Any]]) -> list[str]:
     """Markdown."""
     first = rows[0]
@@ -110,11 +141,19 @@ def main() -> None:
     given = parser.parse_args()
     roles = tuple(given.roles) if given.roles else None
     load = os.getloadavg()[0]
-    rows = measure(given.scenario, roles, (1, 2), 3 if given.quick else given.rounds, 4096)
+    rounds = 3 if given.quick else given.rounds
+    rows = measure(given.scenario, roles, (1, 2), rounds, 4096)
+    views = inside(rounds)
     if given.json:
-        print(json.dumps({"rows": rows, "cores": os.cpu_count(), "load": load}))
+        print(json.dumps({"rows": rows, "views": views, "cores": os.cpu_count(), "load": load}))
         return
-    lines = [*table(rows), "", f"{os.cpu_count()} cores; load average {load:.1f} before."]
+    one, batch = views.values()
+    lines = [
+        *table(rows),
+        "",
+        f"{LABORATORIES} laboratories in a runner, the manager's view: {one:,.0f} decisions gathered a second one by "
+        f"one, {batch:,.0f} ({batch / one:.2f}x) as a batch. {os.cpu_count()} cores; load average {load:.1f} before.",
+    ]
     print("\n".join(lines))
     if given.update is not None:
         replace_between(given.update, "rllib-scaling", lines)

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -20,8 +21,11 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install "chemlab-m
 
 import ray
 import torch
+from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
+from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+from ray.tune.registry import register_env
 
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
@@ -250,6 +254,56 @@ def test_rllib_collects_what_was_played(cluster: None) -> None:
         ]
         found += any(alike(tape, own) for tape in same)
     assert found == len(ended)
+
+
+BATCHES: list[_TapedBatch] = []
+
+
+class _TapedBatch(gymnasium.vector.VectorWrapper):
+    """Keeps the transitions of each member; a member's step after an episode's end begins the next one and is none."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.played: list[tuple[bytes, int, float]] = []
+
+    def reset(self, **arguments: Any) -> Any:
+        self._seen, infos = super().reset(**arguments)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._seen = self._seen.copy()
+        return self._seen, infos
+
+    def step(self, actions: Any) -> Any:
+        seen, rewards, terminated, truncated, infos = super().step(actions)
+        for m in np.flatnonzero(~self._ended):
+            self.played.append((self._seen[m].tobytes(), int(actions[m]), float(rewards[m])))
+        self._ended, self._seen = terminated | truncated, seen.copy()
+        return seen, rewards, terminated, truncated, infos
+
+
+def _managers(settings: Any) -> _TapedBatch:
+    count = settings["num_envs"]
+    BATCHES.append(
+        _TapedBatch(gymnasium.make_vec("chemlab/LabManager-v0", count, vectorization_mode="vector_entry_point"))
+    )
+    return BATCHES[-1]
+
+
+def test_rllib_collects_what_a_batch_has_played(cluster: None) -> None:
+    """A batch of laboratories inside a runner: what is collected are the batch's transitions, no more and no fewer."""
+    BATCHES.clear()
+    register_env("managers", _managers)
+    config = PPOConfig().environment("managers").env_runners(num_envs_per_env_runner=5)
+    runner = SingleAgentEnvRunner(config=config.env_runners(gym_env_vectorize_mode="vector_entry_point"))
+    chunks = [chunk for _ in range(4) for chunk in runner.sample(num_timesteps=100)]
+    collected = [
+        (seen.tobytes(), int(action), float(reward))
+        for chunk in chunks
+        for seen, action, reward in zip(
+            chunk.get_observations()[:-1], chunk.get_actions(), chunk.get_rewards(), strict=True
+        )
+    ]
+    assert sum(chunk.is_done for chunk in chunks) >= 5
+    assert sorted(collected) == sorted(BATCHES[-1].played)
 
 
 def alike(tape: dict[str, list[Any]], collected: dict[str, list[Any]]) -> bool:
