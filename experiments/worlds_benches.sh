@@ -2,6 +2,7 @@
 # Benches that learn in the running laboratory, under the scripted manager: clones of the scripted ones, half for their own
 # experiments and half for the laboratory's score. From the repository's root, and again to go on:
 # bash experiments/worlds_benches.sh [RESULTS [SEED ...]]
+# Those of the first seed that are better than scripted ones come with chemlab.
 set -euo pipefail
 results=${1:-results}
 seeds=${*:2}
@@ -18,11 +19,16 @@ learn() { # SCENARIO STEPS ROLE ...
 
 for seed in ${seeds:-0 1 2 3 4}; do
     learn runaway 2500000 rxn
-    learn relay 1500000 rxn fin
+    learn relay 4000000 rxn fin
     learn rush 1500000 rxn
     learn unlabelled 300000 rxn
     learn selectivity 300000 rxn
     learn campaign 500000 rxn
     learn failing 500000 east west
     learn crude 300000 ext dit
+done
+
+for learned in runaway:rxn selectivity:rxn relay:rxn relay:fin; do
+    scenario=${learned%:*} role=${learned#*:}
+    chemlab export "$results/$scenario-joint/benches/seed-0" --role "$role" --out "agents/models/${scenario}_${role}"
 done
