@@ -2,7 +2,7 @@
 # Benches that learn in the running laboratory, under the scripted manager: clones of the scripted ones, half for their own
 # experiments and half for the laboratory's score. From the repository's root, and again to go on:
 # bash experiments/worlds_benches.sh [RESULTS [SEED ...]]
-# Those of the first seed that are better than scripted ones come with chemlab.
+# Those of the first seed that are better than scripted ones, and as safe, come with chemlab.
 set -euo pipefail
 results=${1:-results}
 seeds=${*:2}
@@ -28,7 +28,6 @@ for seed in ${seeds:-0 1 2 3 4}; do
     learn crude 300000 ext dit
 done
 
-for learned in runaway:rxn selectivity:rxn relay:rxn relay:fin; do
-    scenario=${learned%:*} role=${learned#*:}
-    chemlab export "$results/$scenario-joint/benches/seed-0" --role "$role" --out "agents/models/${scenario}_${role}"
+for scenario in runaway selectivity; do
+    chemlab export "$results/$scenario-joint/benches/seed-0" --role rxn --out "agents/models/${scenario}_rxn"
 done

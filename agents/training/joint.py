@@ -28,6 +28,7 @@ from chemlab.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.global_state import GlobalState
 from chemlab.laboratory.policy import Players, as_policy
+from chemlab.laboratory.starts import goals_met
 from chemlab.laboratory.state import RUNNING
 from chemlab.scenario import Scenario
 
@@ -348,7 +349,7 @@ class _Team(LaboratoryTrainee):
                     self.learners[role].model,
                     self.labs.role(number),
                     self._config,
-                    goals=list(self.scenario.goals if number else self.scenario.lab_goals),
+                    goals=goals_met(self.scenario, role) if number else list(self.scenario.lab_goals),
                     starts="lab",
                     step=progress.step,
                     command=self.arguments.command_line(),

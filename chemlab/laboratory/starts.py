@@ -28,7 +28,17 @@ from ..scenario import Scenario, shipped_file
 from ..shelf import Shelf
 from ..tables import Table
 
-__all__ = ["SUBMIT", "Start", "StartPool", "draw_start", "lab_starts", "start_pool", "starts_file", "write_starts"]
+__all__ = [
+    "SUBMIT",
+    "Start",
+    "StartPool",
+    "draw_start",
+    "goals_met",
+    "lab_starts",
+    "start_pool",
+    "starts_file",
+    "write_starts",
+]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FILE_BYTES = 20_000_000
@@ -170,6 +180,18 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
                 raise DataError(f"{path}: benches.{bench}.{goal}: vessel {i}: unknown {min(unknown)!r}; {again}")
             vessels.append(start)
     return vessels
+
+
+def goals_met(scenario: Scenario, bench: str) -> list[str]:
+    """The goals that a bench has recorded vessels of, in the scenario's order; all goals where nothing is recorded.
+
+    Raises:
+        DataError: the file does not fit the scenario.
+    """
+    if not starts_file(scenario).is_file():
+        return list(scenario.goals)
+    met = {start.goal for start in lab_starts(scenario, bench)}
+    return [goal for goal in scenario.goals if goal in met]
 
 
 def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:

@@ -233,6 +233,11 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
             export_run(tmp_path / "run", tmp_path / "other", role)
 
 
+def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:
+    train_together(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("fin",), "steps": 40}), tmp_path / "run")
+    assert export_run(tmp_path / "run", tmp_path / "mine", "fin").goals == ["E"]
+
+
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
     """In the state are what the world hides, too; what plays was given the same at whatever state, and is exported."""
     arguments = JointArguments(**SMALL, scenario="rush", critic="state")
