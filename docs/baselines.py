@@ -18,7 +18,7 @@ from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenari
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
 
-__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "effort", "table"]
+__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "table"]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
@@ -50,7 +50,8 @@ def _cell(line: dict[str, Any] | None) -> str:
     return f"{line['value']:.2f} [{line['low']:.2f}, {line['high']:.2f}]{runs}"
 
 
-def _markdown(rows: list[list[str]]) -> list[str]:
+def markdown(rows: list[list[str]]) -> list[str]:
+    """A table's lines; the first row is its head, the first column words, the others numbers."""
     head, *body = rows
     return [f"| {' | '.join(row)} |" for row in [head, ["---"] + ["--:"] * (len(head) - 1), *body]]
 
@@ -62,7 +63,7 @@ def table() -> list[str]:
     rows = [["scenario", *names.values()]]
     for scenario in world_scenarios():
         rows.append([f"`{scenario}`", *(_cell(lines.get((scenario, name))) for name in names)])
-    return _markdown(rows)
+    return markdown(rows)
 
 
 def effort() -> list[str]:
@@ -78,20 +79,25 @@ def effort() -> list[str]:
             numbers = [str(best["runs"]), f"{best['steps']:,}", f"{best['hours']:.2f}"]
             scores = [f"{one['value']:.2f}" for one in (best, last)]
             rows.append([f"`{scenario}`, {name}", *numbers, *scores, f"{gap['value']:+.2f}"])
-    return _markdown(rows)
+    return markdown(rows)
+
+
+def finished(results: Path, scenario: str) -> list[str]:
+    """Folders of runs below ``results`` of which none is unfinished; tells of the others."""
+    chosen = []
+    for folder in (f"{scenario}-{learner}" for learner in LEARNERS):
+        runs = find_runs(results / folder) if (results / folder).is_dir() else []
+        if runs and all(run.result() is not None for run in runs):
+            chosen.append(folder)
+        else:
+            print(f"{folder}: {'unfinished' if runs else 'not begun'}", flush=True)
+    return chosen
 
 
 def _play(results: Path, budget: str) -> None:
     """Have the command play everything that has been trained to its end."""
     for scenario in world_scenarios():
-        chosen = []
-        for learner in LEARNERS:
-            folder = Path(f"{scenario}-{learner}")
-            runs = find_runs(results / folder) if (results / folder).is_dir() else []
-            if runs and all(run.result() is not None for run in runs):
-                chosen += ["--policy", folder.as_posix()]
-            else:
-                print(f"{folder}: {'unfinished' if runs else 'not begun'}", flush=True)
+        chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
         words = ["benchmark", scenario, "--policy", "heuristic", *chosen, "--budget", budget, "--records", "0"]
         command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
         subprocess.run(command, check=True, cwd=results)

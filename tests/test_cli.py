@@ -409,6 +409,8 @@ OUTPUTS: dict[str, list[str]] = {
     "audit": ["unlabelled", "--out"],
     "audit keep": ["unlabelled", "--keep"],
     "benchmark": ["unlabelled", "--out"],
+    "crossplay": ["unlabelled", "--out"],
+    "crossplay keep": ["unlabelled", "--keep"],
     "evaluate": ["fictitious", "--bench", "rxn", "--out"],
     "plan": ["fictitious", "--out"],
     "starts": ["fictitious", "--out"],
@@ -445,7 +447,7 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
     words = [str(record) if word == "RECORD" else word for word in OUTPUTS[command]]
     name = command.removesuffix(" keep").split()
     before = sorted(tmp_path.rglob("*"))
-    folder = command in ("audit keep", "benchmark", "figures")  # which write one
+    folder = command in ("audit keep", "benchmark", "crossplay keep", "figures")  # which write one
     for place in (f"file/below{ending}", *(() if folder else (f"folder{ending}",)), f"{'a' * 300}{ending}"):
         done = runner.invoke(app, [*name, *words, place])
         assert isinstance(done.exception, SystemExit), (place, done.exception)

@@ -74,7 +74,7 @@ def test_nothing_is_called_where_everything_is_compiled() -> None:
     compile_first([], 2, no_rehearsal, [no_rehearsal])
 
 
-@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "recrystallization", "unlabelled", "failing"])
+@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "recrystallization", "unlabelled", "failing", "relay"])
 def test_a_rehearsal_changes_nothing(scenario: str) -> None:
     labs = Laboratories(scenario, 2)
     for member in range(2):

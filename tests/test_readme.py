@@ -65,3 +65,17 @@ def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.Mo
     for line in leaderboard_lines(LEADERBOARD):
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"
         assert line["value"] is None or line["value"] <= 1.0
+
+
+@pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
+def test_tables_of_crossplay_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And of the scenarios as they are; every manager with all the benches."""
+    monkeypatch.syspath_prepend(str(README.parent / "docs"))
+    from crossplay import PAGE, drops, found, matrices
+
+    for rows in (matrices(), drops()):
+        assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/crossplay.py"
+    for one in found():
+        assert one["scenario_hash"] == scenario_hash(load_scenario(one["scenario"])), "play it again: --play"
+        assert len(one["cells"]) == len(one["managers"]) * len(one["benches"])
+        assert all(cell["value"] <= 1.0 for cell in one["cells"])

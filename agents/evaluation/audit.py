@@ -47,7 +47,7 @@ from chemlab.scenario import Scenario, load_scenario
 from ..runs import versions
 from . import statistics
 from .contention import CONTENDED
-from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, planner_jobs
+from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
 __all__ = ["GATES", "audit", "choosing_jobs", "job_count", "measure_rows", "measuring_jobs", "verdict"]
@@ -183,13 +183,11 @@ def _greatest(candidates: Mapping[str, FloatArray | None]) -> tuple[str, FloatAr
 
 
 def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) -> dict[str, Any]:
-    chunks = sorted((name for name in found if name.startswith("foresee-")), key=lambda n: int(n.partition("-")[2]))
-    foreseen = np.concatenate([np.array(found[name]["scores"]) for name in chunks])
-    curve = np.concatenate([np.array(found[name]["curves"]) for name in chunks])
+    curve = foreseen(found, "curves")
     plan, test = np.array(found["plan"]["scores"]), np.array(found["test"]["scores"])
     random = np.array(found["random"]["scores"])
     # Whoever knows the world can do what the others did there.
-    clairvoyant = np.maximum.reduce([foreseen, test, plan])
+    clairvoyant = np.maximum.reduce([foreseen(found), test, plan])
     scale = Scale(random, clairvoyant)
     ways = {"replay": _scores(found, "replay"), "plan": plan, "everybody": np.array(found["plan"]["everybody"])}
     way, blind = _greatest(ways)

@@ -57,7 +57,7 @@ from ..plans import ConstantPlan
 from ..policies import make_policies
 from ..runs import Run, differences, find_runs, versions
 from . import statistics
-from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, planner_jobs
+from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
 __all__ = [
@@ -68,6 +68,8 @@ __all__ = [
     "find_rows",
     "leaderboard_lines",
     "part_count",
+    "provenance",
+    "reference_jobs",
     "world_scenarios",
     "write_benchmark",
 ]
@@ -190,7 +192,8 @@ def _file_name(text: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)[-120:]
 
 
-def _reference_jobs(spec: Scenario, split: str) -> list[Job]:
+def reference_jobs(split: str) -> list[Job]:
+    """Random play, and the best constant plan, in worlds of a split."""
     test = {"split": split, "seed": AUDIT_SEED}
     plan = {} if split == "test" else {"split": split}  # as an audit has it, which may have played it already
     return [Job("plan", "plan", plan), Job("random", "play", {"policy": "random", **test})]
@@ -213,7 +216,7 @@ def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: Audit
     """How many parts a benchmark has."""
     blocks = _blocks(budget.episodes, seeds)
     return sum(
-        len(_reference_jobs(spec, split))
+        len(reference_jobs(split))
         + len(planner_jobs(budget, [], split))
         + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
         for spec in scenarios
@@ -269,24 +272,16 @@ def benchmark(
         folder = None if keep is None else keep / spec.name
         crew = Crew(spec, chosen, folder, executor, watch)
         fitting = _fitting(spec, rows)
-        played = crew.run([*_reference_jobs(spec, split), *_row_jobs(spec, fitting, blocks, split)])
+        played = crew.run([*reference_jobs(split), *_row_jobs(spec, fitting, blocks, split)])
         planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
         found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split)
     return {
         "kind": "benchmark",
         "format": 1,
-        "split": split,
+        **provenance(budget, chosen, split),
         "seeds": seeds,
-        "budget": budget if isinstance(budget, str) else "own",
-        **{f"budget_{key}": value for key, value in vars(chosen).items()},
-        "seed": AUDIT_SEED,
         "baseline": baseline,
-        "confidence": statistics.CONFIDENCE,
-        "resamples": statistics.RESAMPLES,
         "thresholds": _THRESHOLDS.tolist(),
-        "versions": versions(),
-        "commit": _commit(),
-        "hardware": _hardware(),
         "scenarios": found,
         "rows": [_summary(name, found, baseline, _row_named(rows, name)) for name in names],
     }
@@ -306,8 +301,6 @@ def _cells(
     split: str,
 ) -> dict[str, Any]:
     """What everybody has come to in one scenario."""
-    order = sorted(planned, key=lambda name: int(name.partition("-")[2]))
-    foreseen = np.concatenate([np.array(planned[name]["scores"]) for name in order])
     scores: dict[str, FloatArray | str] = {
         "random": np.array(played["random"]["scores"]),
         "plan": np.array(played["plan"]["scores"]),
@@ -325,7 +318,7 @@ def _cells(
             gaps[row.name] = np.concatenate([part["scores"] for part in train])
     # Whoever knows the world can do what the others did there.
     known = [values for values in scores.values() if not isinstance(values, str)]
-    scores["clairvoyant"] = np.maximum.reduce([foreseen, *known])
+    scores["clairvoyant"] = np.maximum.reduce([foreseen(planned), *known])
     scale = Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
     # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
     scales = [
@@ -374,6 +367,27 @@ def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> di
         "mean": statistics.mean(own).as_dict(),
         "improvement": None if name == baseline else statistics.probability_of_improvement(own, other).as_dict(),
         "profile": [estimate.as_dict() for estimate in profile],
+    }
+
+
+def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> dict[str, Any]:
+    """How findings were made: worlds, episodes, statistics, versions, machine.
+
+    Args:
+        budget: as it was given.
+        chosen: what that is.
+        split: worlds.
+    """
+    return {
+        "split": split,
+        "budget": budget if isinstance(budget, str) else "own",
+        **{f"budget_{key}": value for key, value in vars(chosen).items()},
+        "seed": AUDIT_SEED,
+        "confidence": statistics.CONFIDENCE,
+        "resamples": statistics.RESAMPLES,
+        "versions": versions(),
+        "commit": _commit(),
+        "hardware": _hardware(),
     }
 
 

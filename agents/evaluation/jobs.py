@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from chemlab.arrays import FloatArray
 from chemlab.datafile import DataError, read_json
 from chemlab.datamodel import validated
 from chemlab.files import write_text
@@ -31,7 +32,7 @@ from ..runs import versions
 from .contention import CONTENDED, Contention
 from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
 
-__all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "planner_jobs"]
+__all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "foreseen", "planner_jobs"]
 
 AUDIT_SEED = 4_000_000
 """Of the first episode that is scored: seeds that neither training nor a search plays."""
@@ -240,6 +241,13 @@ def planner_jobs(budget: AuditBudget, plans: list[Any], split: str = "test") -> 
     other = {} if split == "test" else {"split": split}
     firsts = range(0, budget.episodes, _CHUNK)
     return [Job(f"foresee-{first}", "foresee", {"first": first, "plans": plans, **other}) for first in firsts]
+
+
+def foreseen(found: Mapping[str, dict[str, Any]], what: str = "scores") -> FloatArray:
+    """The planner's best of each episode, [E], or its ``curves``, [E, tenths of the budget], of what jobs came to."""
+    names = [name for name in found if name.startswith("foresee-")]
+    order = sorted(names, key=lambda name: int(name.partition("-")[2]))
+    return np.concatenate([np.array(found[name][what]) for name in order])
 
 
 def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:

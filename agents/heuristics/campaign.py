@@ -94,6 +94,8 @@ class CampaignManager(ScriptedManager[_Belief]):
             slots = [s for s in range(self._actions.slots) if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
             self._kept[member] = _Belief(self._prior(), slots=slots)
         belief = self._kept[member]
+        if belief.batch == len(self._orders):
+            belief.batch = 0  # and yet it is not over: somebody else has acted in its place
         slot = belief.slots[min(belief.batch, len(belief.slots) - 1)] if belief.slots else 0
         if belief.waiting:
             belief.waiting = False

@@ -173,6 +173,9 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             if self._value(observation, f"{belief.running[1]}_busy") > 0.5:
                 return wait
             belief.running = None
+        if belief.gone and len(belief.gone) == len(belief.slots):
+            # And yet it is not over: somebody else has acted in its place. What is there now?
+            belief = self._kept[member] = self._begin(observation)
         if not belief.slots:
             return wait
         goal = self._goal(observation, belief)

@@ -693,7 +693,9 @@ class Laboratories:
         manager_observe(members, *self._handles(), out, rows)
         if self._reporting:
             reports = self.state.report[members][:, self._reporting]
-            out[rows, self._reports_from : self._own_channels] = reports.reshape(len(members), -1)
+            out[rows, self._reports_from : self._own_channels] = reports.reshape(
+                len(members), self._own_channels - self._reports_from
+            )
         at = self._own_channels
         channels = self.channels[len(self.channels) - len(self._added) :]
         for (name, part), channel in zip(self._added.items(), channels, strict=True):

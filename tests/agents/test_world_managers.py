@@ -185,6 +185,15 @@ def test_memories_are_put_back() -> None:
         assert (labs.result(labs.members) == scores).all()
 
 
+@pytest.mark.parametrize("scenario", ["campaign", "runaway"])
+def test_who_lapses_goes_on(scenario: str) -> None:
+    """Also where what was meant to be submitted is there still, when all should be over."""
+    labs = Laboratories(scenario, 12, split="test")
+    played = play_laboratory(labs, make_policies("heuristic,manager=heuristic@0.3", labs, 1), None, 0)
+    assert labs.state.status.all()
+    assert np.isfinite(played.returns).all()
+
+
 def test_nobody_forgets_who_has_nothing_to_remember() -> None:
     with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled has nothing to forget"):
         make_policies("forgetful", Laboratories("unlabelled"))

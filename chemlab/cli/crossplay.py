@@ -1,0 +1,109 @@
+"""The command crossplay: managers with benches that they have not learned with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..files import check_folder, check_target, write_text
+from .common import (
+    AddressOption,
+    JsonOption,
+    ProcessesOption,
+    ScenarioArgument,
+    SplitOption,
+    TrustOption,
+    app,
+    readable_errors,
+)
+from .screen import counting, page, show_table
+
+__all__: list[str] = []
+
+
+@app.command()
+def crossplay(
+    scenario: ScenarioArgument,
+    manager: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Names as for `chemlab run`, a training run, or a folder of runs, each of which is one; repeat the "
+            "option. Default: heuristic, hasty, heuristic@0.1 (a random action at one turn in ten)."
+        ),
+    ] = None,
+    benches: Annotated[list[str] | None, typer.Option(help="The same for the benches.")] = None,
+    split: SplitOption = "test",
+    budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the results of finished parts: the same command goes on from there. An audit's, or "
+            "PARTS/SCENARIO of a benchmark, has the scale already."
+        ),
+    ] = None,
+    processes: ProcessesOption = None,
+    address: AddressOption = None,
+    output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the findings as JSON.")] = None,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Play each manager with each set of benches, and measure what learned policies lose with partners they never met.
+
+    Partners that they learned with are played, too, where they are not named. Scores are the benchmark's, from 0
+    (random) to 1 (knows the world), in the same worlds.
+    """
+    with readable_errors():
+        from ..agents.evaluation.crossplay import PARTNERS, crossplay_count, find_players
+        from ..agents.evaluation.crossplay import crossplay as play
+        from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.executors import executor
+        from ..scenario import load_scenario
+        from ..world import Split
+
+        Split.of(split)
+        spec = load_scenario(scenario)
+        if budget not in BUDGETS:
+            raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        if keep is not None:
+            check_folder(keep)
+        if output is not None:
+            check_target(output)
+        managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
+        with counting() as progress, executor(address, processes) as jobs:
+            task = progress.add_task("parts", total=crossplay_count(managers, crews, BUDGETS[budget], split))
+            found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
+    if as_json:
+        typer.echo(json.dumps(found))
+    else:
+        _show(found)
+    if output is not None:
+        write_text(output, json.dumps(found, indent=1) + "\n")
+
+
+def _show(found: dict[str, Any]) -> None:
+    """What people see: who the benches are, the matrix, the drops."""
+    from ..agents.evaluation.statistics import interval_text
+
+    names = [player["name"] for player in found["benches"]]
+    letters = {name: f"benches {i + 1}" for i, name in enumerate(names)}
+    show_table("", ("", "played by"), [(letter, name) for name, letter in letters.items()])
+    cells = {(cell["manager"], cell["benches"]): cell for cell in found["cells"]}
+    rows = []
+    for name in (player["name"] for player in found["managers"]):
+        own = [cells[name, other] for other in names]
+        rows.append((name, *(interval_text(cell, 2) + " *" * cell["together"] for cell in own)))
+    title = f"{found['scenario']}: {found['budget_episodes']} episodes, split {found['split']}; * have learned together"
+    show_table(title, ("manager", *letters.values()), rows, right=range(1, len(names) + 1))
+    drops = [
+        (
+            f"{one['side']} {one['policy']}",
+            *(interval_text(one[key], 2) for key in ("with_partner", "with_strangers", "drop")),
+        )
+        for one in found["drops"]
+    ]
+    if drops:
+        show_table("What strangers cost", ("who", "with its partner", "with strangers", "drop"), drops, right=(1, 2, 3))
+    page.print("0 is random play, 1 a planner that knows each episode's world.")

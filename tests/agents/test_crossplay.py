@@ -1,0 +1,196 @@
+"""Managers with benches they have not learned with: who plays, what each cell is, what strangers cost."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from chemlab.agents.evaluation.benchmark import Row, benchmark
+from chemlab.agents.evaluation.crossplay import crossplay, crossplay_count, find_players
+from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.agents.runs import Run
+from chemlab.cli import app
+from chemlab.laboratory.core import Laboratories
+from chemlab.record import verify_record
+from chemlab.scenario import load_scenario
+
+TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
+runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, Any], Path]:
+    """A benchmark, crossplay that goes on from its parts, and the folder of parts."""
+    keep = tmp_path_factory.mktemp("parts")
+    scored = benchmark(["unlabelled"], [Row("heuristic", ("heuristic",))], TINY, 1, keep=keep)
+    spec = load_scenario("unlabelled")
+    before = {path: path.stat().st_mtime_ns for path in (keep / "unlabelled").iterdir()}
+    managers, benches = find_players(spec, ["hasty", "heuristic"], ["heuristic", "heuristic@0.2", "hasty"])
+    seen: list[str] = []
+    found = crossplay(spec, managers, benches, TINY, keep=keep / "unlabelled", watch=seen.append)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert len(seen) == crossplay_count(managers, benches, TINY, "test")
+    assert len([*(keep / "unlabelled").iterdir()]) == len(before) + 6
+    return scored["scenarios"]["unlabelled"], found, keep / "unlabelled"
+
+
+def cell(found: dict[str, Any], manager: str, benches: str) -> dict[str, Any]:
+    (one,) = (one for one in found["cells"] if (one["manager"], one["benches"]) == (manager, benches))
+    return dict(one)
+
+
+def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
+    played: tuple[dict[str, Any], dict[str, Any], Path],
+) -> None:
+    scored, found, _ = played
+    row = scored["cells"]["heuristic"]
+    assert cell(found, "heuristic", "heuristic")["score"] == pytest.approx(row["score"], rel=1e-12)
+    span = found["clairvoyant"] - found["random"]
+    for one in found["cells"]:
+        assert one["value"] == pytest.approx((one["score"] - found["random"]) / span, rel=1e-9)
+        assert one["value"] <= 1.0
+
+
+def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], dict[str, Any], Path]) -> None:
+    """Put together by hand, agent by agent."""
+    labs = Laboratories("unlabelled", 5, split="test")
+    policies = make_policies("heuristic@0.2", labs, AUDIT_SEED)
+    policies["manager_0"] = make_policies("hasty", labs, AUDIT_SEED)["manager_0"]
+    scores = play_laboratory(labs, policies, None, AUDIT_SEED).returns
+    assert cell(played[1], "hasty", "heuristic@0.2")["score"] == pytest.approx(scores.mean(), rel=1e-12)
+
+
+def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path) -> None:
+    one = cell(played[1], "hasty", "heuristic")
+    words = ["run", "unlabelled", "--policy", one["policy"], "--split", "test", "--seed", str(AUDIT_SEED)]
+    words += ["--episodes", "5", "--json", "--record", str(tmp_path / "a.jsonl")]
+    done = runner.invoke(app, words)
+    assert done.exit_code == 0, done.output
+    scores = [json.loads(line)["score"] for line in done.output.splitlines()]
+    assert np.mean(scores) == pytest.approx(one["score"], rel=1e-9)
+    for path in tmp_path.iterdir():
+        assert verify_record(path).status == "ok"
+
+
+def test_a_drop_is_the_partners_score_less_the_mean_of_strangers(
+    played: tuple[dict[str, Any], dict[str, Any], Path],
+) -> None:
+    found = played[1]
+    drops = {(one["side"], one["policy"]): one for one in found["drops"]}
+    assert set(drops) == {("manager", "heuristic"), ("benches", "heuristic")}
+    one = drops["manager", "heuristic"]
+    assert one["strangers"] == ["heuristic@0.2", "hasty"]
+    apart = [cell(found, "heuristic", name)["value"] for name in one["strangers"]]
+    own = cell(found, "heuristic", "heuristic")
+    assert own["together"]
+    assert one["drop"]["value"] == pytest.approx(own["value"] - np.mean(apart), abs=1e-12)
+    assert one["drop"]["low"] <= one["drop"]["value"] <= one["drop"]["high"]
+    other = drops["benches", "heuristic"]
+    assert other["strangers"] == ["hasty"]
+    assert other["drop"]["value"] == pytest.approx(own["value"] - cell(found, "hasty", "heuristic")["value"], abs=1e-12)
+
+
+def test_partners_that_learning_had_are_played_too() -> None:
+    # The shipped manager of wurtz_dodecane has learned over benches that had learned alone, with nobody.
+    managers, benches = find_players(load_scenario("wurtz_dodecane"), ["trained"], ["heuristic"])
+    assert [(player.name, player.partner) for player in managers] == [
+        ("trained", "pretrained-alone"),
+        ("heuristic", "heuristic"),
+    ]
+    assert [(player.name, player.partner) for player in benches] == [
+        ("heuristic", "heuristic"),
+        ("pretrained-alone", None),
+    ]
+    # Benches of wurtz_any have learned in a running laboratory, under the scripted manager.
+    managers, benches = find_players(load_scenario("wurtz_any"), ["hasty"], ["pretrained", "pretrained@0.1"])
+    assert [player.name for player in managers] == ["hasty", "heuristic"]
+    assert [player.partner for player in benches] == ["heuristic", None, "heuristic"]
+
+
+def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
+    """Two managers with scripted benches behind them, and a run in which everybody has learned."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.training.arguments import JointArguments, TrainArguments
+    from chemlab.agents.training.joint import train_together
+    from chemlab.agents.training.learn import train
+
+    small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
+    small |= {"scenario": "unlabelled", "eval_episodes": 1, "final_episodes": 1}
+    for seed in (0, 1):
+        arguments = TrainArguments("chemlab/LabManager-v0", algo="maskable-ppo", seed=seed, **small)
+        train(arguments, tmp_path / "runs" / f"seed-{seed}")
+    train_together(JointArguments(**small), tmp_path / "team")
+    spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
+    managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["hasty", team])
+    first = tmp_path / "runs" / "seed-0"
+    assert [player.name for player in managers] == [str(first), str(tmp_path / "runs" / "seed-1"), team, "heuristic"]
+    assert managers[0].policy == str(Run(first).checkpoint("best"))
+    assert [player.partner for player in managers] == ["heuristic", "heuristic", team, "heuristic"]
+    assert [(player.name, player.partner) for player in benches] == [
+        ("hasty", None),
+        (team, team),
+        ("heuristic", "heuristic"),
+    ]
+    found = crossplay(spec, managers, benches, TINY)
+    labs = Laboratories(spec, 5, split="test")
+    scores = play_laboratory(labs, make_policies(team, labs), None, AUDIT_SEED).returns
+    assert cell(found, team, team)["score"] == pytest.approx(scores.mean(), rel=1e-12)
+    assert cell(found, team, team)["together"]
+    assert cell(found, str(first), "heuristic")["together"]
+    assert not cell(found, str(first), team)["together"]
+    strangers = {(one["side"], one["policy"]): one["strangers"] for one in found["drops"]}
+    assert strangers["manager", team] == ["hasty", "heuristic"]
+    assert strangers["manager", str(first)] == ["hasty", team]
+    with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'heuristic'"):
+        find_players(spec, ["heuristic"], [str(first)])
+    with pytest.raises(ValueError, match="given twice"):
+        find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["heuristic"])
+
+
+@pytest.mark.parametrize(
+    ("managers", "benches", "message"),
+    [
+        (["pretrained"], ["heuristic"], "manager: pretrained has none of its own: there it stands for 'heuristic'"),
+        (["heuristic"], ["direct"], "benches: direct has none of its own: there it stands for 'heuristic'"),
+        (["heuristic"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-alone'"),
+        (["heuristic,rxn=random"], ["heuristic"], "give one policy; benches are given with --benches"),
+        (["heuristic"], ["heuristic,manager=random"], "there it stands for 'heuristic'; give that"),
+        (["nobody"], ["heuristic"], "policy: known: heuristic, hasty"),
+        (["heuristic", "heuristic"], ["heuristic"], "manager: heuristic: given twice"),
+        (["serial"], ["heuristic"], "has no orders to choose from"),
+        (["heuristic"], ["fictitious_rxn"], "does not fit"),
+    ],
+)
+def test_who_cannot_play_is_refused(managers: list[str], benches: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        find_players(load_scenario("wurtz_dodecane"), managers, benches)
+
+
+def test_the_command(
+    played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(played[2], tmp_path / "parts")
+    monkeypatch.setitem(BUDGETS, "small", TINY)
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ["crossplay", "unlabelled", "--manager", "hasty", "--manager", "heuristic", "--processes", "1"]
+    words += [word for name in ("heuristic", "heuristic@0.2", "hasty") for word in ("--benches", name)]
+    words += ["--keep", str(tmp_path / "parts"), "--out", str(tmp_path / "found.json")]
+    done = runner.invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert max(map(len, done.output.splitlines())) <= 80
+    for text in ("hasty", "heuristic@0.2", "have learned together", "What strangers cost", "drop"):
+        assert text in done.output
+    written = json.loads((tmp_path / "found.json").read_text())
+    assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))
+    assert json.loads(runner.invoke(app, [*words, "--json"]).output) == written
+    done = runner.invoke(app, ["crossplay", "unlabelled", "--budget", "huge"])
+    assert done.exit_code == 2
+    assert "--budget: known: small, full; given 'huge'" in done.output
