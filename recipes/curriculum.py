@@ -12,22 +12,18 @@ Needs the extra ``train``.
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook
+from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
 
 from chemlab.agents.evaluation.play import LaboratoryTarget
-from chemlab.agents.runs import Run
 from chemlab.agents.training.arguments import TrainArguments
 from chemlab.agents.training.learn import train
 from chemlab.scenario import load_scenario
 
 TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
-ONCE = {"evaluations": 1, "checkpoints": 1, "eval_episodes": 2, "final_episodes": 2}
 
 
 def manager(budget: Budget, staged: bool) -> Outcome:
@@ -37,11 +33,7 @@ def manager(budget: Budget, staged: bool) -> Outcome:
     arguments = TrainArguments.of({**given, "steps": budget.steps, **ONCE, **size})
     if not staged:
         arguments = replace(arguments, curriculum=())
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "run"
-        train(arguments, run)
-        played = TARGET.play(str(Run(run).checkpoint("last")), GOAL, budget.episodes, AUDIT_SEED)
-    return Outcome.of(played, arguments.steps)
+    return score_run(train, arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:

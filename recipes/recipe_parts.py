@@ -6,6 +6,7 @@ import argparse
 import json
 import shlex
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,18 +15,33 @@ import gymnasium
 import numpy as np
 
 from chemlab.agents.evaluation.jobs import AUDIT_SEED
-from chemlab.agents.evaluation.play import BenchTarget
+from chemlab.agents.evaluation.play import BenchTarget, LaboratoryTarget
 from chemlab.agents.player import Played, play_bench
 from chemlab.agents.policies import bench_policy
-from chemlab.agents.runs import versions
+from chemlab.agents.runs import Run, versions
 from chemlab.files import check_target, write_text
 from chemlab.laboratory.policy import as_policy
 
-__all__ = ["AUDIT_SEED", "PLAIN", "SCRIPTED", "Budget", "Outcome", "cook", "learned", "score", "training_envs"]
+__all__ = [
+    "AUDIT_SEED",
+    "ONCE",
+    "PLAIN",
+    "SCRIPTED",
+    "Budget",
+    "Outcome",
+    "cook",
+    "learned",
+    "learner",
+    "score",
+    "score_run",
+    "training_envs",
+]
 
 PLAIN = "plain PPO"
 SCRIPTED = "scripted"
 _ENVS, _ROLLOUT = 16, 64
+ONCE = {"evaluations": 1, "checkpoints": 1, "eval_episodes": 2, "final_episodes": 2}
+"""What runs of ``chemlab train`` and ``train-together`` are told where recipes score them."""
 
 
 class Budget(NamedTuple):
@@ -126,21 +142,39 @@ def score(policy: Any, target: BenchTarget, goal: str, budget: Budget) -> Outcom
     return Outcome.of(play_bench(env, player, goal, AUDIT_SEED), getattr(policy, "num_timesteps", 0))
 
 
+def score_run(
+    train: Callable[..., Any], arguments: Any, target: LaboratoryTarget, goal: str, budget: Budget
+) -> Outcome:
+    """What a run of ``chemlab train`` or ``train-together`` comes to with its last checkpoint, which is not kept.
+
+    Args:
+        train: the function behind the command.
+        arguments: what it is told.
+        target: the laboratory, in episodes that nobody trains on.
+        goal: of these.
+        budget: how many they are.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        train(arguments, run)
+        played = target.play(str(Run(run).checkpoint("last")), goal, budget.episodes, AUDIT_SEED)
+    return Outcome.of(played, arguments.steps)
+
+
 def training_envs(target: BenchTarget, goal: str) -> Any:
     """The bench as Stable-Baselines3 wants it, in worlds of the split ``train``, all experiments for one goal."""
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    return ChemlabVecEnv(_ENVS, scenario=target.scenario, bench=target.bench, goals=goal)
+    return ChemlabVecEnv(_ENVS, scenario=target.scenario, bench=target.bench, goals=goal, starts=target.starts)
 
 
-def learned(algorithm: str, envs: Any, budget: Budget, callback: Any = None, **settings: Any) -> Any:
-    """A learner of ``chemlab train --algo`` that has taken the budget's steps.
+def learner(algorithm: str, envs: Any, budget: Budget, **settings: Any) -> Any:
+    """A learner of ``chemlab train --algo`` that has learned nothing yet.
 
     Args:
         algorithm: its name there.
         envs: :func:`training_envs`.
-        budget: steps and seed.
-        callback: Stable-Baselines3's.
+        budget: of it, the seed.
         settings: of the learner, where they are not Stable-Baselines3's own.
     """
     import torch
@@ -153,5 +187,14 @@ def learned(algorithm: str, envs: Any, budget: Budget, callback: Any = None, **s
         network = "MultiInputPolicy"
     if algorithm.endswith("ppo"):
         settings = {"n_steps": _ROLLOUT, **settings}
-    model = LEARNERS[algorithm](network, envs, seed=budget.seed, device="cpu", **settings)
-    return model.learn(budget.steps, callback=callback)
+    return LEARNERS[algorithm](network, envs, seed=budget.seed, device="cpu", **settings)
+
+
+def learned(algorithm: str, envs: Any, budget: Budget, callback: Any = None, **settings: Any) -> Any:
+    """The same when it has taken the budget's steps.
+
+    Args:
+        algorithm, envs, budget, settings: see :func:`learner`.
+        callback: Stable-Baselines3's.
+    """
+    return learner(algorithm, envs, budget, **settings).learn(budget.steps, callback=callback)

@@ -15,11 +15,14 @@ import numpy as np
 import pytest
 from helpers import script
 
+from chemlab.agents.demonstrations import demonstrations
+from chemlab.record import read_record
+
 ROOT = Path(__file__).parent.parent
 RECIPES = sorted(path for path in (ROOT / "recipes").glob("*.py") if path.stem != "recipe_parts")
-NEEDS = {"bayesian": ("sklearn",), "planning": ()}
-"""Packages that a recipe needs, where it is not what most need."""
 LEARNING = ("stable_baselines3", "sb3_contrib")
+NEEDS = {"bayesian": ("sklearn",), "planning": (), "demonstrations": (*LEARNING, "minari", "h5py")}
+"""Packages that a recipe needs, where it is not what most need."""
 pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
 
 
@@ -104,3 +107,26 @@ def test_a_mixture_pays_at_the_end_where_all_of_it_is_near(monkeypatch: pytest.M
     far = seen["achieved_goal"] + np.array([0.051, 0.0, 0.0, 0.0, 0.0, 0.0])
     achieved = np.stack([seen["achieved_goal"]] * 2)
     assert env.compute_reward(achieved, np.stack([near, far]), None).tolist() == [1.0, 0.0]
+
+
+def test_demonstrated_turns_are_the_records_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of each episode all turns but the end, with what a discount makes of the rewards that follow."""
+    for package in NEEDS["demonstrations"]:
+        pytest.importorskip(package)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # which the recipe sets
+    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
+    recipe: Any = script("recipes/demonstrations.py")
+    demonstrated = recipe.dataset(tmp_path, 2, 5)
+    seen, masks, actions, returns = recipe.examples(demonstrated, 0.9)
+    assert len(seen) == len(masks) == len(actions) == len(returns) == demonstrated.total_steps
+    assert masks[np.arange(len(actions)), actions].all()
+    at = 0
+    for seed, episode in zip((5, 6), demonstrated.iterate_episodes(), strict=True):
+        told = demonstrations(read_record(tmp_path / f"{seed}.jsonl"))["manager_0"][0]
+        assert actions[at : at + len(told.actions)].tolist() == told.actions
+        for t in range(len(told.rewards)):
+            following = sum(0.9**k * reward for k, reward in enumerate(told.rewards[t:]))
+            assert returns[at + t] == pytest.approx(following, abs=1e-6)
+        np.testing.assert_array_equal(seen[at], episode.observations[0])
+        at += len(told.rewards)
+    assert at == len(actions)

@@ -1,0 +1,97 @@
+"""Learning from demonstrations: a clone of recorded play, which learns on.
+
+Episodes of the scripted laboratory of `wurtz_dodecane` are recorded, and become a Minari dataset of what the manager
+saw, did and earned, as ``chemlab demos`` makes one of anybody's records. A learner is fitted to the actions and to the
+returns they had (behaviour cloning: it sees the dataset alone, and nobody is asked what else to do), and goes on as PPO
+with masks. Beside it the clone as it is, whose steps are the dataset's, and the same learner that begins with nothing.
+The benches are scripted in all of them.
+
+    python recipes/demonstrations.py --out recipes/results/demonstrations.json
+
+Needs the extras ``train`` and ``data`` (Minari).
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import minari
+import numpy as np
+import numpy.typing as npt
+from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, learner
+from scipy.signal import lfilter
+
+from chemlab.agents.background import focal_vector_env
+from chemlab.agents.demonstrations import write_datasets
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.sb3 import ChemlabVecEnv
+from chemlab.agents.training.imitate import fit
+from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.record import Recorder
+
+SCENARIO, GOAL = "wurtz_dodecane", "dodecane"
+DEMONSTRATED = 20
+"""Episodes."""
+
+
+def dataset(folder: Path, episodes: int, seed: int) -> Any:
+    """The Minari dataset of the manager in some recorded episodes; all of it stays in the folder."""
+    env = raw_env(SCENARIO)
+    labs = env.laboratories
+    records = [folder / f"{seed + i}.jsonl" for i in range(episodes)]
+    for i, path in enumerate(records):
+        with Recorder(path, labs, policies=dict.fromkeys(labs.agents, "heuristic")) as recorder:
+            play_episode(env, make_policies("heuristic", labs, seed + i), seed + i, recorder=recorder)
+    os.environ["MINARI_DATASETS_PATH"] = str(folder)
+    (written,) = write_datasets(records, "recipe/scripted", [MANAGER_AGENT])
+    return minari.load_dataset(written.id)
+
+
+def examples(demonstrated: Any, gamma: float) -> tuple[npt.NDArray[Any], ...]:
+    """(observations, masks, actions, discounted returns) of the T turns of a dataset."""
+    episodes = list(demonstrated.iterate_episodes())
+    seen = np.concatenate([episode.observations[:-1] for episode in episodes])
+    masks = np.concatenate([episode.infos["action_mask"][:-1] for episode in episodes])
+    actions = np.concatenate([episode.actions for episode in episodes])
+    returns = [lfilter([1.0], [1.0, -gamma], episode.rewards[::-1])[::-1] for episode in episodes]
+    return seen, masks, actions, np.concatenate(returns).astype(np.float32)
+
+
+def begun(budget: Budget) -> Any:
+    """A manager's learner that has learned nothing yet."""
+    envs = ChemlabVecEnv(focal_vector_env(64, SCENARIO, autoreset_mode="SameStep"))
+    return learner("maskable-ppo", envs, budget, n_steps=16, batch_size=256)
+
+
+def played(budget: Budget, manager: Any = None) -> Outcome:
+    """What a manager, or the scripted one, comes to over scripted benches."""
+    labs = Laboratories(SCENARIO, budget.episodes)
+    policies = make_policies("heuristic", labs, AUDIT_SEED)
+    if manager is not None:
+        policies[MANAGER_AGENT] = as_policy(manager)
+    return Outcome.of(play_laboratory(labs, policies, GOAL, AUDIT_SEED), getattr(manager, "num_timesteps", 0))
+
+
+def recipe(budget: Budget) -> dict[str, Outcome]:
+    """One seed of the clone, before and after it learns on, of PPO from nothing, and the scripted manager."""
+    model = begun(budget)
+    with tempfile.TemporaryDirectory() as folder:
+        demonstrated = dataset(Path(folder), 2 if budget.toy else DEMONSTRATED, 1000 * budget.seed)
+        fit(model, *examples(demonstrated, model.gamma), seed=budget.seed)
+        cloned = played(budget, model)._replace(steps=int(demonstrated.total_steps))
+    return {
+        "clone, then PPO": played(budget, model.learn(budget.steps)),
+        "clone": cloned,
+        PLAIN: played(budget, begun(budget).learn(budget.steps)),
+        SCRIPTED: played(budget),
+    }
+
+
+if __name__ == "__main__":
+    cook(recipe, __doc__, f"the manager of `{SCENARIO}`, {GOAL}", steps=50_000)

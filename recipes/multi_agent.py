@@ -1,0 +1,53 @@
+"""Multi-agent learning: every role at once, with critics of their own or one that sees everything.
+
+Manager, reaction bench and distillation bench of `wurtz_dodecane_direct` learn together, half for what each earns and
+half for what the laboratory comes to. All begin as clones of the scripted agents: from nothing they come to nothing
+(see `hierarchical.py`). Independent learners (IPPO, de Witt et al. 2020, "Is Independent Learning All You Need in the
+StarCraft Multi-Agent Challenge?") have critics that see what their agent sees; MAPPO's (Yu et al. 2022, "The Surprising
+Effectiveness of PPO in Cooperative Multi-Agent Games") see the laboratory's true state in training, too. Beside them,
+one learner: the manager, cloned alike, over scripted benches. Steps are turns of those who learn; clones' are not
+counted.
+
+    python recipes/multi_agent.py --out recipes/results/multi_agent.json
+
+Needs the extra ``train``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
+
+from chemlab.agents.evaluation.play import LaboratoryTarget
+from chemlab.agents.training.arguments import JointArguments
+from chemlab.agents.training.joint import train_together
+from chemlab.scenario import load_scenario
+
+TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct").with_rewards("mixed"))
+GOAL = "dodecane"
+LEARNING: dict[str, Any] = {"rewards": "mixed", "imitate": "heuristic", "imitate_steps": 2000, "learning_rate": 1e-4}
+
+
+def team(budget: Budget, **settings: Any) -> Outcome:
+    """What a run of ``chemlab train-together`` comes to."""
+    size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
+    if budget.toy:
+        size = {"envs": 4, "rollout": 12, "imitate_steps": 50}
+    given = {**LEARNING, **ONCE, **size, **settings}
+    arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
+    return score_run(train_together, arguments, TARGET, GOAL, budget)
+
+
+def recipe(budget: Budget) -> dict[str, Outcome]:
+    """One seed of both teams, of the manager alone, and the scripted laboratory."""
+    return {
+        "IPPO": team(budget),
+        "MAPPO": team(budget, critic="state"),
+        PLAIN: team(budget, roles=("manager",)),
+        SCRIPTED: Outcome.of(TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)),
+    }
+
+
+if __name__ == "__main__":
+    cook(recipe, __doc__, f"the laboratory of `{TARGET.scenario.name}`, {GOAL}", steps=100_000)
