@@ -2,8 +2,6 @@
 # Benches that learn in the running laboratory, under the scripted manager: clones of the scripted ones, half for their own
 # experiments and half for the laboratory's score. From the repository's root, and again to go on:
 # bash experiments/worlds_benches.sh [RESULTS [SEED ...]]
-# selectivity's come with chemlab. relay's are less safe than the scripted ones; with runaway's there would be little left to
-# learn there for who begins with what comes along (the audit's headroom).
 set -euo pipefail
 results=${1:-results}
 seeds=${*:2}
@@ -28,5 +26,3 @@ for seed in ${seeds:-0 1 2 3 4}; do
     learn failing 500000 east west
     learn crude 300000 ext dit
 done
-
-chemlab export "$results/selectivity-joint/benches/seed-0" --role rxn --out agents/models/selectivity_rxn
