@@ -36,19 +36,18 @@ def audit(
     with readable_errors():
         from ..agents.evaluation.audit import audit as measure
         from ..agents.evaluation.audit import job_count
-        from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.evaluation.jobs import budget_of
         from ..agents.executors import executor
         from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
-        if budget not in BUDGETS:
-            raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        chosen = budget_of(budget)
         if keep is not None:
             check_folder(keep)
         if output is not None:
             check_target(output)
         with counting() as progress, executor(address, processes) as jobs:
-            task = progress.add_task("parts", total=job_count(spec, BUDGETS[budget]))
+            task = progress.add_task("parts", total=job_count(spec, chosen))
             found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task))
     if as_json:
         typer.echo(json.dumps(found))

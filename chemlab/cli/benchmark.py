@@ -46,22 +46,21 @@ def benchmark(
     """
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
-        from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.evaluation.jobs import budget_of
         from ..agents.executors import executor
         from ..scenario import load_scenario
         from ..world import Split
 
         Split.of(split)
         specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
-        if budget not in BUDGETS:
-            raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        chosen = budget_of(budget)
         always = protocol.REFERENCES
         names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
         rows = protocol.find_rows([name for name in names if name not in always])
         check_folder(output)
         protocol.leaderboard_lines(output / "leaderboard.json")  # before anything is played
         with counting() as progress, executor(address, processes) as jobs:
-            total = protocol.part_count(specs, rows, BUDGETS[budget], seeds, split)
+            total = protocol.part_count(specs, rows, chosen, seeds, split)
             task = progress.add_task("parts", total=total)
             parts = output / "parts"
             found = protocol.benchmark(

@@ -58,22 +58,21 @@ def crossplay(
     with readable_errors():
         from ..agents.evaluation.crossplay import PARTNERS, crossplay_count, find_players
         from ..agents.evaluation.crossplay import crossplay as play
-        from ..agents.evaluation.jobs import BUDGETS
+        from ..agents.evaluation.jobs import budget_of
         from ..agents.executors import executor
         from ..scenario import load_scenario
         from ..world import Split
 
         Split.of(split)
         spec = load_scenario(scenario)
-        if budget not in BUDGETS:
-            raise ValueError(f"--budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+        chosen = budget_of(budget)
         if keep is not None:
             check_folder(keep)
         if output is not None:
             check_target(output)
         managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
         with counting() as progress, executor(address, processes) as jobs:
-            task = progress.add_task("parts", total=crossplay_count(managers, crews, BUDGETS[budget], split))
+            task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))
             found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
     if as_json:
         typer.echo(json.dumps(found))

@@ -120,9 +120,13 @@ class ExperimentBatch:
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
-        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if np.diff(self.pool.arrays.first)[g] == 0]
+        counts = np.diff(self.pool.arrays.first)
+        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if counts[g] == 0]
         if missing:
-            raise DataError(f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}")
+            there = ", ".join(goal for goal, count in zip(self.scenario.goals, counts, strict=True) if count)
+            raise DataError(
+                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; goals can be: {there}"
+            )
 
     def _compile(self) -> None:
         """Have what is not compiled yet compiled before the first experiment."""

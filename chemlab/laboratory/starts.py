@@ -183,14 +183,11 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
 
 
 def goals_met(scenario: Scenario, bench: str) -> list[str]:
-    """The goals that a bench has recorded vessels of, in the scenario's order; all goals where nothing is recorded.
-
-    Raises:
-        DataError: the file does not fit the scenario.
-    """
-    if not starts_file(scenario).is_file():
+    """The goals that a bench has recorded vessels of, in the scenario's order; all goals where it has none that fit."""
+    try:
+        met = {start.goal for start in lab_starts(scenario, bench)}
+    except DataError:
         return list(scenario.goals)
-    met = {start.goal for start in lab_starts(scenario, bench)}
     return [goal for goal in scenario.goals if goal in met]
 
 

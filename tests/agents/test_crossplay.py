@@ -193,4 +193,4 @@ def test_the_command(
     assert json.loads(runner.invoke(app, [*words, "--json"]).output) == written
     done = runner.invoke(app, ["crossplay", "unlabelled", "--budget", "huge"])
     assert done.exit_code == 2
-    assert "--budget: known: small, full; given 'huge'" in done.output
+    assert "budget: known: small, full; given 'huge'" in done.output

@@ -10,8 +10,9 @@ import pytest
 
 import chemlab
 from chemlab.datafile import DataError
+from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import Start, lab_starts, starts_file, write_starts
+from chemlab.laboratory.starts import Start, goals_met, lab_starts, starts_file, write_starts
 from chemlab.scenario import load_scenario
 
 
@@ -76,3 +77,17 @@ def test_a_role_that_no_bench_has_is_refused(tmp_path: Path) -> None:
         else:
             with pytest.raises(DataError, match="last_position = 3 must be below 3"):
                 Laboratories(scenario).prepare({"dit": 1.0})
+
+
+def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
+    """Of `relay` each oven has its own; where nothing fits that is recorded, all."""
+    relay = load_scenario("relay")
+    assert [goals_met(relay, bench) for bench in ("rxn", "fin")] == [["F"], ["E"]]
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "relay"\nname = "mine"\n', encoding="utf-8")
+    mine = load_scenario(file)
+    assert goals_met(mine, "rxn") == ["F", "E"]
+    starts_file(mine).write_text('{"scenario": "mine", "vessels": [], "benches": {}}', encoding="utf-8")
+    assert goals_met(mine, "rxn") == ["F", "E"]
+    with pytest.raises(DataError, match=r"no vessel of goal 'F' for bench 'fin'; goals can be: E"):
+        BenchVectorEnv(1, "relay", "fin", starts="lab")
