@@ -1,8 +1,8 @@
 """Imitation: a learner begins with what a policy that is already there does, and with its returns as values.
 
 Reinforcement learning then starts from a workflow instead of from random actions, among which whole workflows are rare.
-Who has only seen the policy play does not know what to do where the policy never comes, and comes there by small errors.
-So in later rounds the learner plays, and is told what the policy would do there (DAgger: Ross, Gordon, Bagnell 2011).
+Who has only seen the policy play does not know what to do where that never comes, and comes there by small errors. So in
+later rounds the learner plays, and is told what the policy would do there (DAgger: Ross, Gordon, Bagnell 2011).
 
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
@@ -63,10 +63,11 @@ def imitate(
     for number in range(rounds):
         player = policy if number == 0 else as_policy(model)
         played.append(_examples(batch, player, policy, steps // rounds, seed + number, model.gamma))
-        seen, masks, actions, returns, lengths = (
-            None if parts[0] is None else np.concatenate(parts) for parts in zip(*played, strict=True)
-        )
-        hit = fit(model, seen, masks, actions, returns, seed + number, lengths if remembers else None)
+        seen, legal, actions, returns, lengths = zip(*played, strict=True)
+        masks = None if legal[0] is None else np.concatenate(legal)
+        whole = np.concatenate(lengths) if remembers else None
+        parts = (np.concatenate(seen), masks, np.concatenate(actions), np.concatenate(returns))
+        hit = fit(model, *parts, seed + number, whole)
     return hit
 
 
