@@ -2,7 +2,8 @@
 
 With ``--play RESULTS`` it first has ``chemlab benchmark`` play what was trained there (``experiments/worlds.toml``,
 ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario the runs, where none of them is unfinished.
-What has been played is kept in ``RESULTS/benchmark``; its leaderboard is copied to ``docs/results/leaderboard.json``.
+What has been played is kept in ``RESULTS/benchmark``; its leaderboard, which begins as the committed one, is copied to
+``docs/results/leaderboard.json``.
 """
 
 from __future__ import annotations
@@ -95,13 +96,19 @@ def finished(results: Path, scenario: str) -> list[str]:
 
 
 def _play(results: Path, budget: str) -> None:
-    """Have the command play everything that has been trained to its end."""
+    """Have the command play everything that has been trained to its end; what others have played stays in the table."""
+    own = results / "benchmark" / "leaderboard.json"
+    if LEADERBOARD.exists() and not own.exists():
+        own.parent.mkdir(parents=True, exist_ok=True)
+        write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
     for scenario in world_scenarios():
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
+        if not chosen:
+            continue
         words = ["benchmark", scenario, "--policy", "heuristic", *chosen, "--budget", budget, "--records", "0"]
         command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
         subprocess.run(command, check=True, cwd=results)
-    written = json.loads((results / "benchmark" / "leaderboard.json").read_text(encoding="utf-8"))
+    written = json.loads(own.read_text(encoding="utf-8"))
     write_text(LEADERBOARD, json.dumps(written, indent=1) + "\n")
 
 

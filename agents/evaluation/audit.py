@@ -7,7 +7,8 @@ best policy, the best plan, the best donor) is chosen on others.
 | measure | what |
 |---|---|
 | ``random`` | random legal actions of everybody: 0 |
-| ``reference`` | the best of the policies that come with chemlab |
+| ``reference`` | the best of the scripted policies: what follows is what these need, benches of one make throughout |
+| ``best`` | the best of all policies that come with chemlab, trained ones included |
 | ``blind`` | the best of a donor's episode again, a constant plan of the manager, the same of everybody |
 | ``clairvoyant`` | for each episode by itself, the best plan that a search finds on it: 1 |
 | ``worth_of_measuring`` | reference less the best without instruments |
@@ -16,7 +17,8 @@ best policy, the best plan, the best donor) is chosen on others.
 | ``worth_of_reports`` | reference less the same policy where benches say nothing of what they have made |
 | ``coordination`` | the team's result less that of its orders run apart |
 | ``contention`` | moments at which an order is kept waiting by another, in an episode, by what for |
-| ``headroom`` | 1 less the reference |
+| ``worth_to_best`` | best less the same benches under the better of two managers that measure nothing |
+| ``headroom`` | 1 less the best |
 | ``generalization`` | reference in test less in train |
 | ``noise`` | standard deviation of one constant plan's score over episodes |
 
@@ -33,7 +35,7 @@ is null, with a ``reason``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
@@ -54,7 +56,8 @@ __all__ = ["GATES", "audit", "choosing_jobs", "job_count", "measure_rows", "meas
 
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
-_POLICIES = ("heuristic", "hasty", "direct", "pretrained", "trained")
+_SCRIPTED = ("heuristic", "hasty", "direct")
+_TRAINED = ("pretrained", "trained")
 
 GATES = {
     "blind": "at most 0.5 of the reference",
@@ -99,8 +102,8 @@ def audit(
     chosen = budget_of(budget)
     crew = Crew(spec, chosen, keep, executor, watch)
     found = crew.run(choosing_jobs(spec))
-    reference = _best(found, "choose")
-    found |= crew.run(measuring_jobs(spec, chosen, reference, found["plan"]["plans"]))
+    reference, best = _best(found, _SCRIPTED), _best(found, _SCRIPTED + _TRAINED)
+    found |= crew.run(measuring_jobs(spec, chosen, reference, found["plan"]["plans"], best))
     return {
         "kind": "audit",
         "format": 1,
@@ -112,12 +115,12 @@ def audit(
         "seed": AUDIT_SEED,
         "versions": versions(),
         "policy": reference,
-        **_measures(spec, found, reference),
+        **_measures(spec, found, reference, best),
     }
 
 
 def job_count(scenario: Scenario, budget: AuditBudget) -> int:
-    """How many parts an audit has."""
+    """How many parts an audit has; up to three more where a trained policy is the best."""
     return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "heuristic", []))
 
 
@@ -125,14 +128,16 @@ def choosing_jobs(spec: Scenario) -> list[Job]:
     """All that needs to know nothing: the searches first, they take longest."""
     jobs = [Job("plan", "plan", {})]
     jobs += [Job(f"plan-without-{key}", "plan", {"without": key}) for key in spec.benches]
-    for policy in _POLICIES:
+    for policy in _SCRIPTED + _TRAINED:
         own = {"policy": policy, "split": "validation", "seed": _CHOICE_SEED}
         jobs.append(Job(f"choose-{policy}", "play", own))
     return jobs
 
 
-def measuring_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: list[Any]) -> list[Job]:
-    """All that needs to know the best policy and plan."""
+def measuring_jobs(
+    spec: Scenario, budget: AuditBudget, reference: str, plans: list[Any], best: str | None = None
+) -> list[Job]:
+    """All that needs to know the best scripted policy, the best plan, and the best of all (default: the scripted)."""
     jobs = planner_jobs(budget, plans)
     jobs.append(Job("replay", "replay", {"policy": reference}))
     test = {"split": "test", "seed": AUDIT_SEED}
@@ -147,6 +152,10 @@ def measuring_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: l
         jobs += [
             Job(f"without-{key}-{policy}", "play", {"policy": policy, "without": key, **test}) for key in spec.benches
         ]
+    if best in _TRAINED:
+        jobs.append(Job("best", "play", {"policy": best, **test}))
+        for name, policy in _unseeing(best).items():
+            jobs.append(Job(name, "play", {"policy": policy, "instruments": False, **test}))
     if any(bench.report is not None for bench in spec.benches.values()):
         jobs.append(Job("mute", "play", {"policy": reference, "reports": False, **test}))
     if spec.demand.order:
@@ -156,14 +165,15 @@ def measuring_jobs(spec: Scenario, budget: AuditBudget, reference: str, plans: l
     return jobs
 
 
-def _best(found: Mapping[str, dict[str, Any]], prefix: str) -> str:
-    """Which of the policies has the best mean."""
-    means = {
-        name.removeprefix(f"{prefix}-"): float(np.mean(one["scores"]))
-        for name, one in found.items()
-        if name.startswith(f"{prefix}-") and one["scores"] is not None
-    }
-    return max(means, key=lambda name: means[name])
+def _unseeing(best: str) -> dict[str, str]:
+    """Parts in which the benches of a policy play under scripted managers who can measure nothing, and who plays."""
+    return {f"unseeing-{manager}": f"{best},manager={manager}" for manager in ("heuristic", "hasty")}
+
+
+def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
+    """Which of some policies has the best mean where they are chosen."""
+    scores = {policy: _scores(found, f"choose-{policy}") for policy in policies}
+    return _greatest(scores)[0]
 
 
 def _untold(reason: str) -> dict[str, Any]:
@@ -182,12 +192,15 @@ def _greatest(candidates: Mapping[str, FloatArray | None]) -> tuple[str, FloatAr
     return name, there[name]
 
 
-def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) -> dict[str, Any]:
+def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, chosen: str) -> dict[str, Any]:
     curve = foreseen(found, "curves")
     plan, test = np.array(found["plan"]["scores"]), np.array(found["test"]["scores"])
     random = np.array(found["random"]["scores"])
+    best = np.array(found["best"]["scores"]) if "best" in found else test
+    unseeing = {} if best is test else {name: _scores(found, name) for name in _unseeing(chosen)}
     # Whoever knows the world can do what the others did there.
-    clairvoyant = np.maximum.reduce([foreseen(found), test, plan])
+    others = [test, plan, best, *(scores for scores in unseeing.values() if scores is not None)]
+    clairvoyant = np.maximum.reduce([foreseen(found), *others])
     scale = Scale(random, clairvoyant)
     ways = {"replay": _scores(found, "replay"), "plan": plan, "everybody": np.array(found["plan"]["everybody"])}
     way, blind = _greatest(ways)
@@ -195,7 +208,8 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
     reference = scale.mean(test)
     measures: dict[str, Any] = {
         "random": {**interval(scale.mean(random)), "score": float(random.mean())},
-        "reference": {**interval(reference), "score": float(test.mean())},
+        "reference": {**interval(reference), "score": float(test.mean()), "way": policy},
+        "best": {**interval(scale.mean(best)), "score": float(best.mean()), "way": chosen},
         "blind": {
             **interval(scale.mean(blind)),
             "score": float(blind.mean()),
@@ -205,11 +219,14 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
         "clairvoyant": {
             **interval(scale.mean(clairvoyant)),
             "score": float(clairvoyant.mean()),
-            "curve": [float(scale.mean(np.maximum.reduce([column, test, plan]))[0]) for column in curve.T],
+            "curve": [float(scale.mean(np.maximum.reduce([column, *others]))[0]) for column in curve.T],
         },
         "worth_of_measuring": _worth(reference, scale, blindfolded)
         if spec.instruments
         else _untold("the scenario has no instruments"),
+        "worth_to_best": _worth(scale.mean(best), scale, unseeing)
+        if unseeing and spec.instruments
+        else _untold("the best is scripted" if spec.instruments else "the scenario has no instruments"),
         "worth_of_bench": {
             key: _worth(
                 reference,
@@ -223,7 +240,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str) 
         "coordination": _untold("there is one order"),
         "worth_of_reports": _untold("benches report nothing"),
         "contention": _contention(found),
-        "headroom": interval(1.0 - reference),
+        "headroom": interval(1.0 - scale.mean(best)),
         "generalization": interval(reference - scale.mean(np.array(found["train"]["scores"])))
         if spec.world.draws
         else _untold("the scenario draws no world"),

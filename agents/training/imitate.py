@@ -1,8 +1,8 @@
 """Imitation: a learner begins with what a policy that is already there does, and with its returns as values.
 
 Reinforcement learning then starts from a workflow instead of from random actions, among which whole workflows are rare.
-Who has only seen the policy play does not know what to do where that never comes, and comes there by small errors. So in
-later rounds the learner plays, and is told what the policy would do there (DAgger: Ross, Gordon, Bagnell 2011).
+Who has only seen the policy play does not know what to do where that never comes, and comes there by small errors. So
+in later rounds the learner plays, and is told what the policy would do there (DAgger: Ross, Gordon, Bagnell 2011).
 
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
