@@ -9,6 +9,7 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,8 @@ def imitate(
         masks = None if legal[0] is None else np.concatenate(legal)
         whole = np.concatenate(lengths) if remembers else None
         parts = (np.concatenate(seen), masks, np.concatenate(actions), np.concatenate(returns))
-        hit = fit(model, *parts, seed + number, whole)
+        # Only the last has to be as good as can be.
+        hit = fit(model, *parts, seed + number, whole, 1.0 if number == rounds - 1 else 1.0 / rounds)
     return hit
 
 
@@ -79,6 +81,7 @@ def fit(
     returns: npt.NDArray[np.float32],
     seed: int,
     lengths: IntArray | None = None,
+    effort: float = 1.0,
 ) -> float:
     """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
 
@@ -90,6 +93,7 @@ def fit(
         returns: [T] discounted return from that turn on.
         seed: of the order of minibatches.
         lengths: [E] turns of each episode, one after the other, for a learner that remembers; None for any other.
+        effort: share of the passes over all turns that are usual.
     """
     shown = _Turns(model, observations, masks, actions)
     if lengths is not None:
@@ -98,7 +102,7 @@ def fit(
     network.set_training_mode(True)
     optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate)
     minibatches = max(1, shown.count // shown.batch)
-    epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
+    epochs = math.ceil(effort * max(_EPOCHS, _UPDATES / minibatches))
     # What the examples agree on is found fast; thresholds between two actions only in small steps.
     falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
     for _ in range(epochs):
