@@ -70,7 +70,8 @@ def table() -> list[str]:
 def effort() -> list[str]:
     """What each learner took, and what became of its last checkpoint and of its score in training worlds."""
     lines = _lines()
-    rows = [["scenario and learner", "runs", "steps of each", "hours in all", *_KINDS, "test less train (best)"]]
+    heads = ["runs", "steps of each", "hours in all", *_KINDS, "best, less scripted", "test less train (best)"]
+    rows = [["scenario and learner", *heads]]
     for scenario in world_scenarios():
         for folder, name in LEARNERS.items():
             best, last = (lines.get((scenario, f"{folder} ({kind})")) for kind in _KINDS)
@@ -79,7 +80,9 @@ def effort() -> list[str]:
             gap = best["generalization"] or {"value": float("nan")}
             numbers = [str(best["runs"]), f"{best['steps']:,}", f"{best['hours']:.2f}"]
             scores = [f"{one['value']:.2f}" for one in (best, last)]
-            rows.append([f"`{scenario}`, {name}", *numbers, *scores, f"{gap['value']:+.2f}"])
+            over = best.get("over_baseline")  # lines of before do not say
+            more = f"{over['value']:+.3f} [{over['low']:+.3f}, {over['high']:+.3f}]" if over else ""
+            rows.append([f"`{scenario}`, {name}", *numbers, *scores, more, f"{gap['value']:+.2f}"])
     return markdown(rows)
 
 

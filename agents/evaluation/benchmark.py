@@ -78,6 +78,8 @@ DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
+_TOLD = ("value", "low", "high", "score", "generalization", "over_baseline")
+"""Of a cell, what the leaderboard has, too."""
 _LEADERBOARD_BYTES = 50_000_000
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
 """Of performance profiles, on the scale."""
@@ -254,7 +256,8 @@ def benchmark(
 
     Returns:
         Plain data: ``scenarios`` (by name: the scale, and for each row its normalised mean with interval, the same of
-        its replications, its generalization gap, or why the cell is empty), ``rows`` (statistics over all scenarios),
+        its replications, its generalization gap, what it is more than the baseline in the same episodes, or why the
+            cell is empty), ``rows`` (statistics over all scenarios),
         and how it was made.
 
     Raises:
@@ -274,7 +277,7 @@ def benchmark(
         fitting = _fitting(spec, rows)
         played = crew.run([*reference_jobs(split), *_row_jobs(spec, fitting, blocks, split)])
         planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
-        found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split)
+        found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split, baseline)
     return {
         "kind": "benchmark",
         "format": 1,
@@ -299,6 +302,7 @@ def _cells(
     fitting: Sequence[Row],
     blocks: Sequence[_Block],
     split: str,
+    baseline: str,
 ) -> dict[str, Any]:
     """What everybody has come to in one scenario."""
     scores: dict[str, FloatArray | str] = {
@@ -337,6 +341,9 @@ def _cells(
             "replications": [float(part.mean()) for part in _scaled(values, scales)],
             "scores": values.tolist(),
         }
+        other = scores[baseline]
+        if name != baseline and not isinstance(other, str):
+            cells[name]["over_baseline"] = interval(scale.mean(values) - scale.mean(other))
         if name in gaps:
             cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {
@@ -522,10 +529,10 @@ def _write_leaderboard(
 ) -> None:
     lines = []
     summaries = {row["policy"]: row for row in found["rows"]}
-    common = {name: found[name] for name in ("split", "seeds", "budget", "commit", "versions", "hardware")}
+    common = {name: found[name] for name in ("split", "seeds", "budget", "baseline", "commit", "versions", "hardware")}
     for scenario, one in found["scenarios"].items():
         for name, cell in one["cells"].items():
-            own = {key: cell.get(key) for key in ("value", "low", "high", "score", "generalization", "reason")}
+            own = {key: cell.get(key) for key in (*_TOLD, "reason")}
             effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})

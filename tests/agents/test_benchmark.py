@@ -67,6 +67,11 @@ def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -
     train = Laboratories("unlabelled", 5, split="train")
     less = play_laboratory(train, make_policies("heuristic", train), None, AUDIT_SEED).returns
     assert cell["generalization"]["value"] == pytest.approx((scores.mean() - less.mean()) / span)
+    # Against the baseline episode by episode, whatever these have in common.
+    random = one["cells"]["random"]["over_baseline"]
+    assert random["value"] == pytest.approx(-cell["value"])
+    assert random["low"] <= random["value"] <= random["high"] < 0.0
+    assert "over_baseline" not in cell
 
 
 def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -> None:
