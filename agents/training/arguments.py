@@ -285,14 +285,7 @@ class TrainArguments(Arguments):
     imitate: str | None = _argument(
         None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
     )
-    imitate_steps: int | None = _argument(None, "From about how many turns.", least=1, most=10**9, otherwise="20000")
-    imitate_rounds: int | None = _argument(
-        None,
-        "Rounds of it: after the first the learner plays, and is told what the policy would do (DAgger).",
-        least=1,
-        most=1000,
-        otherwise="1",
-    )
+    imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
     rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1, most=10**7)
     ent_coef_start: float | None = _argument(
         None, "What SAC's learned weight of the entropy begins with.", above=0.0, otherwise="1.0, SB3's"
@@ -454,7 +447,6 @@ class RllibArguments(TeamArguments):
 _ONLY: dict[str, tuple[str, ...]] = {
     "imitate": _ON_POLICY,
     "imitate_steps": _ON_POLICY,
-    "imitate_rounds": _ON_POLICY,
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),
     "ent_coef_start": ("sac",),

@@ -1,15 +1,12 @@
-"""Imitation: a learner begins with what a policy that is already there does, and with its returns as values.
+"""Behaviour cloning: a learner begins with what a policy that is already there does, and with its returns as values.
 
 Reinforcement learning then starts from a workflow instead of from random actions, among which whole workflows are rare.
-Who has only seen the policy play does not know what to do where that never comes, and comes there by small errors. So
-in later rounds the learner plays, and is told what the policy would do there (DAgger: Ross, Gordon, Bagnell 2011).
 
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -20,7 +17,8 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from chemlab.arrays import BoolArray, FloatArray, IntArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
-from chemlab.laboratory.policy import Policy, as_policy
+
+from ..policies import Policy
 
 __all__ = ["IMITATED", "fit", "imitate"]
 
@@ -41,36 +39,23 @@ _ENTROPY = 0.03
 _VALUES = 0.5
 
 
-def imitate(
-    model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, rounds: int = 1
-) -> float:
-    """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns there.
+def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int) -> float:
+    """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
 
     Args:
         model: PPO, A2C, MaskablePPO or RecurrentPPO.
         batch: where the policy plays, with ``autoreset_mode="SameStep"``; it is reset.
         policy: whom to imitate.
-        steps: about how many turns to learn from; those of episodes that did not end are left out.
+        steps: about how many of its turns to learn from; those of episodes that did not end are left out.
         seed: of the episodes and of the order of minibatches.
-        rounds: in each are equally many of the turns: in the first the policy plays, in the others the learner, and
-            learns from all that there are by then.
 
     Returns:
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
+    seen, masks, actions, returns, lengths = _examples(batch, policy, steps, seed, model.gamma)
     remembers = hasattr(model.policy, "lstm_actor")
-    played, hit = [], 0.0
-    for number in range(rounds):
-        player = policy if number == 0 else as_policy(model)
-        played.append(_examples(batch, player, policy, steps // rounds, seed + number, model.gamma))
-        seen, legal, actions, returns, lengths = zip(*played, strict=True)
-        masks = None if legal[0] is None else np.concatenate(legal)
-        whole = np.concatenate(lengths) if remembers else None
-        parts = (np.concatenate(seen), masks, np.concatenate(actions), np.concatenate(returns))
-        # Only the last has to be as good as can be.
-        hit = fit(model, *parts, seed + number, whole, 1.0 if number == rounds - 1 else 1.0 / rounds)
-    return hit
+    return fit(model, seen, masks, actions, returns, seed, lengths if remembers else None)
 
 
 def fit(
@@ -81,7 +66,6 @@ def fit(
     returns: npt.NDArray[np.float32],
     seed: int,
     lengths: IntArray | None = None,
-    effort: float = 1.0,
 ) -> float:
     """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
 
@@ -93,7 +77,6 @@ def fit(
         returns: [T] discounted return from that turn on.
         seed: of the order of minibatches.
         lengths: [E] turns of each episode, one after the other, for a learner that remembers; None for any other.
-        effort: share of the passes over all turns that are usual.
     """
     shown = _Turns(model, observations, masks, actions)
     if lengths is not None:
@@ -102,7 +85,7 @@ def fit(
     network.set_training_mode(True)
     optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate)
     minibatches = max(1, shown.count // shown.batch)
-    epochs = math.ceil(effort * max(_EPOCHS, _UPDATES / minibatches))
+    epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
     # What the examples agree on is found fast; thresholds between two actions only in small steps.
     falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
     for _ in range(epochs):
@@ -220,10 +203,10 @@ class _Episodes(_Turns):
 
 
 def _examples(
-    batch: BenchVectorEnv | FocalVectorEnv, player: Policy, policy: Policy, steps: int, seed: int, gamma: float
+    batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, gamma: float
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int8] | None, npt.NDArray[Any], npt.NDArray[np.float32], IntArray]:
-    """(observations, masks, the policy's actions, discounted returns) of the turns of whole episodes of the player, one
-    episode after the other; and how many turns each has."""
+    """(observations, masks, actions, discounted returns) of the turns of whole episodes, one episode after the other;
+    and how many turns each has."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
     members, turns = np.arange(n), np.zeros(n, dtype=np.int64)
     rows: list[tuple[Any, Any, Any]] = []
@@ -232,10 +215,9 @@ def _examples(
     observation, _ = batch.reset(seed=seed)
     while len(rows) * n < steps:
         mask = batch.action_masks().astype(np.int8) if discrete else None
-        action = np.asarray(policy.act(observation, mask, turns, members))
-        rows.append((observation.copy(), mask, action))
-        played = action if player is policy else player.act(observation, mask, turns, members)
-        observation, reward, terminated, truncated, _ = batch.step(played)
+        action = policy.act(observation, mask, turns, members)
+        rows.append((observation.copy(), mask, np.asarray(action)))
+        observation, reward, terminated, truncated, _ = batch.step(action)
         over = terminated | truncated
         turns = np.where(over, 0, turns + 1)
         rewards.append(reward.copy())

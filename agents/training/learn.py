@@ -117,7 +117,7 @@ class _Agent(Trainee):
             self.model = _learner(a, self.venv, self.steps)
             if a.imitate is not None:
                 turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
-                imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed, a.imitate_rounds or 1)
+                imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed)
                 self.progress.seconds = time.perf_counter() - begun
         self._player: Policy = as_policy(self.model)
 

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from sb3_contrib import MaskablePPO, RecurrentPPO
-from stable_baselines3 import PPO
 
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import as_policy, make_policies
@@ -20,7 +19,7 @@ from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
 from chemlab.agents.training.arguments import Stage, TrainArguments, curriculum_of
-from chemlab.agents.training.imitate import fit, imitate
+from chemlab.agents.training.imitate import fit
 from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import LaboratoryTask
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
@@ -279,31 +278,6 @@ def test_a_clone_that_has_to_remember() -> None:
     assert fit(model, *shown, actions[kept], returns, 0, lengths) > 0.99
     forgetful = MaskablePPO("MlpPolicy", ChemlabVecEnv(2, bench="dit"), device="cpu", seed=0)
     assert fit(forgetful, *shown, actions[kept], returns, 0) < 0.75
-
-
-class _Corrects:
-    """Plays the same numbers all the time, and keeps what it was asked about."""
-
-    def __init__(self) -> None:
-        self.asked: list[np.ndarray] = []
-
-    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
-        self.asked.append(observation.copy())
-        return np.full((len(observation), 6), 0.5)
-
-
-def test_later_rounds_show_what_to_do_where_the_learner_comes() -> None:
-    """What the policy is asked in the second the learner has brought about, and both rounds are learned from."""
-    asked = []
-    for seed, rounds in ((0, 2), (1, 1)):
-        model = PPO("MlpPolicy", ChemlabVecEnv(4), device="cpu", seed=0)
-        policy = _Corrects()
-        imitate(model, BenchVectorEnv(4, autoreset_mode="SameStep"), policy, 200 * rounds, seed, rounds)
-        asked.append(policy.asked)
-    both, alone = asked
-    assert len(both) == 2 * len(alone) == 100
-    np.testing.assert_array_equal(both[50], alone[0])  # the second round begins as the policy would with that seed
-    assert np.abs(both[51] - alone[1]).max() > 0.0  # and goes on otherwise: by what the learner did
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
