@@ -29,6 +29,7 @@ LEARNERS = {
     "manager_0/feedforward": "PPO",
     "manager_0/recurrent": "recurrent PPO",
     "joint/benches": "benches",
+    "manager_0/over-benches": "recurrent PPO over benches",
     "joint/together": "IPPO",
     "joint/together-state": "MAPPO",
 }
