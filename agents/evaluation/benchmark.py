@@ -257,8 +257,7 @@ def benchmark(
     Returns:
         Plain data: ``scenarios`` (by name: the scale, and for each row its normalised mean with interval, the same of
         its replications, its generalization gap, what it is more than the baseline in the same episodes, or why the
-            cell is empty), ``rows`` (statistics over all scenarios),
-        and how it was made.
+        cell is empty), ``rows`` (statistics over all scenarios), and how it was made.
 
     Raises:
         DataError: no such scenario.
