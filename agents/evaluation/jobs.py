@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -123,7 +124,10 @@ def _play(
         scenario = scenario.model_copy(update={"limits": limits})
 
     def policies(labs: Laboratories) -> Any:
-        found = make_policies(policy, labs, seed)
+        with warnings.catch_warnings():
+            if not (instruments and reports):  # that the scenario is not the one they were trained in is the point
+                warnings.simplefilter("ignore", UserWarning)
+            found = make_policies(policy, labs, seed)
         if without:
             found[MANAGER_AGENT] = manager_heuristic(labs, policy != "hasty", [without])
         if contended:
