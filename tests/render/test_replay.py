@@ -249,9 +249,12 @@ def test_no_other_script_runs(browser: Any, page_file: Path) -> None:
 
 def turn(page: Any) -> int:
     """The turn that is shown."""
-    page.wait_for_timeout(30)  # it is drawn in the next frame
-    # Both in one go: while it plays, they would be of different frames.
-    now, scrub = page.evaluate("[document.querySelector('#now').innerText, document.querySelector('#scrub').value]")
+    # It is drawn in the next frame, however long that takes: what comes after that one sees it. Both are read in one go: while
+    # the page plays, they would be of different frames.
+    now, scrub = page.evaluate(
+        """() => new Promise(then => requestAnimationFrame(() => requestAnimationFrame(() =>
+        then([document.querySelector('#now').innerText, document.querySelector('#scrub').value]))))"""
+    )
     found = re.match(r"turn (\d+)/", now)
     assert found is not None
     assert scrub == found[1]
