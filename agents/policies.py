@@ -18,6 +18,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.policy import Policy, as_policy
 from chemlab.rng import uniform
 
+from .advice import AdvisedPolicy, Advisor
 from .discrete import NearestPolicy
 from .heuristics.base import Setting
 from .heuristics.campaign import CampaignManager, has_unknown_rate
@@ -34,7 +35,7 @@ from .heuristics.schedule import SchedulingManager, has_orders_to_schedule
 from .heuristics.upkeep import UpkeepManager, has_wearing_lines
 from .heuristics.workup import WorkupHeuristic
 from .plans import plan_for
-from .pretrained import pretrained_for
+from .pretrained import PretrainedPolicy, pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
 
@@ -285,7 +286,7 @@ def agent_policy(
             )
         saved = find_saved(own)
         if role_of(agent) in saved.load:
-            return saved.load[role_of(agent)](role)
+            return _as_trained(saved.load[role_of(agent)](role), laboratories, number, seed, deep)
         try:
             return agent_policy(saved.background, laboratories, number, seed, deep + 1)
         except ValueError as error:
@@ -295,13 +296,25 @@ def agent_policy(
     if own == "trained" and number > 0:
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
     if own == "trained" or (own in ("pretrained", "pretrained-alone") and number > 0):
-        return pretrained_for(role, laboratory=True, alone=own == "pretrained-alone")
+        found = pretrained_for(role, laboratory=True, alone=own == "pretrained-alone")
+        return _as_trained(found, laboratories, number, seed, deep)
     careful = own != "hasty"
     if number > 0:
         return bench_heuristic(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
     return manager_heuristic(laboratories, careful, washing, own != "forgetful", own != "serial")
+
+
+def _as_trained(
+    policy: Policy, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None, deep: int
+) -> Policy:
+    """A trained policy with the advisor that it learned with, if it had one."""
+    advice = policy.card.advice if isinstance(policy, PretrainedPolicy) else None
+    if advice is None:
+        return policy
+    advisor = agent_policy(advice, laboratories, number, seed, deep + 1)
+    return AdvisedPolicy(policy, Advisor(advisor, len(laboratories.actions)))
 
 
 def _partners(laboratories: Laboratories) -> str:

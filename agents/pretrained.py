@@ -131,6 +131,7 @@ class Card:
         memory: how many numbers of each kind its LSTM, which stands before the layers, keeps; 0: it has none.
         masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be
             seen as it learned.
+        advice: name of the policy whose choice it sees behind its observation (:mod:`chemlab.agents.advice`), if any.
     """
 
     name: str
@@ -155,6 +156,7 @@ class Card:
     background: str | None = None
     masked: bool = True
     memory: int = 0
+    advice: str | None = None
 
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
@@ -167,6 +169,8 @@ class Card:
             "observation_size": int(workplace.observation_space.shape[0]),
             "action_size": workplace.action_count or len(workplace.action_meanings),
         }
+        if more.get("advice") is not None:
+            own["observation_size"] += own["action_size"]
         return cls(**{**own, **more})
 
     def as_dict(self) -> dict[str, Any]:
@@ -212,6 +216,7 @@ class _CardFile(BaseModel):
     background: str | None = None
     masked: bool = True
     memory: int = Field(default=0, ge=0, le=65_536)
+    advice: str | None = None
 
 
 assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
@@ -386,7 +391,7 @@ def _difference(card: Card, workplace: Workplace) -> str:
     mine, other = card.interface, json.loads(json.dumps(interface(workplace)))
     if mine["kind"] != other["kind"]:
         return f"it is for {mine['kind']}, this is {other['kind']}"
-    size = int(workplace.observation_space.shape[0])
+    size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
     for ours, theirs in zip(mine["channels"], other["channels"], strict=False):
         if ours != theirs:
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"

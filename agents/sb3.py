@@ -21,6 +21,8 @@ from gymnasium.vector import AutoresetMode
 from chemlab.laboratory.batch_env import BatchEnv
 from chemlab.laboratory.bench_env import BenchVectorEnv
 
+from .advice import Advisor
+
 try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
@@ -42,6 +44,7 @@ class ChemlabVecEnv(VecEnv):
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
         show_masks: whether observations end with the mask of discrete actions, one number an action, for learners that
             take no masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).
+        advisor: whose advice observations are to show (before the masks), for discrete actions.
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
     Infos: a member's info has ``TimeLimit.truncated`` (False on a bench: an experiment's end is a terminal state),
@@ -62,7 +65,12 @@ class ChemlabVecEnv(VecEnv):
     """
 
     def __init__(
-        self, env: int | gymnasium.vector.VectorEnv[Any, Any, Any], *, show_masks: bool = False, **arguments: Any
+        self,
+        env: int | gymnasium.vector.VectorEnv[Any, Any, Any],
+        *,
+        show_masks: bool = False,
+        advisor: Advisor | None = None,
+        **arguments: Any,
     ) -> None:
         if isinstance(env, (int, np.integer)):
             mode = arguments.pop("autoreset_mode", AutoresetMode.SAME_STEP)
@@ -74,19 +82,22 @@ class ChemlabVecEnv(VecEnv):
             raise TypeError(f"needs a number of members or one of chemlab's batches, given {env!r}")
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
-        if show_masks and not batch.action_count:
-            raise ValueError("show_masks: continuous actions have no masks")
+        if (show_masks or advisor is not None) and not batch.action_count:
+            raise ValueError(
+                f"{'show_masks' if show_masks else 'advisor'}: is for discrete actions, these are continuous"
+            )
         self.env = env
         self.batch = batch
-        self._legal = np.ones(batch.action_count or 0, dtype=np.float32) if show_masks else None
+        self._advisor, self._show_masks = advisor, show_masks
+        self._added = np.ones((batch.action_count or 0) * (show_masks + (advisor is not None)), dtype=np.float32)
         self._actions: Any = None
         self._started = time.time()
         self._returns = np.zeros(batch.num_envs)
         self._lengths = np.zeros(batch.num_envs, dtype=np.int64)
         self._quiet: Infos = [self._info() for _ in range(batch.num_envs)]
         space: Any = env.single_observation_space
-        if self._legal is not None:
-            low, high = np.append(space.low, 0.0 * self._legal), np.append(space.high, self._legal)
+        if len(self._added):
+            low, high = np.append(space.low, 0.0 * self._added), np.append(space.high, self._added)
             space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         super().__init__(batch.num_envs, space, env.single_action_space)
 
@@ -118,6 +129,8 @@ class ChemlabVecEnv(VecEnv):
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions [N] or [N, n] that :meth:`step_wait` will play."""
         self._actions = actions
+        if self._advisor is not None:
+            self._advisor.played(actions, np.arange(self.num_envs))
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
         """Play them: observations [N, size], rewards [N], whether each episode has ended [N], infos.
@@ -150,13 +163,16 @@ class ChemlabVecEnv(VecEnv):
 
     def _ended(self, observation: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         # At the end nothing is chosen any more.
-        return np.array(observation) if self._legal is None else np.append(observation, self._legal)
+        return np.append(observation, self._added)
 
     def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        if self._legal is not None:
+        if self._advisor is not None:
+            legal = self.batch.action_masks().astype(np.int8)
+            observations = self._advisor.shown(observations, legal, self._lengths, np.arange(self.num_envs))
+        if self._show_masks:
             return np.concatenate([observations, self.batch.action_masks()], axis=1, dtype=np.float32)
         # SB3 still uses the last observations after the next step.
-        return observations if self.batch.copy else np.array(observations)
+        return observations if self.batch.copy or self._advisor is not None else np.array(observations)
 
     def close(self) -> None:
         """Stop the batch's threads."""
@@ -164,13 +180,17 @@ class ChemlabVecEnv(VecEnv):
 
     def get_state(self) -> list[npt.NDArray[Any]]:
         """Copies of everything that changes, for :meth:`set_state`."""
-        return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy()]
+        memory = np.empty(1, dtype=object)
+        memory[0] = None if self._advisor is None else self._advisor.get_memory()
+        return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy(), memory]
 
     def set_state(self, state: list[npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
         """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
-        *batch, self._returns[:], self._lengths[:] = state
+        *batch, self._returns[:], self._lengths[:], memory = state
         self._reset_seeds()
         self._reset_options()
+        if self._advisor is not None:
+            self._advisor.set_memory(memory[0])
         return self._kept(self.batch.set_state(batch))
 
     def action_masks(self) -> npt.NDArray[np.bool_]:

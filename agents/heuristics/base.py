@@ -70,27 +70,75 @@ class ScriptedManager(Generic[M]):
         self._slices = channel_slices(setting.channels)
         self._orders = [name for name, _ in order_channels(setting.scenario)]
         self._kept: dict[int, M] = {}
+        self._memories: list[dict[int, Any]] = [self._kept]
+        self._advised: dict[int, tuple[int, list[Any]]] = {}
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
+        decided = self.advise(observation, mask, step, members, copied=False)
+        self._advised.clear()
+        return decided
+
+    def advise(
+        self,
+        observation: ObservationArray,
+        mask: MaskArray | None,
+        step: IntArray,
+        members: IntArray,
+        copied: bool = True,
+    ) -> npt.NDArray[Any]:
+        """What it would play; it has not decided that until :meth:`played` says so.
+
+        Args:
+            observation, mask, step, members: as for :meth:`act`.
+            copied: False keeps nothing to take a decision back with.
+        """
         assert mask is not None, "the manager has discrete actions"
-        return np.array(
-            [self._decide(o, m, int(s), int(i)) for o, m, s, i in zip(observation, mask, step, members, strict=True)],
-            dtype=np.int64,
-        )
+        decided = np.zeros(len(members), dtype=np.int64)
+        for n, (o, m, s, i) in enumerate(zip(observation, mask, step.tolist(), members.tolist(), strict=True)):
+            self._see(o, s, i)
+            before = copy.deepcopy([memory.get(i) for memory in self._memories]) if copied else []
+            decided[n] = self._decide(o, m, s, i)
+            self._advised[i] = int(decided[n]), before
+        return decided
+
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """What has been played after its advice: where that is something else, it takes its decision back.
+
+        Args:
+            actions, members: [B].
+        """
+        for action, i in zip(actions.tolist(), members.tolist(), strict=True):
+            decided, before = self._advised.pop(i)
+            if action != decided:
+                for memory, own in zip(self._memories, before, strict=True):
+                    memory[i] = own
+                self._take_note(action, i)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return copy.deepcopy(self._kept)
+        """See :class:`chemlab.laboratory.policy.Policy`; what is advised and not yet played is not decided."""
+        before = {i: own for i, (_, own) in self._advised.items()}
+        return copy.deepcopy(
+            [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
+        )
 
     def set_memory(self, memory: Any) -> None:
         """See :class:`chemlab.laboratory.policy.Policy`."""
-        self._kept = copy.deepcopy(memory)
+        self._advised.clear()
+        for own, kept in zip(self._memories, copy.deepcopy(memory), strict=True):
+            own.clear()
+            own.update(kept)
+
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+        """Take in what it sees before it decides."""
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         raise NotImplementedError
+
+    def _take_note(self, action: int, member: int) -> None:
+        """Take in that an action has been played that it has not decided."""
 
     def _value(self, observation: ObservationArray, name: str) -> float:
         """The first number of a channel."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -101,6 +99,7 @@ class IdentifyingManager(ManagerHeuristic):
         self._instrument = cheapest(scenario, ("uv_vis", "gas_chromatograph")) if careful else None
         self._expected = self._readings(identity) if self._instrument else np.zeros(0)
         self._beliefs: dict[int, _Belief] = {}
+        self._memories.append(self._beliefs)
 
     def _possible(self, identity: Draw) -> tuple[IntArray, FloatArray]:
         """[P, V] every way in which the options may stand in the vessels, and how likely each is."""
@@ -144,16 +143,6 @@ class IdentifyingManager(ManagerHeuristic):
             parts.append(readings[:, 0, table.start[number] : table.start[number + 1]])
         shape = (len(self._vessels), len(self._options), len(self._titres), -1)
         return np.array(parts).reshape(shape)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        return super().get_memory(), copy.deepcopy(self._beliefs)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
-        lines, beliefs = memory
-        super().set_memory(lines)
-        self._beliefs = copy.deepcopy(beliefs)
 
     # -- deciding ---------------------------------------------------------------------------------------------
 

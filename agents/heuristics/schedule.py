@@ -179,13 +179,30 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = _Shop()
         shop = self._kept[member]
         self._learn(shop, observation)
-        orders = self._known(observation)
-        shop.seen += [order.number for order in orders if order.number not in shop.seen]
+        shop.seen += [order.number for order in self._known(observation) if order.number not in shop.seen]
+
+    def _take_note(self, action: int, member: int) -> None:
+        shop = self._kept[member]
+        kind, *arguments = self._actions.decode(action)
+        if kind == "start":
+            shop.running[str(arguments[0])] = int(arguments[1])
+        elif kind in ("submit", "discard"):
+            self._part_with(shop, int(arguments[0]))
+        elif kind == "measure" and arguments[1] == self._instrument:
+            shop.asked = int(arguments[0])
+
+    def _part_with(self, shop: _Shop, slot: int) -> None:
+        for memory in (shop.stage, shop.serves, shop.titre, shop.reported):
+            memory.pop(slot, None)
+        shop.stage[slot] = len(self._stages) + 1  # the vessel is gone
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        shop, orders = self._kept[member], self._known(observation)
         for choose in (self._submit, self._go_on, self._take):
             action = None if self._idle else choose(shop, orders, observation, mask)
             if action is not None:
@@ -205,9 +222,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
                     best, worth = (slot, action), chance * order.price
         if best is None:
             return None
-        for memory in (shop.stage, shop.serves, shop.titre, shop.reported):
-            memory.pop(best[0], None)
-        shop.stage[best[0]] = len(self._stages) + 1  # the vessel is gone
+        self._part_with(shop, best[0])
         return best[1]
 
     def _go_on(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:

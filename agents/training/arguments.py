@@ -207,7 +207,7 @@ class Arguments:
         unsaid = [f.name for f in fields(self) if f.metadata.get("place")]
         # What there was no other of when the first runs were described.
         unsaid += ["split"] if self.split == "train" else []
-        unsaid += [name for name in ("actions", "memory") if getattr(self, name, None) is None]
+        unsaid += [name for name in ("actions", "memory", "advice") if getattr(self, name, None) is None]
         unsaid += ["critic"] if getattr(self, "critic", "own") == "own" else []
         return {name: value for name, value in asdict(self).items() if name not in unsaid}
 
@@ -286,6 +286,12 @@ class TrainArguments(Arguments):
         None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
     )
     imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
+    advice: str | None = _argument(
+        None,
+        "Policy whose choice a laboratory's manager is shown with each observation, by name; it begins by following "
+        "that, and learns where something else is better.",
+        otherwise="none",
+    )
     rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1, most=10**7)
     ent_coef_start: float | None = _argument(
         None, "What SAC's learned weight of the entropy begins with.", above=0.0, otherwise="1.0, SB3's"
@@ -324,6 +330,8 @@ class TrainArguments(Arguments):
                 f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
                 "last minibatch, where advantages are normalized; give another, or another rollout"
             )
+        if self.advice is not None and self.imitate not in (None, self.advice):
+            raise ValueError(f"imitate: who is advised begins by following the advice, {self.advice!r}; leave it out")
         curriculum_of(self, ())
 
     @classmethod
@@ -447,6 +455,7 @@ class RllibArguments(TeamArguments):
 _ONLY: dict[str, tuple[str, ...]] = {
     "imitate": _ON_POLICY,
     "imitate_steps": _ON_POLICY,
+    "advice": ("maskable-ppo", "maskable-recurrent-ppo"),
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),
     "ent_coef_start": ("sac",),

@@ -17,6 +17,7 @@ from chemlab.arrays import ObservationArray
 from chemlab.laboratory.policy import as_policy
 from chemlab.materials import DataError
 
+from ..advice import AdvisedPolicy, with_advice
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
@@ -51,18 +52,18 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
         return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
 
 
-def _observations(task: Task, members: int = 64) -> ObservationArray:
-    """Observations of random episodes."""
+def _observations(task: Task, advised: bool, members: int = 64) -> ObservationArray:
+    """Observations of random episodes, with what is played as the advice if there is any."""
     env = task.batch(members)
-    shape = task.workplace.observation_space.shape
     policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
     nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
     observations, infos = env.reset(seed=0)
-    seen = [observations]
-    for _ in range(20):
-        observations, _, _, _, infos = env.step(policy.act(observations, infos.get("action_mask"), nothing, everyone))
-        seen.append(observations)
-    return np.concatenate(seen).reshape(-1, *shape)
+    seen = []
+    for _ in range(21):
+        actions = policy.act(observations, infos.get("action_mask"), nothing, everyone)
+        seen.append(with_advice(observations, actions, env.action_count) if advised else observations)
+        observations, _, _, _, infos = env.step(actions)
+    return np.concatenate(seen)
 
 
 def largest_difference(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
@@ -142,7 +143,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     model = _learner(best, str(config["algo"]), role)
     policy = _player(best, config, task, model)
     if model is not None:
-        difference = largest_difference(model, policy, _observations(task))
+        difference = largest_difference(model, policy, _observations(task, policy.card.advice is not None))
         if not difference <= _TOLERANCE:
             raise ValueError(
                 f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
@@ -151,7 +152,9 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
     episodes = arguments.final_episodes
-    found = task.by_goal(policy, episodes, RESULT_SEED)
+    advice = policy.card.advice
+    player = policy if advice is None else AdvisedPolicy(policy, task.advisor(advice))
+    found = task.by_goal(player, episodes, RESULT_SEED)
     heuristic = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,

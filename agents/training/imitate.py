@@ -18,6 +18,7 @@ from chemlab.arrays import BoolArray, FloatArray, IntArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
 
+from ..advice import with_advice
 from ..policies import Policy
 
 __all__ = ["IMITATED", "fit", "imitate"]
@@ -39,7 +40,9 @@ _ENTROPY = 0.03
 _VALUES = 0.5
 
 
-def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int) -> float:
+def imitate(
+    model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, advised: bool = False
+) -> float:
     """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
 
     Args:
@@ -48,12 +51,15 @@ def imitate(model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, 
         policy: whom to imitate.
         steps: about how many of its turns to learn from; those of episodes that did not end are left out.
         seed: of the episodes and of the order of minibatches.
+        advised: whether the learner sees the policy's advice (:mod:`chemlab.agents.advice`): it learns to follow it.
 
     Returns:
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
     seen, masks, actions, returns, lengths = _examples(batch, policy, steps, seed, model.gamma)
+    if advised:
+        seen = with_advice(seen, actions, batch.action_count)
     remembers = hasattr(model.policy, "lstm_actor")
     return fit(model, seen, masks, actions, returns, seed, lengths if remembers else None)
 

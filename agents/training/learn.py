@@ -26,6 +26,7 @@ import numpy as np
 from chemlab.laboratory.core import MANAGER_AGENT
 from chemlab.laboratory.policy import Policy, as_policy
 
+from ..advice import AdvisedPolicy
 from ..pretrained import load_pretrained
 from ..runs import Evaluation, Run, RunConfig, RunResult
 from .arguments import ALGORITHMS, RECURRENT, Stage, TrainArguments, curriculum_of, label_of, resolved
@@ -105,7 +106,8 @@ class _Agent(Trainee):
         self._run, self._task, self._rollout = run, task, a.envs * a.rollout
         self._config, self._command = config, command
         self.steps = math.ceil(a.steps / self._rollout) * self._rollout
-        self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo")
+        advisor = None if a.advice is None else task.advisor(a.advice)
+        self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo", advisor=advisor)
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         last, self.progress = run.checkpoint("last"), Progress()
@@ -115,11 +117,17 @@ class _Agent(Trainee):
         else:
             shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
             self.model = _learner(a, self.venv, self.steps)
-            if a.imitate is not None:
+            shown = a.imitate or a.advice
+            if shown is not None:
                 turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
-                imitate(self.model, task.batch(a.envs), task.policy(a.imitate), turns, a.seed)
+                imitate(self.model, task.batch(a.envs), task.policy(shown), turns, a.seed, a.advice is not None)
                 self.progress.seconds = time.perf_counter() - begun
-        self._player: Policy = as_policy(self.model)
+        self._player = self._advised(as_policy(self.model))
+
+    def _advised(self, policy: Policy) -> Policy:
+        """A policy with an advisor of its own, where the learner has one."""
+        advice = self._arguments.advice
+        return policy if advice is None else AdvisedPolicy(policy, self._task.advisor(advice))
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.training.loop.Trainee`; episodes begin as the curriculum says for this step."""
@@ -155,11 +163,12 @@ class _Agent(Trainee):
             command=self._command,
             evaluation=reached(self._arguments, evaluation),
             background=self._task.background,
+            advice=self._arguments.advice,
         )
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
-        self._player = load_pretrained(folder / self._task.workplace.key)
+        self._player = self._advised(load_pretrained(folder / self._task.workplace.key))
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:

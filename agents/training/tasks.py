@@ -19,6 +19,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 
+from ..advice import Advisor
 from ..background import background_policies, focal_vector_env
 from ..player import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
@@ -71,6 +72,16 @@ class Task(ABC):
         Raises:
             ValueError: unknown name, or nothing that fits.
         """
+
+    def advisor(self, name: str) -> Advisor:
+        """Who advises the agent that learns.
+
+        Raises:
+            ValueError: unknown name, or it is not a laboratory's manager that learns.
+        """
+        if self.workplace.key != MANAGER_ROLE:
+            raise ValueError(f"advice: is for a laboratory's manager; {self.agent} learns here")
+        return Advisor(self.policy(name), self.workplace.action_count)
 
     def warning(self) -> str | None:
         """What whoever trains for this should know before, if anything."""

@@ -1,0 +1,93 @@
+"""Learning with advice: an agent sees, besides its observation, what another policy would play in its place.
+
+It can follow the advice from its first turn on, and has only to learn where something else is better (residual policy
+learning: Silver et al., 2018, arXiv:1812.06298, and Johannink et al., 2018, arXiv:1812.03201, add actions of numbers;
+here, where actions are chosen, the advice is something that is seen).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.laboratory.policy import Policy
+
+__all__ = ["AdvisedPolicy", "Advisor", "with_advice"]
+
+
+def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
+    """[B, size + actions] observations that end with the advice: a number for each action, 1 for what is advised."""
+    shown = np.zeros((len(observation), actions), dtype=np.float32)
+    shown[np.arange(len(advice)), advice] = 1.0
+    return np.concatenate([observation, shown], axis=1, dtype=np.float32)
+
+
+class Advisor:
+    """A policy that says what it would play, and hears what has been played.
+
+    Args:
+        policy: it; one that keeps in mind what it has decided takes back what is not played (as scripted managers do,
+            with ``advise`` and ``played``), any other is asked as if it played.
+        actions: how many there are to choose from.
+    """
+
+    def __init__(self, policy: Policy, actions: int) -> None:
+        self._policy, self._actions = policy, actions
+
+    def shown(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> ObservationArray:
+        """[B, size + actions] what the advised agent sees; arguments as for :meth:`Policy.act`."""
+        ask = getattr(self._policy, "advise", self._policy.act)
+        return with_advice(observation, np.asarray(ask(observation, mask, step, members)), self._actions)
+
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """What has been played [B] after the advice."""
+        tell = getattr(self._policy, "played", None)
+        if tell is not None:
+            tell(actions, members)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return getattr(self._policy, "get_memory", lambda: None)()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        remind = getattr(self._policy, "set_memory", None)
+        if remind is not None:
+            remind(memory)
+
+
+class AdvisedPolicy:
+    """A policy that sees an advisor's advice with what it observes.
+
+    Args:
+        policy: that sees both.
+        advisor: its advisor.
+    """
+
+    def __init__(self, policy: Policy, advisor: Advisor) -> None:
+        self._policy, self._advisor = policy, advisor
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        actions = self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
+        self._advisor.played(actions, members)
+        return actions
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        return getattr(self._policy, "get_memory", lambda: None)(), self._advisor.get_memory()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.laboratory.policy.Policy`."""
+        own, advisors = memory
+        remind = getattr(self._policy, "set_memory", None)
+        if remind is not None:
+            remind(own)
+        self._advisor.set_memory(advisors)
