@@ -249,8 +249,8 @@ def test_no_other_script_runs(browser: Any, page_file: Path) -> None:
 
 def turn(page: Any) -> int:
     """The turn that is shown."""
-    # It is drawn in the next frame, however long that takes: what comes after that one sees it. Both are read in one go: while
-    # the page plays, they would be of different frames.
+    # It is drawn in the next frame, however long that takes: whoever comes after that one sees it. Both are read in one
+    # go: while the page plays, they would be of different frames.
     now, scrub = page.evaluate(
         """() => new Promise(then => requestAnimationFrame(() => requestAnimationFrame(() =>
         then([document.querySelector('#now').innerText, document.querySelector('#scrub').value]))))"""
