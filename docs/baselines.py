@@ -28,6 +28,7 @@ _SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
 LEARNERS = {
     "manager_0/feedforward": "PPO",
     "manager_0/recurrent": "recurrent PPO",
+    "manager_0/advised": "PPO with advice",
     "joint/benches": "benches",
     "manager_0/over-benches": "recurrent PPO over benches",
     "joint/together": "IPPO",

@@ -2,7 +2,7 @@
 # Benches that learn in the running laboratory, under the scripted manager: clones of the scripted ones, half for their own
 # experiments and half for the laboratory's score. From the repository's root, and again to go on:
 # bash experiments/worlds_benches.sh [RESULTS [SEED ...]]
-# Those of the first seed of runaway and selectivity come along:
+# Those of the first seed of runaway, selectivity and relay come along:
 # chemlab export RESULTS/runaway-joint/benches/seed-0 --role rxn --out agents/models/runaway_rxn
 set -euo pipefail
 results=${1:-results}
