@@ -20,6 +20,7 @@ from gymnasium.vector import AutoresetMode
 
 from chemlab.laboratory.batch_env import BatchEnv
 from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.laboratory.focal import FocalVectorEnv
 
 from .advice import Advisor
 
@@ -47,7 +48,9 @@ class ChemlabVecEnv(VecEnv):
         advisor: whose advice observations are to show (before the masks), for discrete actions.
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (False on a bench: an experiment's end is a terminal state),
+    Infos: a member's info has ``TimeLimit.truncated`` (False on a bench, where an experiment's end is a terminal state,
+    and for a laboratory's manager, who sees what is left of the limits: nothing comes after them, and learners that add
+    what an episode cut short would still have been worth learn to have it cut short),
     ``cost`` (weighted safety events of the step) and ``illegal_action``, in views of the laboratory
     ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
     ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
@@ -83,21 +86,23 @@ class ChemlabVecEnv(VecEnv):
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
         if (show_masks or advisor is not None) and not batch.action_count:
-            raise ValueError(
-                f"{'show_masks' if show_masks else 'advisor'}: is for discrete actions, these are continuous"
-            )
+            raise ValueError(f"{'show_masks' if show_masks else 'advisor'}: continuous actions have no masks")
         self.env = env
         self.batch = batch
         self._advisor, self._show_masks = advisor, show_masks
-        self._added = np.ones((batch.action_count or 0) * (show_masks + (advisor is not None)), dtype=np.float32)
+        self._sees_limits = isinstance(batch, FocalVectorEnv) and batch.focal == 0
+        self._legal = np.ones((batch.action_count or 0) * show_masks, dtype=np.float32)
+        advice = (batch.num_envs, (batch.action_count or 0) * (advisor is not None))
+        self._advice = np.zeros(advice, dtype=np.float32)
         self._actions: Any = None
         self._started = time.time()
         self._returns = np.zeros(batch.num_envs)
         self._lengths = np.zeros(batch.num_envs, dtype=np.int64)
         self._quiet: Infos = [self._info() for _ in range(batch.num_envs)]
         space: Any = env.single_observation_space
-        if len(self._added):
-            low, high = np.append(space.low, 0.0 * self._added), np.append(space.high, self._added)
+        if show_masks or advisor is not None:
+            added = np.ones(advice[1] + len(self._legal), dtype=np.float32)
+            low, high = np.append(space.low, 0.0 * added), np.append(space.high, added)
             space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         super().__init__(batch.num_envs, space, env.single_action_space)
 
@@ -149,8 +154,8 @@ class ChemlabVecEnv(VecEnv):
         for i in np.flatnonzero(dones | illegal | (cost > 0.0)):
             info = infos[i] = {**infos[i], **self._info(float(cost[i]), bool(illegal[i]))}
             if dones[i]:
-                info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-                info["terminal_observation"] = self._ended(found["final_obs"][i])
+                info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i] and not self._sees_limits)
+                info["terminal_observation"] = self._ended(found["final_obs"][i], i)
                 if found["experiment_over"][i]:
                     info["score"] = float(found["score"][i])
                 info["episode"] = {
@@ -161,14 +166,16 @@ class ChemlabVecEnv(VecEnv):
                 self._returns[i], self._lengths[i] = 0.0, 0
         return self._kept(observations), rewards.astype(np.float32), dones, infos
 
-    def _ended(self, observation: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        # At the end nothing is chosen any more.
-        return np.append(observation, self._added)
+    def _ended(self, observation: npt.NDArray[np.float32], member: int) -> npt.NDArray[np.float32]:
+        # At the end nothing is chosen any more, and nobody advises anything; but whoever asks what this is worth has never
+        # seen an observation without advice: it is the last one.
+        return np.concatenate([observation, self._advice[member], self._legal])
 
     def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         if self._advisor is not None:
             legal = self.batch.action_masks().astype(np.int8)
             observations = self._advisor.shown(observations, legal, self._lengths, np.arange(self.num_envs))
+            self._advice = observations[:, -self._advice.shape[1] :]
         if self._show_masks:
             return np.concatenate([observations, self.batch.action_masks()], axis=1, dtype=np.float32)
         # SB3 still uses the last observations after the next step.

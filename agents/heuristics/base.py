@@ -98,6 +98,8 @@ class ScriptedManager(Generic[M]):
         assert mask is not None, "the manager has discrete actions"
         decided = np.zeros(len(members), dtype=np.int64)
         for n, (o, m, s, i) in enumerate(zip(observation, mask, step.tolist(), members.tolist(), strict=True)):
+            if self._kept.get(i) is None:
+                s = 0  # what it decided first was not played
             self._see(o, s, i)
             before = copy.deepcopy([memory.get(i) for memory in self._memories]) if copied else []
             decided[n] = self._decide(o, m, s, i)
