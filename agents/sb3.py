@@ -167,8 +167,8 @@ class ChemlabVecEnv(VecEnv):
         return self._kept(observations), rewards.astype(np.float32), dones, infos
 
     def _ended(self, observation: npt.NDArray[np.float32], member: int) -> npt.NDArray[np.float32]:
-        # At the end nothing is chosen any more, and nobody advises anything; but whoever asks what this is worth has never
-        # seen an observation without advice: it is the last one.
+        # At the end nothing is chosen any more, and nobody advises anything; but whoever asks what this is worth has
+        # never seen an observation without advice: it is the last one.
         return np.concatenate([observation, self._advice[member], self._legal])
 
     def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -177,6 +177,29 @@ def test_a_batch_shows_the_advice_and_goes_on_alike() -> None:
         np.testing.assert_array_equal(one, two)
 
 
+def test_nothing_comes_after_the_limits_that_a_manager_sees() -> None:
+    """Learners add what an episode cut short would have been worth: they must not where that is nothing."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.background import focal_vector_env
+    from chemlab.agents.sb3 import ChemlabVecEnv
+
+    batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    venv, wait = ChemlabVecEnv(batch), np.full(4, batch.action_count - 1)
+    venv.reset()
+    ended = []
+    while len(ended) < 4:  # who does nothing but wait runs into a limit
+        _, _, dones, infos = venv.step(wait)
+        ended += [infos[i] for i in np.flatnonzero(dones)]
+    assert not any(info["TimeLimit.truncated"] for info in ended)
+    twin = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    twin.reset(seed=0)
+    while True:
+        _, _, terminated, truncated, _ = twin.step(wait)
+        if (terminated | truncated).any():
+            break
+    assert truncated.any()
+
+
 @pytest.mark.parametrize("algo", ["maskable-ppo", "maskable-recurrent-ppo"])
 def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
