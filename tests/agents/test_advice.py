@@ -183,7 +183,7 @@ def test_nothing_comes_after_the_limits_that_a_manager_sees() -> None:
     from chemlab.agents.background import focal_vector_env
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    batch = focal_vector_env(4, "unlabelled", autoreset_mode="SameStep")
     venv, wait = ChemlabVecEnv(batch), np.full(4, batch.action_count - 1)
     venv.reset()
     ended = []
@@ -191,7 +191,7 @@ def test_nothing_comes_after_the_limits_that_a_manager_sees() -> None:
         _, _, dones, infos = venv.step(wait)
         ended += [infos[i] for i in np.flatnonzero(dones)]
     assert not any(info["TimeLimit.truncated"] for info in ended)
-    twin = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    twin = focal_vector_env(4, "unlabelled", autoreset_mode="SameStep")
     twin.reset(seed=0)
     while True:
         _, _, terminated, truncated, _ = twin.step(wait)
