@@ -98,7 +98,10 @@ class ScriptedManager(Generic[M]):
         assert mask is not None, "the manager has discrete actions"
         decided = np.zeros(len(members), dtype=np.int64)
         for n, (o, m, s, i) in enumerate(zip(observation, mask, step.tolist(), members.tolist(), strict=True)):
-            if self._kept.get(i) is None:
+            if s == 0:
+                for memory in self._memories:
+                    memory.pop(i, None)
+            elif all(memory.get(i) is None for memory in self._memories):
                 s = 0  # what it decided first was not played
             self._see(o, s, i)
             before = copy.deepcopy([memory.get(i) for memory in self._memories]) if copied else []
