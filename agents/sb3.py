@@ -155,7 +155,7 @@ class ChemlabVecEnv(VecEnv):
             info = infos[i] = {**infos[i], **self._info(float(cost[i]), bool(illegal[i]))}
             if dones[i]:
                 info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i] and not self._sees_limits)
-                info["terminal_observation"] = self._ended(found["final_obs"][i], i)
+                info["terminal_observation"] = self._ended(found["final_obs"][i], int(i))
                 if found["experiment_over"][i]:
                     info["score"] = float(found["score"][i])
                 info["episode"] = {

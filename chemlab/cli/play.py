@@ -27,16 +27,15 @@ __all__: list[str] = []
 
 def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
     """(name, policy) of who plays the other roles."""
-    from ..agents.policies import make_policies
+    from ..agents.policies import agent_policy, make_policies
 
     pretrained = name == "pretrained"
     made = make_policies("heuristic" if pretrained else name, labs, seed)
     chosen = {agent: ("heuristic" if pretrained else name, made[agent]) for agent in labs.agents if agent not in people}
     for agent in chosen if pretrained else ():
-        from ..agents.pretrained import pretrained_for
-
+        number = labs.agents.index(agent)
         try:
-            chosen[agent] = (name, pretrained_for(labs.role(labs.agents.index(agent)), laboratory=True))
+            chosen[agent] = (name, agent_policy("pretrained" if number else "trained", labs, number, seed))
         except ValueError as error:
             err.print(f"{agent} is played by the scripted policy: {plain(error)}")
     return chosen
