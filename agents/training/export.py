@@ -17,7 +17,7 @@ from chemlab.arrays import ObservationArray
 from chemlab.laboratory.policy import as_policy
 from chemlab.materials import DataError
 
-from ..advice import AdvisedPolicy, with_advice
+from ..advice import with_advice
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
@@ -152,9 +152,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
     episodes = arguments.final_episodes
-    advice = policy.card.advice
-    player = policy if advice is None else AdvisedPolicy(policy, task.advisor(advice))
-    found = task.by_goal(player, episodes, RESULT_SEED)
+    found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
     heuristic = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,

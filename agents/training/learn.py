@@ -24,9 +24,8 @@ from typing import Any
 import numpy as np
 
 from chemlab.laboratory.core import MANAGER_AGENT
-from chemlab.laboratory.policy import Policy, as_policy
+from chemlab.laboratory.policy import as_policy
 
-from ..advice import AdvisedPolicy
 from ..pretrained import load_pretrained
 from ..runs import Evaluation, Run, RunConfig, RunResult
 from .arguments import ALGORITHMS, RECURRENT, Stage, TrainArguments, curriculum_of, label_of, resolved
@@ -122,12 +121,7 @@ class _Agent(Trainee):
                 turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
                 imitate(self.model, task.batch(a.envs), task.policy(shown), turns, a.seed, a.advice is not None)
                 self.progress.seconds = time.perf_counter() - begun
-        self._player = self._advised(as_policy(self.model))
-
-    def _advised(self, policy: Policy) -> Policy:
-        """A policy with an advisor of its own, where the learner has one."""
-        advice = self._arguments.advice
-        return policy if advice is None else AdvisedPolicy(policy, self._task.advisor(advice))
+        self._player = task.advised(as_policy(self.model), a.advice)
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.training.loop.Trainee`; episodes begin as the curriculum says for this step."""
@@ -168,7 +162,8 @@ class _Agent(Trainee):
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.training.loop.Trainee`."""
-        self._player = self._advised(load_pretrained(folder / self._task.workplace.key))
+        learned = load_pretrained(folder / self._task.workplace.key)
+        self._player = self._task.advised(learned, self._arguments.advice)
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:

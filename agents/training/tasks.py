@@ -19,7 +19,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalVectorEnv
 from chemlab.scenario import Scenario, load_scenario
 
-from ..advice import Advisor
+from ..advice import AdvisedPolicy, Advisor
 from ..background import background_policies, focal_vector_env
 from ..player import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
@@ -82,6 +82,10 @@ class Task(ABC):
         if self.workplace.key != MANAGER_ROLE:
             raise ValueError(f"advice: is for a laboratory's manager; {self.agent} learns here")
         return Advisor(self.policy(name), self.workplace.action_count)
+
+    def advised(self, policy: Policy, advice: str | None) -> Policy:
+        """A policy with an advisor of its own by name, where it has one; errors as :meth:`advisor`."""
+        return policy if advice is None else AdvisedPolicy(policy, self.advisor(advice))
 
     def warning(self) -> str | None:
         """What whoever trains for this should know before, if anything."""
