@@ -329,7 +329,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     config = run.config()
     assert config is not None
     # These go without saying, as they did before there were others.
-    assert {f.name for f in fields(TrainArguments)} - {"split", "actions", "memory"} <= set(config)
+    assert {f.name for f in fields(TrainArguments)} - {"split", "actions", "memory", "advice"} <= set(config)
     assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
     assert config["gamma"] == 0.99
     assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])

@@ -246,7 +246,7 @@ def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
     line |= {"low": 0.4, "high": None, "split": "test", "records": [{"file": "records/a.jsonl", "seed": 1}]}
     board = {"kind": "leaderboard", "format": 1, "lines": [line, {**line, "value": None}, {**line, "policy": "a"}]}
     write_json(folder / "leaderboard.json", board, rng)
-    found: dict[str, Any] = dict.fromkeys(("split", "seeds", "budget", "commit", "versions", "hardware"))
+    found: dict[str, Any] = dict.fromkeys(("split", "seeds", "budget", "baseline", "commit", "versions", "hardware"))
     _write_leaderboard(folder / "leaderboard.json", {**found, "rows": [], "scenarios": {}}, {})
     leaderboard_lines(folder / "leaderboard.json")
     json.dumps(json.loads((folder / "leaderboard.json").read_text()), allow_nan=False)
