@@ -37,12 +37,18 @@ class Advisor:
     def __init__(self, policy: Policy, actions: int) -> None:
         self._policy, self._actions = policy, actions
 
+    def advice(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """[B] what the policy would play; arguments as for :meth:`Policy.act`."""
+        ask = getattr(self._policy, "advise", self._policy.act)
+        return np.asarray(ask(observation, mask, step, members))
+
     def shown(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> ObservationArray:
         """[B, size + actions] what the advised agent sees; arguments as for :meth:`Policy.act`."""
-        ask = getattr(self._policy, "advise", self._policy.act)
-        return with_advice(observation, np.asarray(ask(observation, mask, step, members)), self._actions)
+        return with_advice(observation, self.advice(observation, mask, step, members), self._actions)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
         """What has been played [B] after the advice."""

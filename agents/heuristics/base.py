@@ -58,6 +58,14 @@ class Setting(NamedTuple):
     skip: Collection[str] = ()
 
 
+class _Advice(NamedTuple):
+    """Attributes: decided: an action; before: the memories that decision was made from; seen: the observation."""
+
+    decided: int
+    before: list[Any]
+    seen: ObservationArray
+
+
 class ScriptedManager(Generic[M]):
     """A manager that decides for one laboratory at a time, by what it keeps of it.
 
@@ -71,7 +79,7 @@ class ScriptedManager(Generic[M]):
         self._orders = [name for name, _ in order_channels(setting.scenario)]
         self._kept: dict[int, M] = {}
         self._memories: list[dict[int, Any]] = [self._kept]
-        self._advised: dict[int, tuple[int, list[Any]]] = {}
+        self._advised: dict[int, _Advice] = {}
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -106,7 +114,7 @@ class ScriptedManager(Generic[M]):
             self._see(o, s, i)
             before = copy.deepcopy([memory.get(i) for memory in self._memories]) if copied else []
             decided[n] = self._decide(o, m, s, i)
-            self._advised[i] = int(decided[n]), before
+            self._advised[i] = _Advice(int(decided[n]), before, o)
         return decided
 
     def played(self, actions: IntArray, members: IntArray) -> None:
@@ -116,15 +124,15 @@ class ScriptedManager(Generic[M]):
             actions, members: [B].
         """
         for action, i in zip(actions.tolist(), members.tolist(), strict=True):
-            decided, before = self._advised.pop(i)
-            if action != decided:
-                for memory, own in zip(self._memories, before, strict=True):
+            advice = self._advised.pop(i)
+            if action != advice.decided:
+                for memory, own in zip(self._memories, advice.before, strict=True):
                     memory[i] = own
-                self._take_note(action, i)
+                self._take_note(advice.seen, action, i)
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.laboratory.policy.Policy`; what is advised and not yet played is not decided."""
-        before = {i: own for i, (_, own) in self._advised.items()}
+        before = {i: advice.before for i, advice in self._advised.items()}
         return copy.deepcopy(
             [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
         )
@@ -142,7 +150,7 @@ class ScriptedManager(Generic[M]):
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         raise NotImplementedError
 
-    def _take_note(self, action: int, member: int) -> None:
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         """Take in that an action has been played that it has not decided."""
 
     def _value(self, observation: ObservationArray, name: str) -> float:

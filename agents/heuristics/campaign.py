@@ -43,20 +43,17 @@ class _Belief:
 
     Attributes:
         weights: [T] probability of each rate.
-        batch: which order it is working on.
-        runs: experiments that the vessel of the batch has had.
-        asked: whether its last action was a measurement.
-        looked: number of measurements of the vessel as it is.
-        waiting: whether an experiment has been begun.
+        slots: of the vessels that are left; it works on the first.
+        orders: those that are open; the first is filled next.
+        runs: experiments that a slot's vessel has had.
+        asked: whether the last action was a measurement of the first.
     """
 
     weights: FloatArray
-    batch: int = 0
-    runs: int = 0
+    slots: list[int]
+    orders: list[int]
+    runs: dict[int, int] = field(default_factory=dict)
     asked: bool = False
-    looked: int = 0
-    waiting: bool = False
-    slots: list[int] = field(default_factory=list)
 
 
 class CampaignManager(ScriptedManager[_Belief]):
@@ -89,35 +86,65 @@ class CampaignManager(ScriptedManager[_Belief]):
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, self._expected.shape[2]))
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
-            slots = [s for s in range(self._actions.slots) if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
-            self._kept[member] = _Belief(self._prior(), slots=slots)
+            self._kept[member] = self._begin(observation, self._prior())
         belief = self._kept[member]
-        if belief.batch == len(self._orders):
-            belief.batch = 0  # and yet it is not over: somebody else has acted in its place
-        slot = belief.slots[min(belief.batch, len(belief.slots) - 1)] if belief.slots else 0
-        if belief.waiting:
-            belief.waiting = False
-            return self._actions.encode("wait")
         if belief.asked:
             belief.asked = False
-            reading = observation[self._slices[f"slot_{slot}_{self._instrument}"]].astype(np.float64)
-            belief.weights = self._updated(belief.weights, reading, belief.runs)
-        if self._measures(belief, mask, slot):
-            belief.asked, belief.looked = True, belief.looked + 1
-            return self._actions.encode("measure", slot, str(self._instrument))
-        best = belief.runs + int((belief.weights @ self._worth[:, belief.runs :]).argmax())
-        if best > belief.runs and self._rxn is not None:
-            goal = self._goal(observation, belief.batch)
-            start = self._actions.encode("start", self._rxn, slot, goal)
-            if mask[start]:
-                belief.runs, belief.looked, belief.waiting = belief.runs + 1, 0, True
-                return start
-        submit = self._actions.encode("submit", slot, *([belief.batch] if len(self._orders) > 1 else []))
-        belief.batch, belief.runs, belief.looked = belief.batch + 1, 0, 0
+            reading = observation[self._slices[f"slot_{belief.slots[0]}_{self._instrument}"]].astype(np.float64)
+            belief.weights = self._updated(belief.weights, reading, self._runs(belief))
+        if not belief.slots or not belief.orders:
+            # And yet it is not over: somebody else has acted in its place.
+            self._kept[member] = self._begin(observation, belief.weights)
+
+    def _begin(self, observation: ObservationArray, weights: FloatArray) -> _Belief:
+        slots = [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
+        return _Belief(weights, slots or [0], list(range(len(self._orders))))
+
+    def _runs(self, belief: _Belief) -> int:
+        return min(belief.runs.get(belief.slots[0], 0), _MOST_RUNS)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        belief = self._kept[member]
+        kind, *arguments = self._actions.decode(action)
+        if kind not in ("start", "measure", "submit", "discard"):
+            return
+        slot = int(arguments[kind == "start"])
+        if slot not in belief.slots:
+            return
+        # The vessel that somebody else turns to is the one that is worked on.
+        belief.slots.remove(slot)
+        if kind in ("start", "measure"):
+            belief.slots.insert(0, slot)
+        if kind == "start":
+            belief.runs[slot] = belief.runs.get(slot, 0) + 1
+        elif kind == "measure":
+            belief.asked = arguments[1] == self._instrument
+        elif kind == "submit":
+            self._submitted(belief, int(arguments[1]) if len(self._orders) > 1 else 0)
+
+    def _submitted(self, belief: _Belief, order: int) -> None:
+        belief.orders = [other for other in belief.orders if other != order]
         if not self._remember:
             belief.weights = self._prior()
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        belief, wait = self._kept[member], self._actions.encode("wait")
+        if self._rxn is not None and mask[wait] and self._value(observation, f"{self._rxn}_busy") > 0.5:
+            return wait
+        slot, order, runs = belief.slots[0], belief.orders[0], self._runs(belief)
+        if self._measures(belief, mask, slot):
+            belief.asked = True
+            return self._actions.encode("measure", slot, str(self._instrument))
+        if (belief.weights @ self._worth[:, runs:]).argmax() > 0 and self._rxn is not None:
+            start = self._actions.encode("start", self._rxn, slot, self._goal(observation, order))
+            if mask[start]:
+                belief.runs[slot] = runs + 1
+                return start
+        submit = self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
+        belief.slots.pop(0)
+        self._submitted(belief, order)
         return submit if mask[submit] else int(mask.argmax())
 
     def _goal(self, observation: ObservationArray, order: int) -> str:
@@ -140,17 +167,14 @@ class CampaignManager(ScriptedManager[_Belief]):
 
     def _measures(self, belief: _Belief, mask: MaskArray, slot: int) -> bool:
         """Whether another look is worth its price."""
-        if (
-            self._instrument is None
-            or belief.runs == 0
-            or not mask[self._actions.encode("measure", slot, self._instrument)]
-        ):
+        runs = self._runs(belief)
+        if self._instrument is None or runs == 0 or not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False
-        left = len(self._orders) - belief.batch - 1 if self._remember else 0
+        left = len(belief.orders) - 1 if self._remember else 0
         rates = np.searchsorted(np.cumsum(belief.weights), self._shares).clip(0, _GRID - 1)
-        readings = self._expected[rates, belief.runs] + self._errors
-        after = self._prospect(self._updated(belief.weights, readings, belief.runs), belief.runs, left).mean()
-        return bool(after - self._prospect(belief.weights, belief.runs, left) > self._price)
+        readings = self._expected[rates, runs] + self._errors
+        after = self._prospect(self._updated(belief.weights, readings, runs), runs, left).mean()
+        return bool(after - self._prospect(belief.weights, runs, left) > self._price)
 
 
 def _foreseen(

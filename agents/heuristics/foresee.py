@@ -164,24 +164,57 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     def _occupied(self, observation: ObservationArray) -> list[int]:
         return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
         belief = self._kept[member]
-        wait = self._actions.encode("wait")
-        if belief.running is not None:
-            if self._value(observation, f"{belief.running[1]}_busy") > 0.5:
-                return wait
+        if belief.running is not None and self._value(observation, f"{belief.running[1]}_busy") < 0.5:
             belief.running = None
-        if belief.gone and len(belief.gone) == len(belief.slots):
-            # And yet it is not over: somebody else has acted in its place. What is there now?
-            belief = self._kept[member] = self._begin(observation)
-        if not belief.slots:
-            return wait
-        goal = self._goal(observation, belief)
         if belief.asked >= 0:
             v, belief.asked = belief.asked, -1
-            self._learn(belief, v, observation[self._slices[f"slot_{belief.slots[v]}_{self._instrument}"]], goal)
+            reading = observation[self._slices[f"slot_{belief.slots[v]}_{self._instrument}"]]
+            self._learn(belief, v, reading, self._goal(observation, belief))
+        if belief.running is None and belief.gone and len(belief.gone) == len(belief.slots):
+            # And yet it is not over: somebody else has acted in its place. What is there now?
+            self._kept[member] = self._begin(observation)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        belief = self._kept[member]
+        kind, *arguments = self._actions.decode(action)
+        if kind not in ("start", "measure", "submit", "discard"):
+            return
+        slot = int(arguments[kind == "start"])
+        if slot not in belief.slots or belief.slots.index(slot) in belief.gone:
+            return
+        v = belief.slots.index(slot)
+        if kind == "start":
+            agent = str(arguments[0])
+            stages = next(iter(self._foresight.values())).stages
+            wanted = (*stages[belief.stage[v]], (agent, str(arguments[2])))
+            belief.running = v, agent
+            if wanted in stages:
+                belief.stage[v], belief.looks[v] = stages.index(wanted), 0
+            else:
+                belief.gone.add(v)  # what becomes of it has not been foreseen
+        elif kind == "measure":
+            if arguments[1] == self._instrument:
+                belief.asked, belief.looks[v] = v, belief.looks[v] + 1
+        else:
+            belief.gone.add(v)
+            if kind == "submit":
+                self._submitted(belief)
+
+    def _submitted(self, belief: _Belief) -> None:
+        belief.order += 1
+        if not self._remember:
+            belief.likelihood[list(belief.gone)] = 1.0
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        belief = self._kept[member]
+        wait = self._actions.encode("wait")
+        if belief.running is not None or not belief.slots:
+            return wait
+        goal = self._goal(observation, belief)
         promises = self._promises(belief, goal)
         look = self._next_look(belief, goal, promises, mask)
         if look is not None:
@@ -226,9 +259,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     def _submit(self, mask: MaskArray, belief: _Belief, v: int) -> int:
         submit = self._actions.encode("submit", belief.slots[v], *([belief.order] if len(self._orders) > 1 else []))
         belief.gone.add(v)
-        belief.order += 1
-        if not self._remember:
-            belief.likelihood[list(belief.gone)] = 1.0
+        self._submitted(belief)
         return submit if mask[submit] else int(mask.argmax())
 
     # -- knowing ----------------------------------------------------------------------------------------------

@@ -146,22 +146,45 @@ class IdentifyingManager(ManagerHeuristic):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             shape = (len(self._vessels), len(self._options), len(self._titres))
             self._beliefs[member] = _Belief(np.ones(shape))
+        if self._beliefs[member].asked is not None:
+            self._learn(self._beliefs[member], observation)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        belief = self._beliefs[member]
+        kind, *arguments = self._actions.decode(action)
+        if not belief.chosen:
+            if kind == "measure" and arguments[0] in self._vessels and arguments[1] == self._instrument:
+                belief.asked = self._vessels.index(int(arguments[0]))
+            if kind != "start":
+                return
+            belief.chosen.append(int(arguments[1]))
+            self._choose(belief, observation, member)
+        super()._take_note(observation, action, member)
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         belief = self._beliefs[member]
         if belief.chosen:
             return super()._decide(observation, mask, step, member)
-        if belief.asked is not None:
-            self._learn(belief, observation)
-        goals = [self._scenario.goals[int(observation[self._slices[name]].argmax())] for name in self._orders]
-        worth = np.array([self._worth(goal) for goal in goals])
+        worth = self._ordered(observation)
         look = self._next_look(belief, worth[0], mask)
         if look is not None:
             belief.asked = look
             return self._actions.encode("measure", self._vessels[look], str(self._instrument))
-        for own in worth:
+        self._choose(belief, observation, member)
+        return super()._decide(observation, mask, 1, member)
+
+    def _ordered(self, observation: ObservationArray) -> FloatArray:
+        """[orders, O, T] score of a vessel for each order, by what is in it."""
+        goals = [self._scenario.goals[int(observation[self._slices[name]].argmax())] for name in self._orders]
+        return np.array([self._worth(goal) for goal in goals])
+
+    def _choose(self, belief: _Belief, observation: ObservationArray, member: int) -> None:
+        """Choose a vessel for every order that has none yet, and begin with them."""
+        for own in self._ordered(observation)[len(belief.chosen) :]:
             expected = (self._posterior(belief) * own).sum(axis=(1, 2))
             free = [v for v, slot in enumerate(self._vessels) if slot not in belief.chosen]
             best = max(free or range(len(self._vessels)), key=lambda v: expected[v])
@@ -169,7 +192,6 @@ class IdentifyingManager(ManagerHeuristic):
         self._kept[member] = self._begin(observation)
         for line, slot in zip(self._kept[member], belief.chosen, strict=True):
             line.slot = slot
-        return super()._decide(observation, mask, 1, member)
 
     def _worth(self, goal: str) -> FloatArray:
         """[O, T] score of a vessel for a goal, by what is in it."""

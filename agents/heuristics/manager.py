@@ -114,9 +114,28 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             lines.append(_Line(order, goal, self._plan(goal), slot, mine))
         return lines
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        lines = self._kept[member]
+        kind, *arguments = self._actions.decode(action)
+        if kind == "start":
+            agent, slot = str(arguments[0]), int(arguments[1])
+            line = next((line for line in lines if slot in line.mine), lines[0])
+            left = line.plan[line.stage :]
+            if role_of(agent) in left:
+                line.stage += left.index(role_of(agent)) + 1
+            line.slot = slot
+            self._begun(observation, line, lines, agent)
+        elif kind == "measure":
+            for line in lines:
+                line.measured.add((int(arguments[0]), str(arguments[1])))
+        elif kind == "submit":
+            lines[int(arguments[1]) if len(lines) > 1 else 0].submitted = True
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         lines = self._kept[member]
         for line in lines:
             if line.submitted or (line.running and self._value(observation, f"{line.running}_busy") > 0.5):
@@ -157,6 +176,12 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         action = self._actions.encode("start", agent, line.slot, line.goal)
         if not mask[action]:
             return self._fallback(mask, line, lines)
+        line.stage += line.stage < len(line.plan)
+        self._begun(observation, line, lines, agent)
+        return action
+
+    def _begun(self, observation: ObservationArray, line: _Line, lines: list[_Line], agent: str) -> None:
+        """Take down that a line's vessel goes to a bench."""
         # The laboratory keeps the first free slots for what comes back.
         taken = set(self._occupied(observation))
         for other in lines:
@@ -164,17 +189,15 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             if other.running and self._value(observation, f"{other.running}_busy") > 0.5:
                 taken |= other.kept
         free = [s for s in range(self._actions.slots) if s not in taken]
-        kept = set(free[: self._positions[bench] - 1])
+        kept = set(free[: self._positions[role_of(agent)] - 1])
         for other in lines:
             other.mine -= kept
         line.mine |= kept
         line.kept = kept | {line.slot}
-        line.stage += line.stage < len(line.plan)
         line.running = agent
-        line.distillations += bench == self._dit
+        line.distillations += role_of(agent) == self._dit
         # The vessel goes to a bench and will come back as another; readings of the others stay good.
         line.measured = {(slot, instrument) for slot, instrument in line.measured if slot != line.slot}
-        return action
 
     def _fallback(self, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
         """Make room by discarding what is not being worked on; without any, submit what there is."""

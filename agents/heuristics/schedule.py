@@ -186,11 +186,16 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._learn(shop, observation)
         shop.seen += [order.number for order in self._known(observation) if order.number not in shop.seen]
 
-    def _take_note(self, action: int, member: int) -> None:
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         shop = self._kept[member]
         kind, *arguments = self._actions.decode(action)
         if kind == "start":
-            shop.running[str(arguments[0])] = int(arguments[1])
+            agent, slot = str(arguments[0]), int(arguments[1])
+            shop.running[agent] = slot
+            served = set(shop.serves.values())
+            waiting = [order for order in self._known(observation) if order.number not in served]
+            if agent in self._agents[self._stages[0]] and slot not in shop.serves and waiting:
+                shop.serves[slot] = max(waiting, key=lambda order: order.price).number
         elif kind in ("submit", "discard"):
             self._part_with(shop, int(arguments[0]))
         elif kind == "measure" and arguments[1] == self._instrument:

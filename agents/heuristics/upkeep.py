@@ -169,12 +169,61 @@ class UpkeepManager(ScriptedManager[_Belief]):
         doubt = np.full(size, self._drift.first**2)
         return _Belief(lines, fresh, rng, np.zeros(size), doubt, list(range(len(self._orders))))
 
-    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
+        self._pass_time(self._kept[member], observation, self._left(observation))
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        belief = self._kept[member]
+        kind, *arguments = self._actions.decode(action)
+        if kind == "start":
+            line = next(line for line in belief.lines if line.agent == arguments[0])
+            self._put_on(belief, line, int(arguments[1]))
+            line.begun = belief.known
+        elif kind == "measure" and arguments[1] == self._instrument:
+            for line in belief.lines:
+                if line.slot == arguments[0]:
+                    belief.asked, line.looked = line, line.looked + 1
+        elif kind in ("submit", "discard"):
+            self._take_away(belief, int(arguments[0]))
+            if kind == "submit":
+                order = int(arguments[1]) if len(self._orders) > 1 else 0
+                belief.orders = [other for other in belief.orders if other != order]
+        elif kind == "calibrate" and arguments[0] == self._instrument:
+            self._calibrated(belief)
+        elif kind == "repair":
+            for line in belief.lines:
+                if line.agent == arguments[0]:
+                    line.speed = self._new_speed(line.wear, belief.rng)
+
+    def _put_on(self, belief: _Belief, line: _Line, slot: int) -> None:
+        """Somebody else has put a vessel on a line."""
+        if line.slot == slot:
+            return
+        age = self._take_away(belief, slot)
+        if line.slot is not None:
+            belief.left.append((line.slot, line.age))
+        line.slot, line.age, line.looked = slot, age, 0
+
+    def _take_away(self, belief: _Belief, slot: int) -> FloatArray:
+        """A vessel is no longer where it was; its age [K]."""
+        age = np.zeros(_PARTICLES)
+        for line in belief.lines:
+            if line.slot == slot:
+                age, line.slot = line.age, None
+        for other, own in belief.left:
+            age = own if other == slot else age
+        belief.left = [(other, own) for other, own in belief.left if other != slot]
+        belief.fresh = [other for other in belief.fresh if other != slot]
+        return age
+
+    def _calibrated(self, belief: _Belief) -> None:
+        belief.bias[:], belief.doubt[:] = 0.0, self._drift.error**2
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         belief = self._kept[member]
         left = self._left(observation)
-        self._pass_time(belief, observation, left)
         for line in belief.lines:
             if line.begun is None:
                 action = self._attend(belief, line, observation, mask, left)
@@ -275,7 +324,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
                 if calibrate is not None and mask[calibrate]:
                     better = self._look(belief, ages, worth, 0, np.full(len(self._shown), self._drift.error**2))
                     if (better - gains[0]) * len(belief.orders) > self._drift.price:
-                        belief.bias[:], belief.doubt[:] = 0.0, self._drift.error**2
+                        self._calibrated(belief)
                         return calibrate
                 belief.asked, line.looked = line, line.looked + 1
                 return look

@@ -286,6 +286,13 @@ class TrainArguments(Arguments):
         None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
     )
     imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
+    imitate_rounds: int | None = _argument(
+        None,
+        "In how many parts; after the first the learner plays, and is shown what the policy would have played.",
+        least=1,
+        most=1000,
+        otherwise="1",
+    )
     advice: str | None = _argument(
         None,
         "Policy whose choice a laboratory's manager is shown with each observation, by name; it begins by following "
@@ -455,6 +462,7 @@ class RllibArguments(TeamArguments):
 _ONLY: dict[str, tuple[str, ...]] = {
     "imitate": _ON_POLICY,
     "imitate_steps": _ON_POLICY,
+    "imitate_rounds": _ON_POLICY,
     "advice": ("maskable-ppo", "maskable-recurrent-ppo"),
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),

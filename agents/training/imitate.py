@@ -7,7 +7,8 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +18,9 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from chemlab.arrays import BoolArray, FloatArray, IntArray
 from chemlab.laboratory.bench_env import BenchVectorEnv
 from chemlab.laboratory.focal import FocalVectorEnv
+from chemlab.laboratory.policy import as_policy
 
-from ..advice import with_advice
+from ..advice import Advisor, with_advice
 from ..policies import Policy
 
 __all__ = ["IMITATED", "fit", "imitate"]
@@ -41,9 +43,19 @@ _VALUES = 0.5
 
 
 def imitate(
-    model: Any, batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, advised: bool = False
+    model: Any,
+    batch: BenchVectorEnv | FocalVectorEnv,
+    policy: Policy,
+    steps: int,
+    seed: int,
+    advised: bool = False,
+    rounds: int = 1,
 ) -> float:
     """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
+
+    Whoever has only seen what follows the policy's own actions does not know what to do after a mistake of its own. So
+    after the first round the learner plays, and the policy says what it would have played (DAgger: Ross, Gordon and
+    Bagnell, 2011, https://proceedings.mlr.press/v15/ross11a.html); the learner is fitted to all rounds so far.
 
     Args:
         model: PPO, A2C, MaskablePPO or RecurrentPPO.
@@ -52,16 +64,22 @@ def imitate(
         steps: about how many of its turns to learn from; those of episodes that did not end are left out.
         seed: of the episodes and of the order of minibatches.
         advised: whether the learner sees the policy's advice (:mod:`chemlab.agents.advice`): it learns to follow it.
+        rounds: in how many parts.
 
     Returns:
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
         absolute difference).
     """
-    seen, masks, actions, returns, lengths = _examples(batch, policy, steps, seed, model.gamma)
-    if advised:
-        seen = with_advice(seen, actions, batch.action_count)
-    remembers = hasattr(model.policy, "lstm_actor")
-    return fit(model, seen, masks, actions, returns, seed, lengths if remembers else None)
+    remembers, hit, found = hasattr(model.policy, "lstm_actor"), 0.0, list[_Examples]()
+    for learner in [None] + [as_policy(model)] * (rounds - 1):
+        found.append(_examples(batch, policy, learner, math.ceil(steps / rounds), None if found else seed, model.gamma))
+        seen, actions, returns, lengths = (np.concatenate([own[i] for own in found]) for i in range(4))
+        masks = [own.masks for own in found if own.masks is not None]
+        if advised:
+            seen = with_advice(seen, actions, batch.action_count)
+        legal = np.concatenate(masks) if masks else None
+        hit = fit(model, seen, legal, actions, returns, seed, lengths if remembers else None)
+    return hit
 
 
 def fit(
@@ -208,24 +226,52 @@ class _Episodes(_Turns):
         return np.asarray(distribution.get_actions(deterministic=True).numpy()[there])
 
 
+class _Examples(NamedTuple):
+    """T turns of whole episodes, one episode after the other.
+
+    Attributes:
+        seen: [T, size] observations.
+        actions: [T] or [T, numbers].
+        returns: [T] discounted.
+        lengths: [E] turns of each episode.
+        masks: [T, actions], or None.
+    """
+
+    seen: npt.NDArray[np.float32]
+    actions: npt.NDArray[Any]
+    returns: npt.NDArray[np.float32]
+    lengths: IntArray
+    masks: npt.NDArray[np.int8] | None
+
+
 def _examples(
-    batch: BenchVectorEnv | FocalVectorEnv, policy: Policy, steps: int, seed: int, gamma: float
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int8] | None, npt.NDArray[Any], npt.NDArray[np.float32], IntArray]:
-    """(observations, masks, actions, discounted returns) of the turns of whole episodes, one episode after the other;
-    and how many turns each has."""
+    batch: BenchVectorEnv | FocalVectorEnv,
+    policy: Policy,
+    learner: Policy | None,
+    steps: int,
+    seed: int | None,
+    gamma: float,
+) -> _Examples:
+    """What a policy plays, or what it would play where a learner does."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
-    members, turns = np.arange(n), np.zeros(n, dtype=np.int64)
+    members, turns, shown = np.arange(n), np.zeros(n, dtype=np.int64), Advisor(policy, batch.action_count or 0)
     rows: list[tuple[Any, Any, Any]] = []
     rewards: list[FloatArray] = []
     ends: list[BoolArray] = []
+    ended = np.zeros(n, dtype=np.bool_)
     observation, _ = batch.reset(seed=seed)
-    while len(rows) * n < steps:
+    # A learner that knows no end runs into the laboratory's limits.
+    while len(rows) * n < steps or not (learner is None or ended.all()):
         mask = batch.action_masks().astype(np.int8) if discrete else None
-        action = policy.act(observation, mask, turns, members)
-        rows.append((observation.copy(), mask, np.asarray(action)))
-        observation, reward, terminated, truncated, _ = batch.step(action)
+        action = played = shown.advice(observation, mask, turns, members)
+        rows.append((observation.copy(), mask, action))
+        if learner is not None:
+            played = learner.act(observation, mask, turns, members)
+        shown.played(played, members)
+        observation, reward, terminated, truncated, _ = batch.step(played)
         over = terminated | truncated
         turns = np.where(over, 0, turns + 1)
+        ended |= over
         rewards.append(reward.copy())
         ends.append(over.copy())
     following, whole = np.zeros(n), np.zeros(n, dtype=np.bool_)
@@ -243,4 +289,4 @@ def _examples(
     seen, masks, actions = zip(*rows, strict=True)
     lengths = np.diff(np.flatnonzero(in_order(ends)), prepend=-1)
     legal = in_order(list(masks)) if discrete else None
-    return in_order(list(seen)), legal, in_order(list(actions)), returns.T[kept.T], lengths
+    return _Examples(in_order(list(seen)), in_order(list(actions)), returns.T[kept.T], lengths, legal)

@@ -119,7 +119,8 @@ class _Agent(Trainee):
             shown = a.imitate or a.advice
             if shown is not None:
                 turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
-                imitate(self.model, task.batch(a.envs), task.policy(shown), turns, a.seed, a.advice is not None)
+                rounds = a.imitate_rounds or 1
+                imitate(self.model, task.batch(a.envs), task.policy(shown), turns, a.seed, a.advice is not None, rounds)
                 self.progress.seconds = time.perf_counter() - begun
         self._player = task.advised(as_policy(self.model), a.advice)
 

@@ -84,6 +84,35 @@ def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
             break
 
 
+class Watched:
+    """Plays what a policy decides; another one is asked before, and hears of it as of somebody else's action."""
+
+    def __init__(self, plays: Any, watches: Any) -> None:
+        self.plays, self.watches = plays, watches
+        self.agreed: list[bool] = []
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        played = self.plays.act(observation, mask, step, members)
+        advice = self.watches.advise(observation, mask, step, members)
+        self.agreed += (advice == played).tolist()
+        asked = self.watches._advised
+        asked.update({i: asked[i]._replace(decided=-1) for i in members.tolist()})
+        self.watches.played(played, members)
+        return played
+
+
+@pytest.mark.parametrize("scenario", [*MANAGED, "crude", "runaway", "wurtz_dodecane"])
+def test_who_only_watches_knows_what_is_to_be_done(scenario: str) -> None:
+    """Every decision is taken back and heard of as somebody else's: an advisor goes on from what others have done."""
+    labs = Laboratories(scenario, 3)
+    policies = make_policies("heuristic", labs, 0)
+    watched = Watched(policies["manager_0"], make_policies("heuristic", labs, 0)["manager_0"])
+    play_laboratory(labs, {**policies, "manager_0": watched}, None, 7)
+    # Some draw what they think of, and whoever hears of an order taken guesses which.
+    least = {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
+    assert np.mean(watched.agreed) >= least
+
+
 def test_what_is_advised_and_not_yet_played_is_not_remembered() -> None:
     labs = Laboratories("rush", 1)
     manager: Any = make_policies("heuristic", labs, 0)["manager_0"]

@@ -19,7 +19,7 @@ from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
 from chemlab.agents.training.arguments import Stage, TrainArguments, curriculum_of
-from chemlab.agents.training.imitate import fit
+from chemlab.agents.training.imitate import _examples, fit, imitate
 from chemlab.agents.training.learn import train
 from chemlab.agents.training.tasks import LaboratoryTask
 from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
@@ -278,6 +278,39 @@ def test_a_clone_that_has_to_remember() -> None:
     assert fit(model, *shown, actions[kept], returns, 0, lengths) > 0.99
     forgetful = MaskablePPO("MlpPolicy", ChemlabVecEnv(2, bench="dit"), device="cpu", seed=0)
     assert fit(forgetful, *shown, actions[kept], returns, 0) < 0.75
+
+
+class _Other:
+    """Plays the last legal action at every third turn, the first at others."""
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        first, last = mask.argmax(axis=1), mask.shape[1] - 1 - mask[:, ::-1].argmax(axis=1)
+        return np.where(step % 3 == 0, last, first)
+
+
+def test_a_learner_that_plays_itself_is_shown_what_would_have_been_played() -> None:
+    """Turns, rewards and ends are the learner's, actions the policy's, asked at each of them."""
+    task = LaboratoryTask("rush")
+    own = _examples(task.batch(4), task.policy("heuristic"), _Other(), 400, 3, 1.0)
+    alone = _examples(task.batch(4), _Other(), None, 400, 3, 1.0)
+    np.testing.assert_array_equal(own.seen, alone.seen)
+    np.testing.assert_array_equal(own.returns, alone.returns)
+    np.testing.assert_array_equal(own.lengths, alone.lengths)
+    assert own.masks is not None
+    assert own.masks[np.arange(len(own.actions)), own.actions].all()
+    assert 0.1 < (own.actions != alone.actions).mean() < 1.0
+
+
+@pytest.mark.slow
+def test_a_clone_of_rounds_knows_what_to_do_after_its_own_mistakes() -> None:
+    """From as many turns (this one: -0.20 and 0.09)."""
+    task = LaboratoryTask("relay")
+    scores = []
+    for rounds in (1, 4):
+        model = MaskablePPO("MlpPolicy", ChemlabVecEnv(task.batch(16)), device="cpu", seed=0)
+        imitate(model, task.batch(16), task.policy("heuristic"), 4000, 0, rounds=rounds)
+        scores.append(task.returns(as_policy(model), 40, 0).mean())
+    assert scores[1] > scores[0] + 0.1
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:

@@ -455,6 +455,7 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "final_episodes": (0,),
     "checkpoints": (0,),
     "imitate_steps": (0,),
+    "imitate_rounds": (0,),
     "rollout": (0,),
     "gradient_steps": (0, -1),
     "buffer_size": (0,),
