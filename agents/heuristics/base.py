@@ -153,6 +153,13 @@ class ScriptedManager(Generic[M]):
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         """Take in that an action has been played that it has not decided."""
 
+    def _taken_apart(self, action: int) -> tuple[str, int, list[Any]]:
+        """(kind, slot of the vessel it is about or -1, other arguments) of an action."""
+        kind, *arguments = self._actions.decode(action)
+        place = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
+        slot = -1 if place is None else int(arguments.pop(place))
+        return str(kind), slot, list(arguments)
+
     def _value(self, observation: ObservationArray, name: str) -> float:
         """The first number of a channel."""
         return float(observation[self._slices[name]][0])

@@ -107,10 +107,7 @@ class CampaignManager(ScriptedManager[_Belief]):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, *arguments = self._actions.decode(action)
-        if kind not in ("start", "measure", "submit", "discard"):
-            return
-        slot = int(arguments[kind == "start"])
+        kind, slot, more = self._taken_apart(action)
         if slot not in belief.slots:
             return
         # The vessel that somebody else turns to is the one that is worked on.
@@ -120,9 +117,9 @@ class CampaignManager(ScriptedManager[_Belief]):
         if kind == "start":
             belief.runs[slot] = belief.runs.get(slot, 0) + 1
         elif kind == "measure":
-            belief.asked = arguments[1] == self._instrument
+            belief.asked = more[0] == self._instrument
         elif kind == "submit":
-            self._submitted(belief, int(arguments[1]) if len(self._orders) > 1 else 0)
+            self._submitted(belief, *(more or [0]))
 
     def _submitted(self, belief: _Belief, order: int) -> None:
         belief.orders = [other for other in belief.orders if other != order]

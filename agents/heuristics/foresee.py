@@ -180,24 +180,21 @@ class ForeseeingManager(ScriptedManager[_Belief]):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, *arguments = self._actions.decode(action)
-        if kind not in ("start", "measure", "submit", "discard"):
-            return
-        slot = int(arguments[kind == "start"])
+        kind, slot, more = self._taken_apart(action)
         if slot not in belief.slots or belief.slots.index(slot) in belief.gone:
             return
         v = belief.slots.index(slot)
         if kind == "start":
-            agent = str(arguments[0])
+            agent, goal = more[:2]
             stages = next(iter(self._foresight.values())).stages
-            wanted = (*stages[belief.stage[v]], (agent, str(arguments[2])))
+            wanted = (*stages[belief.stage[v]], (agent, goal))
             belief.running = v, agent
             if wanted in stages:
                 belief.stage[v], belief.looks[v] = stages.index(wanted), 0
             else:
                 belief.gone.add(v)  # what becomes of it has not been foreseen
         elif kind == "measure":
-            if arguments[1] == self._instrument:
+            if more[0] == self._instrument:
                 belief.asked, belief.looks[v] = v, belief.looks[v] + 1
         else:
             belief.gone.add(v)

@@ -155,13 +155,13 @@ class IdentifyingManager(ManagerHeuristic):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._beliefs[member]
-        kind, *arguments = self._actions.decode(action)
+        kind, slot, more = self._taken_apart(action)
         if not belief.chosen:
-            if kind == "measure" and arguments[0] in self._vessels and arguments[1] == self._instrument:
-                belief.asked = self._vessels.index(int(arguments[0]))
+            if kind == "measure" and slot in self._vessels and more[0] == self._instrument:
+                belief.asked = self._vessels.index(slot)
             if kind != "start":
                 return
-            belief.chosen.append(int(arguments[1]))
+            belief.chosen.append(slot)
             self._choose(belief, observation, member)
         super()._take_note(observation, action, member)
 

@@ -120,9 +120,9 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         lines = self._kept[member]
-        kind, *arguments = self._actions.decode(action)
+        kind, slot, more = self._taken_apart(action)
         if kind == "start":
-            agent, slot = str(arguments[0]), int(arguments[1])
+            agent = more[0]
             line = next((line for line in lines if slot in line.mine), lines[0])
             left = line.plan[line.stage :]
             if role_of(agent) in left:
@@ -131,9 +131,9 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             self._begun(observation, line, lines, agent)
         elif kind == "measure":
             for line in lines:
-                line.measured.add((int(arguments[0]), str(arguments[1])))
+                line.measured.add((slot, more[0]))
         elif kind == "submit":
-            lines[int(arguments[1]) if len(lines) > 1 else 0].submitted = True
+            lines[(more or [0])[0]].submitted = True
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         lines = self._kept[member]

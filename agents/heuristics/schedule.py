@@ -188,18 +188,18 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         shop = self._kept[member]
-        kind, *arguments = self._actions.decode(action)
+        kind, slot, more = self._taken_apart(action)
         if kind == "start":
-            agent, slot = str(arguments[0]), int(arguments[1])
+            agent = more[0]
             shop.running[agent] = slot
             served = set(shop.serves.values())
             waiting = [order for order in self._known(observation) if order.number not in served]
             if agent in self._agents[self._stages[0]] and slot not in shop.serves and waiting:
                 shop.serves[slot] = max(waiting, key=lambda order: order.price).number
         elif kind in ("submit", "discard"):
-            self._part_with(shop, int(arguments[0]))
-        elif kind == "measure" and arguments[1] == self._instrument:
-            shop.asked = int(arguments[0])
+            self._part_with(shop, slot)
+        elif kind == "measure" and more[0] == self._instrument:
+            shop.asked = slot
 
     def _part_with(self, shop: _Shop, slot: int) -> None:
         for memory in (shop.stage, shop.serves, shop.titre, shop.reported):

@@ -176,25 +176,24 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, *arguments = self._actions.decode(action)
+        kind, slot, more = self._taken_apart(action)
         if kind == "start":
-            line = next(line for line in belief.lines if line.agent == arguments[0])
-            self._put_on(belief, line, int(arguments[1]))
+            line = next(line for line in belief.lines if line.agent == more[0])
+            self._put_on(belief, line, slot)
             line.begun = belief.known
-        elif kind == "measure" and arguments[1] == self._instrument:
+        elif kind == "measure" and more[0] == self._instrument:
             for line in belief.lines:
-                if line.slot == arguments[0]:
+                if line.slot == slot:
                     belief.asked, line.looked = line, line.looked + 1
         elif kind in ("submit", "discard"):
-            self._take_away(belief, int(arguments[0]))
+            self._take_away(belief, slot)
             if kind == "submit":
-                order = int(arguments[1]) if len(self._orders) > 1 else 0
-                belief.orders = [other for other in belief.orders if other != order]
-        elif kind == "calibrate" and arguments[0] == self._instrument:
+                belief.orders = [order for order in belief.orders if order != (more or [0])[0]]
+        elif kind == "calibrate" and more[0] == self._instrument:
             self._calibrated(belief)
         elif kind == "repair":
             for line in belief.lines:
-                if line.agent == arguments[0]:
+                if line.agent == more[0]:
                     line.speed = self._new_speed(line.wear, belief.rng)
 
     def _put_on(self, belief: _Belief, line: _Line, slot: int) -> None:
