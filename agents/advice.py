@@ -31,10 +31,10 @@ class Advisor:
     Args:
         policy: it; one that keeps in mind what it has decided takes back what is not played (as scripted managers do,
             with ``advise`` and ``played``), any other is asked as if it played.
-        actions: how many there are to choose from.
+        actions: how many there are to choose from, for :meth:`shown`.
     """
 
-    def __init__(self, policy: Policy, actions: int) -> None:
+    def __init__(self, policy: Policy, actions: int = 0) -> None:
         self._policy, self._actions = policy, actions
 
     def advice(

@@ -1,8 +1,8 @@
 """Policies whose critic sees more than the actor: learners in whose training the whole laboratory is known (MAPPO).
 
 What they are given is the agent's observation and behind it the laboratory's state
-(:class:`~chemlab.laboratory.global_state.GlobalState`). The actor is shown zeros in place of the state, so that it
-plays without: behind an observation alone zeros are put.
+(:class:`~chemlab.laboratory.global_state.GlobalState`). The actor has no connection to the state, and plays
+without: behind an observation alone zeros are put.
 
 Needs the extra: ``pip install "chemlab-marl[train]"``.
 """
@@ -11,57 +11,53 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 
 try:
     from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
     from stable_baselines3.common.policies import ActorCriticPolicy
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.torch_layers import MlpExtractor
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
 
 __all__ = ["CentralisedPolicy", "MaskableCentralisedPolicy"]
 
 
-class _Side(BaseFeaturesExtractor):
-    """What actor or critic sees of both; there is one for each.
+class _Sides(MlpExtractor):
+    """Hidden layers of an actor that sees the first numbers only, and of a critic that sees all. So the actor begins as
+    one that stands alone does: in a layer for all of them, orthogonal to begin with, its own would have little weight.
 
     Args:
-        observation_space: of observation and state together.
-        own: how many numbers the agent's observation has.
+        own: how many numbers the actor sees.
+        feature_dim: how many the critic does.
+        settings: Stable-Baselines3's.
     """
 
-    def __init__(self, observation_space: gymnasium.spaces.Box, own: int) -> None:
-        super().__init__(observation_space, observation_space.shape[0])
-        self.own, self.is_actor = own, False
+    def __init__(self, own: int, feature_dim: int, **settings: Any) -> None:
+        super().__init__(feature_dim, **settings)
+        self.own, self.policy_net = own, MlpExtractor(own, **settings).policy_net
 
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        if not self.is_actor:
-            return observations
-        own = observations[:, : self.own]
-        return torch.cat([own, torch.zeros_like(observations[:, self.own :])], dim=1)
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        return super().forward_actor(features[:, : self.own])
 
 
 class _Centralised:
     """What both policies add to theirs of Stable-Baselines3."""
 
     observation_space: Any
-    pi_features_extractor: Any
+    mlp_extractor: Any
 
     def __init__(
         self, observation_space: Any, action_space: Any, lr_schedule: Any, *, own: int, **settings: Any
     ) -> None:
-        sides = {"features_extractor_class": _Side, "features_extractor_kwargs": {"own": own}}
-        settings = {**settings, **sides, "share_features_extractor": False}
+        self._own = own
         super().__init__(observation_space, action_space, lr_schedule, **settings)  # type: ignore[call-arg]
-        self.pi_features_extractor.is_actor = True
 
-    @property
-    def own(self) -> int:
-        """How many numbers the agent's observation has."""
-        return int(self.pi_features_extractor.own)
+    def _build_mlp_extractor(self) -> None:
+        made: Any = self
+        settings = {"net_arch": made.net_arch, "activation_fn": made.activation_fn, "device": made.device}
+        self.mlp_extractor = _Sides(self._own, made.features_dim, **settings)
 
     def obs_to_tensor(self, observation: Any) -> tuple[torch.Tensor, bool]:
         """Stable-Baselines3's, of an agent's observations, too: behind them nothing stands."""
@@ -77,7 +73,7 @@ class CentralisedPolicy(_Centralised, ActorCriticPolicy):
     Args:
         observation_space, action_space, lr_schedule: as for Stable-Baselines3's policy; the space is of both.
         own: how many numbers the agent's observation has.
-        settings: more of Stable-Baselines3's, but the feature extractors.
+        settings: more of Stable-Baselines3's, but feature extractors.
     """
 
 

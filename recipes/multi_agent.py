@@ -26,7 +26,13 @@ from chemlab.scenario import load_scenario
 
 TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct").with_rewards("mixed"))
 GOAL = "dodecane"
-LEARNING: dict[str, Any] = {"rewards": "mixed", "imitate": "heuristic", "imitate_steps": 2000, "learning_rate": 1e-4}
+LEARNING: dict[str, Any] = {
+    "rewards": "mixed",
+    "imitate": "heuristic",
+    "imitate_steps": 4000,
+    "imitate_rounds": 2,
+    "learning_rate": 1e-4,
+}
 
 
 def team(budget: Budget, **settings: Any) -> Outcome:

@@ -154,11 +154,19 @@ class ScriptedManager(Generic[M]):
         """Take in that an action has been played that it has not decided."""
 
     def _taken_apart(self, action: int) -> tuple[str, int, list[Any]]:
-        """(kind, slot of the vessel it is about or -1, other arguments) of an action."""
+        """(kind, slot of the vessel it is about or -1, other arguments) of an action; of a submission, its order."""
         kind, *arguments = self._actions.decode(action)
         place = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
         slot = -1 if place is None else int(arguments.pop(place))
-        return str(kind), slot, list(arguments)
+        return str(kind), slot, [0] if kind == "submit" and not arguments else list(arguments)
+
+    def _encode_submit(self, slot: int, order: int) -> int:
+        """The action that submits a slot's vessel for an order."""
+        return self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
+
+    def _occupied(self, observation: ObservationArray) -> list[int]:
+        """Slots where a vessel stands."""
+        return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
 
     def _value(self, observation: ObservationArray, name: str) -> float:
         """The first number of a channel."""

@@ -99,8 +99,7 @@ class CampaignManager(ScriptedManager[_Belief]):
             self._kept[member] = self._begin(observation, belief.weights)
 
     def _begin(self, observation: ObservationArray, weights: FloatArray) -> _Belief:
-        slots = [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
-        return _Belief(weights, slots or [0], list(range(len(self._orders))))
+        return _Belief(weights, self._occupied(observation) or [0], list(range(len(self._orders))))
 
     def _runs(self, belief: _Belief) -> int:
         return min(belief.runs.get(belief.slots[0], 0), _MOST_RUNS)
@@ -119,7 +118,7 @@ class CampaignManager(ScriptedManager[_Belief]):
         elif kind == "measure":
             belief.asked = more[0] == self._instrument
         elif kind == "submit":
-            self._submitted(belief, *(more or [0]))
+            self._submitted(belief, more[0])
 
     def _submitted(self, belief: _Belief, order: int) -> None:
         belief.orders = [other for other in belief.orders if other != order]
@@ -139,7 +138,7 @@ class CampaignManager(ScriptedManager[_Belief]):
             if mask[start]:
                 belief.runs[slot] = runs + 1
                 return start
-        submit = self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
+        submit = self._encode_submit(slot, order)
         belief.slots.pop(0)
         self._submitted(belief, order)
         return submit if mask[submit] else int(mask.argmax())

@@ -161,9 +161,6 @@ class ForeseeingManager(ScriptedManager[_Belief]):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _occupied(self, observation: ObservationArray) -> list[int]:
-        return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
-
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
@@ -254,7 +251,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return start
 
     def _submit(self, mask: MaskArray, belief: _Belief, v: int) -> int:
-        submit = self._actions.encode("submit", belief.slots[v], *([belief.order] if len(self._orders) > 1 else []))
+        submit = self._encode_submit(belief.slots[v], belief.order)
         belief.gone.add(v)
         self._submitted(belief)
         return submit if mask[submit] else int(mask.argmax())

@@ -93,9 +93,6 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             return False
         return not any(keeps_apart(spec, name) for vessel in spec.shelf.vessel for name in vessel.contents)
 
-    def _occupied(self, observation: ObservationArray) -> list[int]:
-        return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
-
     def _history(self, observation: ObservationArray, slot: int) -> tuple[str | None, int]:
         """(bench the vessel was at last, its role there)."""
         last = int(observation[self._slices[f"slot_{slot}_last_bench"]].argmax())
@@ -133,7 +130,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
             for line in lines:
                 line.measured.add((slot, more[0]))
         elif kind == "submit":
-            lines[(more or [0])[0]].submitted = True
+            lines[more[0]].submitted = True
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         lines = self._kept[member]
@@ -212,7 +209,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
 
     def _submit(self, line: _Line, slot: int) -> int:
         line.submitted = True
-        return self._actions.encode("submit", slot, *([line.order] if len(self._orders) > 1 else []))
+        return self._encode_submit(slot, line.order)
 
     def _finish(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
         last = self._cry or self._dit or self._ext or self._rxn

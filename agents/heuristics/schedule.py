@@ -222,7 +222,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             own = [order for order in orders if order.number == shop.serves.get(slot)]
             for order in orders if self._schedule or not own else own:
                 chance = self._chance(shop, slot, order)
-                action = self._actions.encode("submit", slot, *([order.number] if len(self._orders) > 1 else []))
+                action = self._encode_submit(slot, order.number)
                 if order.left > 0.0 and chance > 0.3 and chance * order.price > worth and mask[action]:
                     best, worth = (slot, action), chance * order.price
         if best is None:
@@ -278,8 +278,8 @@ class SchedulingManager(ScriptedManager[_Shop]):
         else:
             at_work = bool(shop.running) or any(0 < stage <= len(self._stages) for stage in shop.stage.values())
             waiting = [] if at_work else sorted(waiting, key=lambda o: shop.seen.index(o.number))[:1]
-        fresh = [s for s in range(self._actions.slots) if shop.stage.get(s, 0) == 0 and s not in shop.running.values()]
-        fresh = [s for s in fresh if observation[self._slices[f"slot_{s}_occupied"]][0] > 0.5]
+        known = {s for s, stage in shop.stage.items() if stage != 0} | set(shop.running.values())
+        fresh = [s for s in self._occupied(observation) if s not in known]
         for order in waiting:
             ranked = sorted(fresh, key=lambda s: (-round(self._chance(shop, s, order), 1), shop.titre.get(s, 1.0)))
             if not ranked:

@@ -164,10 +164,9 @@ class UpkeepManager(ScriptedManager[_Belief]):
         for agent in self._benches:
             wear = self._scenario.benches[agent.rpartition("_")[0]].wear or WearSpec()
             lines.append(_Line(agent, wear, self._first_speed(agent, wear, rng)))
-        fresh = [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
         size = len(self._shown)
         doubt = np.full(size, self._drift.first**2)
-        return _Belief(lines, fresh, rng, np.zeros(size), doubt, list(range(len(self._orders))))
+        return _Belief(lines, self._occupied(observation), rng, np.zeros(size), doubt, list(range(len(self._orders))))
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
@@ -188,7 +187,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         elif kind in ("submit", "discard"):
             self._take_away(belief, slot)
             if kind == "submit":
-                belief.orders = [order for order in belief.orders if order != (more or [0])[0]]
+                belief.orders = [order for order in belief.orders if order != more[0]]
         elif kind == "calibrate" and more[0] == self._instrument:
             self._calibrated(belief)
         elif kind == "repair":
@@ -234,7 +233,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         # Nothing goes on any more: what stands there is submitted as it is.
         standing = [line.slot for line in belief.lines if line.slot is not None] + [slot for slot, _ in belief.left]
         for slot in [*standing, *belief.fresh]:
-            submit = self._encode_submit(belief, slot)
+            submit = self._submit(belief, slot)
             if mask[submit]:
                 belief.orders = belief.orders[1:]
                 return submit
@@ -331,7 +330,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
                 return self._start(belief, line, mask, left)
         if expected.argmax() > 0:
             return self._start(belief, line, mask, left)
-        submit = self._encode_submit(belief, line.slot)
+        submit = self._submit(belief, line.slot)
         line.slot, belief.orders = None, belief.orders[1:]
         return submit if mask[submit] else int(mask.argmax())
 
@@ -383,9 +382,8 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
     # -- actions ----------------------------------------------------------------------------------------------
 
-    def _encode_submit(self, belief: _Belief, slot: int) -> int:
-        order = belief.orders[0] if belief.orders else 0
-        return self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
+    def _submit(self, belief: _Belief, slot: int) -> int:
+        return self._encode_submit(slot, belief.orders[0] if belief.orders else 0)
 
     def _encode_look(self, slot: int) -> int | None:
         return None if self._instrument is None else self._actions.encode("measure", slot, self._instrument)

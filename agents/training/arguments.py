@@ -239,6 +239,13 @@ class Arguments:
         return shlex.join(["chemlab", self.command, positional, *self.flags()])
 
 
+def _check_imitated(arguments: Arguments, policy: str | None) -> None:
+    """Whether there is somebody to imitate where it is said how."""
+    for name in ("imitate_steps", "imitate_rounds"):
+        if policy is None and getattr(arguments, name, None) is not None:
+            raise ValueError(f"{name}: nobody is imitated; give imitate, or leave it out")
+
+
 @dataclass(frozen=True)
 class TrainArguments(Arguments):
     """Everything that decides what a run of ``chemlab train`` learns."""
@@ -337,6 +344,7 @@ class TrainArguments(Arguments):
                 f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
                 "last minibatch, where advantages are normalized; give another, or another rollout"
             )
+        _check_imitated(self, self.imitate or self.advice)
         if self.advice is not None and self.imitate not in (None, self.advice):
             raise ValueError(f"imitate: who is advised begins by following the advice, {self.advice!r}; leave it out")
         curriculum_of(self, ())
@@ -414,9 +422,20 @@ class JointArguments(TeamArguments):
     imitate_steps: int | None = _argument(
         None, "Turns of it in each role, at least.", least=1, most=10**9, otherwise="20000"
     )
+    imitate_rounds: int | None = _argument(
+        None,
+        "In how many parts; after the first the learners play, and are shown what the policy would have played.",
+        least=1,
+        most=1000,
+        otherwise="1",
+    )
     envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
     rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_imitated(self, self.imitate)
 
     def folder(self) -> Path:
         """Where a run stands in a folder of results: scenario, regime (and critic), seed."""

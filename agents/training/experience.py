@@ -117,6 +117,10 @@ class Experience:
         self.elapsed[rows[known]] += tick[known]
         self._open[streams] = _NONE
 
+    def abandon(self) -> None:
+        """What is open stays so: the episodes begin anew."""
+        self._open[:] = _NONE
+
     def finished(self) -> IntArray:
         """Rows whose transition is complete: the next turn of their stream is known, or that there is none."""
         complete = self.done[: self._rows] | (self.next_row[: self._rows] != _NONE)

@@ -40,6 +40,8 @@ _SEQUENCES_LEARNING_RATE = 3e-3
 _ENTROPY = 0.03
 """Keeps the clone from being certain where its examples happen to agree, so that it can still find better."""
 _VALUES = 0.5
+_LEAST_SPREAD = 0.02
+"""Standard deviation of a clone's continuous actions, where it hits what it is shown better than that."""
 
 
 def imitate(
@@ -126,6 +128,10 @@ def fit(
     with torch.no_grad():
         parts = np.array_split(np.arange(shown.count), minibatches)
         chosen = np.concatenate([shown.chosen(some) for some in parts])
+        if hasattr(network, "log_std"):
+            # What is most likely; from the 1 that it begins with no optimizer of so few updates comes down to it.
+            missing = np.sqrt(((chosen - shown.actions) ** 2).mean(axis=0))
+            network.log_std.copy_(torch.as_tensor(np.log(np.maximum(missing, _LEAST_SPREAD))))
     if np.issubdtype(shown.actions.dtype, np.integer):
         return float((chosen == shown.actions).mean())
     return float(np.abs(chosen - shown.actions).mean())
@@ -254,7 +260,7 @@ def _examples(
 ) -> _Examples:
     """What a policy plays, or what it would play where a learner does."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
-    members, turns, shown = np.arange(n), np.zeros(n, dtype=np.int64), Advisor(policy, batch.action_count or 0)
+    members, turns, shown = np.arange(n), np.zeros(n, dtype=np.int64), Advisor(policy)
     rows: list[tuple[Any, Any, Any]] = []
     rewards: list[FloatArray] = []
     ends: list[BoolArray] = []

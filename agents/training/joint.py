@@ -32,6 +32,7 @@ from chemlab.laboratory.starts import goals_met
 from chemlab.laboratory.state import RUNNING
 from chemlab.scenario import Scenario
 
+from ..advice import Advisor
 from ..policies import Policy, agent_policy
 from ..pretrained import PretrainedPolicy, load_pretrained
 from ..roles import MANAGER_ROLE, role_of
@@ -156,8 +157,8 @@ class _Learner:
 class _Acting:
     """A learner as the policy of one agent: it explores, and its turns become experience.
 
-    Where ``shown`` is given, that plays, and its turns become experience. Where ``whole`` is, the learner's critic sees
-    that, too.
+    Where ``shown`` is given, what that would play becomes experience; it plays itself, or ``tried`` does where that is
+    given, too. Where ``whole`` is, the learner's critic sees that, too.
     """
 
     def __init__(
@@ -165,10 +166,12 @@ class _Acting:
         learner: _Learner,
         stream: Callable[[IntArray], IntArray],
         ticks: IntArray,
-        shown: Policy | None = None,
         whole: GlobalState | None = None,
+        shown: Advisor | None = None,
+        tried: Policy | None = None,
     ) -> None:
-        self._learner, self._stream, self._ticks, self._shown, self._whole = learner, stream, ticks, shown, whole
+        self._learner, self._stream, self._ticks, self._whole = learner, stream, ticks, whole
+        self._shown, self._tried = shown, tried
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -180,7 +183,10 @@ class _Acting:
         if self._shown is None:
             drawn, played, value, log_probability = self._learner.sample(seen, mask)
         else:
-            drawn = played = np.asarray(self._shown.act(observation, mask, step, members))
+            drawn = played = self._shown.advice(observation, mask, step, members)
+            if self._tried is not None:
+                played = self._tried.act(observation, mask, step, members)
+            self._shown.played(played, members)
             value = log_probability = np.zeros(len(members))
         self._learner.experience.begin(
             self._stream(members), seen, mask, drawn, value, log_probability, self._ticks[members]
@@ -212,8 +218,7 @@ class _Team(LaboratoryTrainee):
         seeds = np.random.SeedSequence(a.seed).generate_state(a.envs, np.uint64)
         for member, seed in zip(labs.members, seeds, strict=True):
             labs.seed(int(member), int(seed))
-        labs.reset(labs.members)
-        self._players = self._played_by(None)
+        self._begin_anew()
 
     def _model(self, role: str, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any]) -> Any:
         a = self.arguments
@@ -248,43 +253,69 @@ class _Team(LaboratoryTrainee):
         place = sum(role_of(agent) == role_of(agents[number]) for agent in agents[:number])
         return lambda members: place * self.arguments.envs + members
 
-    def _played_by(self, shown: str | None) -> Players:
-        """Who plays: the learners, or a policy by name in their place, and the background."""
-        return Players(self.labs, [self._player(number, shown) for number in range(len(self.labs.agents))])
+    def _begin_anew(self, shown: str | None = None, tried: bool = False) -> None:
+        """New episodes.
 
-    def _player(self, number: int, shown: str | None) -> Policy:
+        Args:
+            shown: None: the learners play and explore. Else a policy by name plays in their place.
+            tried: the learners play without exploring, and that policy says what it would have played.
+        """
+        for learner in self.learners.values():
+            learner.experience.abandon()
+        self.labs.reset(self.labs.members)
+        self._players = Players(
+            self.labs, [self._player(number, shown, tried) for number in range(len(self.labs.agents))]
+        )
+
+    def _player(self, number: int, shown: str | None, tried: bool) -> Policy:
         labs, seed, role = self.labs, self.arguments.seed, role_of(self.labs.agents[number])
         if role in self.learners:
-            teacher = None if shown is None else agent_policy(shown, labs, number, seed)
-            return _Acting(self.learners[role], self._stream(number), labs.state.ticks, teacher, self._whole)
+            learner = self.learners[role]
+            teacher = None if shown is None else Advisor(agent_policy(shown, labs, number, seed))
+            own = as_policy(learner.model) if tried else None
+            return _Acting(learner, self._stream(number), labs.state.ticks, self._whole, teacher, own)
         return agent_policy(self.arguments.background, labs, number, seed)
 
-    def imitate(self, shown: str, turns: int) -> dict[str, float]:
+    def imitate(self, shown: str, turns: int, rounds: int = 1) -> dict[str, float]:
         """Make every learner the clone of a policy that plays its role in these laboratories, which then begin anew.
 
         Args:
             shown: the policy, by name.
             turns: of each role at least.
+            rounds: in how many parts, all equally long; after the first the learners play together.
 
         Returns:
             By role, how well it is hit (see :func:`~.imitate.imitate`).
         """
-        labs, a, hit = self.labs, self.arguments, {}
-        self._players = self._played_by(shown)
-        while min(len(learner.experience.whole()) for learner in self.learners.values()) < turns:
-            self.collect()
-        for role, learner in self.learners.items():
-            model, e = learner.model, learner.experience
-            rows = e.whole()
-            returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
-            masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
-            actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
-            hit[role] = fit(model, e.observation[rows], masks, actions, returns, a.seed)
-            learner.experience = Experience(model.observation_space, model.action_space, e.streams)
+        hit: dict[str, float] = {}
+        first = 0
+        for number in range(rounds):
+            self._begin_anew(shown, tried=number > 0)
+            collected = 0
+            while collected < first or (number == 0 and self._fewest_turns() < turns / rounds):
+                self.collect()
+                collected += 1
+            first = collected
+            hit = {role: self._clone(learner) for role, learner in self.learners.items()}
+        for learner in self.learners.values():
+            model = learner.model
+            learner.experience = Experience(model.observation_space, model.action_space, learner.experience.streams)
         self.returns = []
-        labs.reset(labs.members)
-        self._players = self._played_by(None)
+        self._begin_anew()
         return hit
+
+    def _fewest_turns(self) -> int:
+        """Of episodes that are over, in the role that has had the fewest."""
+        return min(len(learner.experience.whole()) for learner in self.learners.values())
+
+    def _clone(self, learner: _Learner) -> float:
+        """Fit a learner to its experience; see :func:`~.imitate.fit`."""
+        model, e, a = learner.model, learner.experience, self.arguments
+        rows = e.whole()
+        returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
+        masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
+        actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
+        return fit(model, e.observation[rows], masks, actions, returns, a.seed)
 
     def collect(self) -> None:
         """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
@@ -410,7 +441,7 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
         progress = Progress() if last is None else team.load(last)
         if last is None and arguments.imitate is not None:
             begun = time.perf_counter()
-            team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED)
+            team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED, arguments.imitate_rounds or 1)
             progress.seconds = time.perf_counter() - begun
         if last is None and arguments.begin_from is not None:
             _begin_from(arguments.begin_from, team)

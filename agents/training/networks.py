@@ -19,7 +19,6 @@ try:
     from sb3_contrib import MaskablePPO
     from torch import nn
 
-    from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
     from ..recurrent import MaskedLstmPolicy
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
@@ -94,8 +93,6 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     for i, layer in enumerate(linear):
         weights[f"{i}.weight"] = np.ascontiguousarray(layer.weight.detach().numpy())
         weights[f"{i}.bias"] = np.ascontiguousarray(layer.bias.detach().numpy())
-    if isinstance(policy, (CentralisedPolicy, MaskableCentralisedPolicy)):
-        weights["0.weight"] = weights["0.weight"][:, : policy.own].copy()  # its actor sees nothing behind that
     if hasattr(policy, "lstm_actor"):
         ih, hh, *biases = (p.detach().numpy() for p in policy.lstm_actor.parameters())
         weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))

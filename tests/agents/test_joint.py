@@ -16,7 +16,7 @@ pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab
 import torch
 
 from chemlab.agents.learners import load_learner, load_team
-from chemlab.agents.policies import as_policy
+from chemlab.agents.policies import agent_policy, as_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.training import joint
@@ -236,6 +236,36 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
 def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:
     train_together(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("fin",), "steps": 40}), tmp_path / "run")
     assert export_run(tmp_path / "run", tmp_path / "mine", "fin").goals == ["E"]
+
+
+@pytest.mark.parametrize("critic", ["own", pytest.param("state", marks=pytest.mark.slow)])
+def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
+    """Numbers are drawn about as far from the shown ones as the clone misses them; the state does not make it worse."""
+    small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
+    team = team_of(JointArguments(**small, critic=critic))
+    hit = team.imitate("heuristic", 600, 2)
+    spread = team.learners["rxn"].model.policy.log_std.exp()
+    assert hit["dit"] > 0.95, "share of turns"
+    assert hit["rxn"] < 0.05, "mean difference of numbers from 0 to 1"
+    assert (spread >= 0.019).all()
+    assert spread.mean() < 4.0 * hit["rxn"] + 0.03
+    assert not any(len(learner.experience) for learner in team.learners.values())
+
+
+def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
+    """What becomes experience then is what the policy would have played, not what was."""
+    team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",)}))
+    shown = agent_policy("heuristic", team.labs, 0)
+    team._begin_anew("heuristic", tried=True)
+    for _ in range(3):
+        team.collect()
+    e = team.learners["manager"].experience
+    rows = np.arange(len(e))
+    tried = as_policy(team.learners["manager"].model).act(e.observation[rows], e.mask[rows], rows, rows)
+    asked = [shown.act(e.observation[:1], e.mask[:1], rows[:1], rows[:1])[0]]
+    assert e.action[0] == asked[0]
+    assert (e.action[rows] != tried).mean() > 0.2
+    assert e.mask[rows, e.action[rows].astype(int)].mean() > 0.9
 
 
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:

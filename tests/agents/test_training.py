@@ -428,6 +428,7 @@ def test_flags_say_the_same_as_arguments() -> None:
         ({"goals": [1]}, "list of str"),
         ({"buffer_size": 10}, "is for dqn, qr-dqn, sac, td3, not for ppo"),
         ({"learning_rate": -1.0}, "above 0"),
+        ({"imitate_rounds": 3}, "nobody is imitated"),
     ],
 )
 def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
