@@ -62,7 +62,7 @@ def markdown(rows: list[list[str]]) -> list[str]:
 def table() -> list[str]:
     """The committed baselines as a Markdown table: best by validation of everything that learns."""
     lines = _lines()
-    names = {**_SCRIPTED, **{f"{folder} (best)": name for folder, name in LEARNERS.items()}}
+    names = {**_SCRIPTED, **{f"{folder} (best)": name for folder, name in LEARNERS.items()}, "people": "people"}
     rows = [["scenario", *names.values()]]
     for scenario in world_scenarios():
         rows.append([f"`{scenario}`", *(_cell(lines.get((scenario, name))) for name in names)])

@@ -14,7 +14,7 @@ intervals from resamples of replications within each scenario (Agarwal et al. 20
 | ``heuristic`` | the scripted agents |
 | ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
 | a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
-checkpoint |
+checkpoint; or records of these episodes that somebody has played (``chemlab play``), a file or a folder of them |
 | ``clairvoyant`` | the planner that knows the world: 1 |
 
 | file | what |
@@ -49,7 +49,7 @@ from chemlab.datamodel import validated
 from chemlab.files import write_text
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import MANAGER_AGENT
-from chemlab.record import Recorder, scenario_hash
+from chemlab.record import Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 from ..episodes import play_episode
@@ -78,9 +78,10 @@ DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
-_TOLD = ("value", "low", "high", "score", "generalization", "over_baseline")
+_TOLD = ("value", "low", "high", "score", "episodes", "generalization", "over_baseline")
 """Of a cell, what the leaderboard has, too."""
 _LEADERBOARD_BYTES = 50_000_000
+_RECORD = ".jsonl"
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
 """Of performance profiles, on the scale."""
 
@@ -96,6 +97,7 @@ class Row:
         steps: of a run; None where there is none.
         curves: for each run (step, mean score) of its evaluations.
         scenario: what the runs were trained on; None: anything.
+        records: (scenario, file) of episodes that somebody has played already; who has some plays none here.
     """
 
     name: str
@@ -104,6 +106,7 @@ class Row:
     steps: int | None = None
     curves: tuple[tuple[tuple[int, float], ...], ...] = field(default=())
     scenario: str | None = None
+    records: tuple[tuple[str, str], ...] = ()
 
 
 def world_scenarios() -> list[str]:
@@ -116,20 +119,45 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
 
     Args:
         policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`; a folder of runs is one row for
-            their best checkpoints and one for their last ones.
+            their best checkpoints and one for their last ones, a record or a folder of records one row.
 
     Raises:
-        ValueError: runs of one folder that differ in more than their seeds, or a run without a checkpoint.
+        RecordError: a file is no record.
+        ValueError: runs of one folder that differ in more than their seeds, a run without a checkpoint, or records of
+            one folder that say that different players made them.
     """
     rows: list[Row] = []
     for name in policies:
         folder = Path(name)
         runs = find_runs(folder) if folder.is_dir() and folder.parent.name != "checkpoints" else []
-        rows += _trained_rows(name, runs) if runs else [Row(name, (name,))]
+        files = [folder] if folder.suffix == _RECORD and folder.is_file() else sorted(folder.glob(f"*{_RECORD}"))
+        if runs:
+            rows += _trained_rows(name, runs)
+        else:
+            rows.append(_played_row(name, files) if files else Row(name, (name,)))
     doubled = sorted({row.name for row in rows if sum(row.name == other.name for other in rows) > 1})
     if doubled:
         raise ValueError(f"policies: {', '.join(doubled)}: given twice")
     return rows
+
+
+def _played_row(name: str, files: Sequence[Path]) -> Row:
+    """What somebody has played: who, is what the records say."""
+    records, players = [], dict[tuple[str, str], Path]()
+    for file in files:
+        record = read_record(file)
+        records.append((recorded_scenario(record).name, str(file)))
+        for agent, player in record.checked_header().policies.items():
+            players.setdefault((agent, player), file)
+    told = dict[str, tuple[str, Path]]()
+    for (agent, player), file in players.items():
+        other = told.setdefault(agent, (player, file))
+        if other[0] != player:
+            raise ValueError(
+                f"policies: {name}: one row has the same players everywhere; {agent} is {other[0]} in {other[1]}, and "
+                f"{player} in {file}: put these into folders of their own"
+            )
+    return Row(name, (), records=tuple(records))
 
 
 def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
@@ -173,6 +201,11 @@ class _Block:
         return np.asarray(scores)[self.first : self.first + self.count]
 
 
+def _reached(scores: FloatArray, random: FloatArray, best: FloatArray) -> float:
+    """The mean of some episodes' scores on their own scale."""
+    return float((scores.mean() - random.mean()) / max(best.mean() - random.mean(), 1e-9))
+
+
 def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
     """The scores of each replication's episodes on its own scale."""
     return [
@@ -204,7 +237,7 @@ def reference_jobs(split: str) -> list[Job]:
 def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[Job]:
     jobs = []
     for row in rows:
-        for block in blocks:
+        for block in blocks if row.policies else ():
             policy = row.policies[block.number % len(row.policies)]
             own = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
             name = f"row-{_file_name(row.name)}-{block.first}-{block.count}"
@@ -221,8 +254,40 @@ def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: Audit
         len(reference_jobs(split))
         + len(planner_jobs(budget, [], split))
         + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
+        + sum(len(_records_of(row, spec)) for row in rows)
         for spec in scenarios
     )
+
+
+def _records_of(row: Row, spec: Scenario) -> list[str]:
+    return [file for name, file in row.records if name == spec.name]
+
+
+def _entered(
+    row: Row, spec: Scenario, split: str, episodes: int, watch: Callable[[str], None] | None
+) -> dict[int, tuple[float, str]]:
+    """(score, file) of the episodes, by number, that somebody has played; every one is played again."""
+    found: dict[int, tuple[float, str]] = {}
+    for file in _records_of(row, spec):
+        record = read_record(file)
+        header = record.checked_header()
+        number = -1 if header.seed is None else header.seed - AUDIT_SEED
+        if header.options or header.split not in (None, split.partition(":")[0]) or not 0 <= number < episodes:
+            raise ValueError(
+                f"policies: {file}: is none of the episodes that everybody plays: seeds {AUDIT_SEED} to "
+                f"{AUDIT_SEED + episodes - 1}, split {split}, and nothing asked for; its seed is {header.seed}, its "
+                f"split {header.split}" + (f", and it was asked for {', '.join(header.options)}" * bool(header.options))
+            )
+        proof = verify_record(record, spec, split=split if ":" in split else None)
+        # On another platform numbers may be rounded otherwise, which is no difference in what was done.
+        if proof.status not in ("ok", "other") or proof.where or proof.score is None:
+            raise ValueError(f"policies: {file}: {proof.message}")
+        if number in found:
+            raise ValueError(f"policies: {file}: is of seed {header.seed}, and so is {found[number][1]}: leave one")
+        found[number] = (proof.score, file)
+        if watch is not None:
+            watch(file)
+    return found
 
 
 def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
@@ -261,7 +326,8 @@ def benchmark(
 
     Raises:
         DataError: no such scenario.
-        ValueError: unknown budget or baseline, or more replications than episodes.
+        ValueError: unknown budget or baseline, more replications than episodes, or a record that is of none of these
+            episodes, or not what happens.
     """
     chosen = budget_of(budget)
     specs = [load_scenario(scenario) for scenario in scenarios]
@@ -270,13 +336,20 @@ def benchmark(
         raise ValueError(f"baseline: known: {', '.join(names)}; given {baseline!r}")
     blocks = _blocks(chosen.episodes, seeds)
     found = {}
+    entered = {
+        (spec.name, row.name): _entered(row, spec, split, chosen.episodes, watch)
+        for spec in specs
+        for row in rows
+        if row.records
+    }
     for spec in specs:
         folder = None if keep is None else keep / spec.name
         crew = Crew(spec, chosen, folder, executor, watch)
         fitting = _fitting(spec, rows)
         played = crew.run([*reference_jobs(split), *_row_jobs(spec, fitting, blocks, split)])
         planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
-        found[spec.name] = _cells(spec, played, planned, rows, fitting, blocks, split, baseline)
+        own = {row: games for (name, row), games in entered.items() if name == spec.name}
+        found[spec.name] = _cells(spec, played, planned, rows, fitting, own, blocks, split, baseline)
     return {
         "kind": "benchmark",
         "format": 1,
@@ -299,17 +372,24 @@ def _cells(
     planned: Mapping[str, dict[str, Any]],
     rows: Sequence[Row],
     fitting: Sequence[Row],
+    entered: Mapping[str, Mapping[int, tuple[float, str]]],
     blocks: Sequence[_Block],
     split: str,
     baseline: str,
 ) -> dict[str, Any]:
-    """What everybody has come to in one scenario."""
+    """What everybody has come to in one scenario; whoever has not played all episodes, in those that they have."""
     scores: dict[str, FloatArray | str] = {
         "random": np.array(played["random"]["scores"]),
         "plan": np.array(played["plan"]["scores"]),
     }
     gaps: dict[str, FloatArray] = {}
     for row in rows:
+        if row.records:
+            games = entered[row.name]
+            entries = np.full(len(played["random"]["scores"]), np.nan)
+            entries[list(games)] = [score for score, _ in games.values()]
+            scores[row.name] = entries if games else "nobody has played it yet"
+            continue
         if row not in fitting:
             scores[row.name] = f"was trained in {row.scenario}"
             continue
@@ -321,12 +401,13 @@ def _cells(
             gaps[row.name] = np.concatenate([part["scores"] for part in train])
     # Whoever knows the world can do what the others did there.
     known = [values for values in scores.values() if not isinstance(values, str)]
-    scores["clairvoyant"] = np.maximum.reduce([foreseen(planned), *known])
-    scale = Scale(scores["random"], scores["clairvoyant"])  # type: ignore[arg-type]
+    random, best = scores["random"], np.fmax.reduce([foreseen(planned), *known])
+    assert not isinstance(random, str)
+    scores["clairvoyant"] = best
     # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
     scales = [
         {"first": b.first, "count": b.count}
-        | {name: float(np.mean(b.of(scores[name]))) for name in ("random", "clairvoyant")}
+        | {"random": float(b.of(random).mean()), "clairvoyant": float(b.of(best).mean())}
         for b in blocks
     ]
     cells: dict[str, Any] = {}
@@ -334,15 +415,20 @@ def _cells(
         if isinstance(values, str):
             cells[name] = {"value": None, "low": None, "high": None, "reason": values}
             continue
+        there = np.isfinite(values)
+        scale = Scale(random[there], best[there])
+        numbers = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
         cells[name] = {
-            **interval(scale.mean(values)),
-            "score": float(values.mean()),
-            "replications": [float(part.mean()) for part in _scaled(values, scales)],
-            "scores": values.tolist(),
+            **interval(scale.mean(values[there])),
+            "score": float(values[there].mean()),
+            "episodes": int(there.sum()),
+            "replications": [_reached(values[own], random[own], best[own]) for own in numbers if len(own)],
+            "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
         }
         other = scores[baseline]
-        if name != baseline and not isinstance(other, str):
-            cells[name]["over_baseline"] = interval(scale.mean(values) - scale.mean(other))
+        if name != baseline and not isinstance(other, str) and (both := there & np.isfinite(other)).any():
+            over = Scale(random[both], best[both])
+            cells[name]["over_baseline"] = interval(over.mean(values[both]) - over.mean(other[both]))
         if name in gaps:
             cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {
@@ -446,7 +532,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     for scenario, one in found["scenarios"].items():
         tasks[scenario] = {}
         for name, cell in one["cells"].items():
-            if cell["value"] is None:
+            if cell["value"] is None or None in cell["scores"]:  # runs of marl-eval's are equally many of everybody
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
@@ -466,7 +552,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
 def _recorded(
     folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], count: int
 ) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Record the first episodes of every row that can be played again, by scenario and row."""
+    """Record the first episodes of every row, by scenario and row; those that somebody has played are copied, all."""
     written: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for spec in scenarios:
         cells = found["scenarios"][spec.name]["cells"]
@@ -474,9 +560,16 @@ def _recorded(
             if cells[row.name]["value"] is None:
                 continue
             own = written[spec.name, row.name] = []
-            for episode in range(min(count, found["budget_episodes"])):
+            place = folder / "records" / spec.name / _file_name(row.name)
+            for file in _records_of(row, spec):  # all of them: nobody plays them again
+                seed = read_record(file).checked_header().seed or 0
+                path = place / f"{seed}{_RECORD}"
+                write_text(path, Path(file).read_text(encoding="utf-8"))
+                score = cells[row.name]["scores"][seed - AUDIT_SEED]
+                own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
+            for episode in range(min(count, found["budget_episodes"]) if not row.records else 0):
                 seed = AUDIT_SEED + episode
-                path = folder / "records" / spec.name / _file_name(row.name) / f"{seed}.jsonl"
+                path = place / f"{seed}{_RECORD}"
                 env = raw_env(spec, split=found["split"])
                 labs = env.laboratories
                 policies = make_policies(row.policies[0], labs, seed)

@@ -9,14 +9,14 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Channel, channel_slices
 from chemlab.instruments.table import InstrumentTable
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
 
-__all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "cheapest", "count_pixels"]
+__all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "apart", "cheapest", "count_pixels", "likelihood"]
 
 M = TypeVar("M")
 
@@ -29,6 +29,39 @@ def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
     none if there is none."""
     specs = scenario.seen_instruments
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
+
+
+def apart(readings: FloatArray, expected: FloatArray, variance: FloatArray | None = None) -> FloatArray:
+    """How far readings are from what is expected.
+
+    Args:
+        readings: [..., size].
+        expected: [K, size].
+        variance: [size] of each number; default: 1.
+
+    Returns:
+        [..., K] sums of squares.
+    """
+    found = np.zeros((*readings.shape[:-1], len(expected)))
+    for number in range(readings.shape[-1]):  # a sum over a last axis of so few takes several times as long
+        square = readings[..., number, None] - expected[:, number]
+        square *= square
+        if variance is not None:
+            square /= variance[number]
+        found += square
+    return found
+
+
+def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: float) -> FloatArray:
+    """[..., K] how likely readings are, beside the likeliest of what is expected (see :func:`apart`).
+
+    Args:
+        readings, expected: as for :func:`apart`.
+        noise: standard deviation of each number.
+        least: likelihood that is left to what a reading speaks against.
+    """
+    found = apart(readings, expected) / noise**2
+    return np.asarray(np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True))) + least)
 
 
 def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:

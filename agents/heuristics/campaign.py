@@ -14,7 +14,7 @@ from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario
 from chemlab.world import quantiles
 
-from .base import ScriptedManager, Setting, cheapest
+from .base import ScriptedManager, Setting, cheapest, likelihood
 from .reaction import ReactionHeuristic
 
 __all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
@@ -151,9 +151,7 @@ class CampaignManager(ScriptedManager[_Belief]):
 
     def _updated(self, weights: FloatArray, readings: FloatArray, runs: int) -> FloatArray:
         """[..., T] probabilities after readings [..., size] of a vessel that has had so many runs."""
-        apart = ((readings[..., None, :] - self._expected[:, runs]) ** 2).sum(axis=-1) / self._noise**2
-        likely = np.exp(-0.5 * (apart - apart.min(axis=-1, keepdims=True))) + _SURPRISE
-        found = weights * likely
+        found = weights * likelihood(readings, self._expected[:, runs], self._noise, _SURPRISE)
         return np.asarray(found / found.sum(axis=-1, keepdims=True))
 
     def _prospect(self, weights: FloatArray, runs: int, left: int) -> FloatArray:

@@ -25,7 +25,7 @@ from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import Scenario
 from chemlab.world import VESSEL_QUANTITIES
 
-from .base import ScriptedManager, Setting, cheapest
+from .base import ScriptedManager, Setting, cheapest, likelihood
 
 __all__ = ["ForeseeingManager", "foresees", "run_experiment"]
 
@@ -100,6 +100,12 @@ class _Foresight:
     fills: FloatArray
     worth: FloatArray
     costs: FloatArray
+
+    @functools.cached_property
+    def still(self) -> list[FloatArray]:
+        """By stage, [S * O, stages after it] what a submission is worth there, less what is to be paid until then."""
+        gains = self.worth - self.costs
+        return [gains[:, to] + self.costs[:, stage, None] for stage, to in enumerate(self.after)]
 
 
 @dataclass
@@ -223,11 +229,11 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     def _begin(self, observation: ObservationArray) -> _Belief:
         slots = self._occupied(observation)
         foresight = next(iter(self._foresight.values()))
-        likelihood = np.ones((len(slots), *self._shape))
+        found = np.ones((len(slots), *self._shape))
         for v, slot in enumerate(slots):
-            apart = (self._value(observation, f"slot_{slot}_fill") - foresight.fills) / self._fill_noise
-            likelihood[v] = (np.exp(-0.5 * (apart**2 - (apart**2).min())) + _SURPRISE).reshape(self._shape)
-        return _Belief(likelihood, likelihood.copy(), slots, [0] * len(slots), [0] * len(slots))
+            fill = np.array([self._value(observation, f"slot_{slot}_fill")])
+            found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
+        return _Belief(found, found.copy(), slots, [0] * len(slots), [0] * len(slots))
 
     def _goal(self, observation: ObservationArray, belief: _Belief) -> str:
         channel = self._orders[min(belief.order, len(self._orders) - 1)]
@@ -260,9 +266,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
 
     def _likely(self, readings: FloatArray, goal: str, stage: int) -> FloatArray:
         """[..., S * O] likelihood of readings [..., R] of a vessel at a stage."""
-        expected = self._foresight[goal].readings[:, stage]
-        apart = ((readings[..., None, :] - expected) ** 2).sum(axis=-1) / self._noise**2
-        return np.asarray(np.exp(-0.5 * (apart - apart.min(axis=-1, keepdims=True))) + _SURPRISE)
+        return likelihood(readings, self._foresight[goal].readings[:, stage], self._noise, _SURPRISE)
 
     def _learn(self, belief: _Belief, v: int, reading: ObservationArray, goal: str) -> None:
         likely = self._likely(reading.astype(np.float64), goal, belief.stage[v])
@@ -271,12 +275,12 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         belief.likelihood[v] *= likely.reshape(self._shape)
         belief.likelihood[v] = np.maximum(belief.likelihood[v] / belief.likelihood[v].max(), _SURPRISE)
 
-    def _posterior(self, likelihood: FloatArray) -> FloatArray:
+    def _posterior(self, likely: FloatArray) -> FloatArray:
         """[..., V, S * O] probability of every world for each vessel, from likelihoods [..., V, S, O]: what one vessel
         says of what they share holds for the others, too."""
-        shared = likelihood.mean(axis=-1)
+        shared = likely.mean(axis=-1)
         others = np.exp(np.log(shared).sum(axis=-2, keepdims=True) - np.log(shared))
-        weights = likelihood * others[..., None]
+        weights = likely * others[..., None]
         weights = weights.reshape(*weights.shape[:-2], math.prod(weights.shape[-2:]))
         return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
@@ -294,8 +298,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         foresight = self._foresight[goal]
         to = foresight.after[stage]
         out = np.full((*known.shape[:-1], len(foresight.stages)), -np.inf)
-        still = foresight.worth[:, to] - foresight.costs[:, to] + foresight.costs[:, stage, None]
-        out[..., to] = known @ still
+        out[..., to] = known @ foresight.still[stage]
         return out
 
     def _total(self, promises: FloatArray, orders: int) -> FloatArray:
@@ -338,9 +341,9 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             posterior = known * likely
             after[:, v] = self._promise(posterior / posterior.sum(axis=1, keepdims=True), goal, belief.stage[v])
         else:
-            likelihood = np.repeat(belief.likelihood[None], _SAMPLES, axis=0)
-            likelihood[:, v] *= likely.reshape(_SAMPLES, *self._shape)
-            after = self._promises(belief, goal, self._posterior(likelihood))
+            after_all = np.repeat(belief.likelihood[None], _SAMPLES, axis=0)
+            after_all[:, v] *= likely.reshape(_SAMPLES, *self._shape)
+            after = self._promises(belief, goal, self._posterior(after_all))
         return float(self._total(after, orders).mean())
 
 

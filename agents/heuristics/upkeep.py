@@ -10,7 +10,7 @@ from chemlab.arrays import FloatArray, MaskArray, ObservationArray
 from chemlab.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.world import quantiles
 
-from .base import ScriptedManager, Setting, cheapest
+from .base import ScriptedManager, Setting, apart, cheapest
 from .campaign import foreseen
 
 __all__ = ["UpkeepManager", "has_wearing_lines"]
@@ -363,7 +363,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         variance = self._noise**2 + doubt
         which = belief.rng.integers(_PARTICLES, size=_SAMPLES)
         readings = shown[which] + np.sqrt(variance) * belief.rng.standard_normal((_SAMPLES, len(variance)))
-        weights = _likelihood(readings[:, None], shown, variance)
+        weights = _likelihood(readings, shown, variance)
         costs = self._scenario.costs.tick * self._steps * np.arange(wait, worth.shape[1])
         return float((weights @ worth[:, wait:] - costs).max(axis=1).mean())
 
@@ -395,6 +395,6 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
 def _likelihood(readings: FloatArray, shown: FloatArray, variance: FloatArray) -> FloatArray:
     """[..., K] probabilities of particles that show ``shown`` [K, size] after readings [..., size]."""
-    apart = ((readings - shown) ** 2 / variance).sum(axis=-1)
-    likely = np.exp(-0.5 * (apart - apart.min(axis=-1, keepdims=True)))
+    found = apart(readings, shown, variance)
+    likely = np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True)))
     return np.asarray(likely / likely.sum(axis=-1, keepdims=True))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import JsonOption, ScenarioArgument, SeedOption, TrustOption, app, chosen_agents, prepare
+from .common import JsonOption, ScenarioArgument, SeedOption, SplitOption, TrustOption, app, chosen_agents, prepare
 from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
@@ -101,6 +101,7 @@ def play(
         str, typer.Option(help="Who plays the others: heuristic, hasty, random or pretrained.")
     ] = "heuristic",
     seed: SeedOption = 0,
+    split: SplitOption = "train",
     goal: Annotated[str | None, typer.Option(help="The laboratory's goal. Default: the scenario draws one.")] = None,
     record: Annotated[
         Path | None,
@@ -117,7 +118,7 @@ def play(
     from ..agents.human import HumanPolicy, Left
     from ..record import Recorder
 
-    _, env = prepare(scenario, quiet=False)
+    _, env = prepare(scenario, quiet=False, split=split)
     labs = env.laboratories
     if goal is not None:
         labs.goal_index(goal)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -88,6 +90,18 @@ class ManagerActions:
         Raises:
             ValueError: no such action; the message names what there is.
         """
+        found = self._numbers.get((kind, *arguments))
+        if found is None:
+            raise ValueError(f"manager action{self._mistake(kind, arguments)}")
+        return found
+
+    @cached_property
+    def _numbers(self) -> Mapping[tuple[str | int, ...], int]:
+        """The number of every action that :meth:`decode` has."""
+        return {self.decode(action): action for action in range(len(self))}
+
+    def _mistake(self, kind: str, arguments: tuple[str | int, ...]) -> str:
+        """What is wrong with an action that there is not."""
         spaces = {
             "start": (self.bench_agents, range(self.slots), self.goals, self.grades)[: 3 + bool(self.grades)],
             "measure": (range(self.slots), self.instruments),
@@ -99,19 +113,12 @@ class ManagerActions:
             **({"repair": (self.wearing,)} if self.wearing else {}),
         }
         if kind not in spaces:
-            raise ValueError(f"manager action: unknown kind {kind!r}; known: {', '.join(spaces)}")
+            return f": unknown kind {kind!r}; known: {', '.join(spaces)}"
         expected: tuple[Any, ...] = spaces[kind]
         if len(arguments) != len(expected):
-            raise ValueError(f"manager action {kind!r}: takes {len(expected)} arguments, given {arguments!r}")
-        row = [KINDS.index(kind), -1, -1, -1, -1]
-        for i, (argument, values) in enumerate(zip(arguments, expected, strict=True)):
-            if argument not in values:
-                raise ValueError(f"manager action {kind!r}: argument {argument!r} is not one of {list(values)}")
-            named = {"calibrate": self.instruments, "repair": self.bench_agents}.get(kind, values)
-            row[1 + i] = list(named).index(argument)
-        if kind == "submit" and self.orders == 1:
-            row[2] = 0
-        return int(np.flatnonzero((self.table == row).all(axis=1))[0])
+            return f" {kind!r}: takes {len(expected)} arguments, given {arguments!r}"
+        argument, values = next(pair for pair in zip(arguments, expected, strict=True) if pair[0] not in pair[1])
+        return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
 
     def decode(self, action: int) -> tuple[str | int, ...]:
         """(kind, arguments...) of an action: the inverse of :meth:`encode`."""

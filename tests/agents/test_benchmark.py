@@ -13,6 +13,7 @@ from test_audit import TINY as AUDIT_TINY
 from test_audit import killed
 from typer.testing import CliRunner
 
+from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluation import statistics
 from chemlab.agents.evaluation.benchmark import (
     Row,
@@ -27,8 +28,9 @@ from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.cli import app
+from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.record import verify_record
+from chemlab.record import Recorder, verify_record
 from chemlab.scenario import load_scenario
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
@@ -160,6 +162,89 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
         assert line["hardware"]["cores"]
         assert line["versions"]["chemlab"]
     assert lines["unlabelled", "pretrained"]["reason"]
+
+
+def recorded(path: Path, seed: int, split: str = "test", who: str = "human", goal: str | None = None) -> float:
+    """A game of unlabelled, as `chemlab play` writes it; the manager's part has a policy that looks at nothing."""
+    env = raw_env("unlabelled", split=split)
+    labs = env.laboratories
+    names = dict.fromkeys(labs.agents, "heuristic") | {labs.agents[0]: who}
+    policies = make_policies("heuristic", labs, seed) | {
+        labs.agents[0]: make_policies("hasty", labs, seed)[labs.agents[0]]
+    }
+    options = None if goal is None else {"goal": goal}
+    with Recorder(path, labs, policies=names) as recorder:
+        return play_episode(env, policies, seed, who, None, options, recorder).score
+
+
+def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, played: tuple[dict[str, Any], Path]) -> None:
+    """They have played two of five episodes: their scores are those of the records, on the scale of these two."""
+    games, keep = tmp_path / "people", tmp_path / "out"
+    games.mkdir()
+    scores = [recorded(games / f"{k}.jsonl", AUDIT_SEED + k) for k in (0, 3)]
+    (row,) = find_rows([str(games)])
+    shutil.copytree(played[1] / "parts", keep / "parts")
+    rows, seen = [ROWS[0], row], list[str]()
+    found = benchmark(["unlabelled"], rows, TINY, 2, keep=keep / "parts", watch=seen.append)
+    assert seen[:2] == [str(games / f"{k}.jsonl") for k in (0, 3)]
+    assert len(seen) == part_count([load_scenario("unlabelled")], rows, TINY, 2, "test")
+    cells = found["scenarios"]["unlabelled"]["cells"]
+    cell = cells[str(games)]
+    assert cell["scores"] == [scores[0], None, None, scores[1], None]
+    assert (cell["episodes"], cell["score"]) == (2, pytest.approx(np.mean(scores)))
+    zero, one, script = (
+        np.array(cells[name]["scores"])[[0, 3]].mean() for name in ("random", "clairvoyant", "heuristic")
+    )
+    assert cell["value"] == pytest.approx((np.mean(scores) - zero) / (one - zero))
+    assert cell["over_baseline"]["value"] == pytest.approx((np.mean(scores) - script) / (one - zero))
+    assert len(cell["replications"]) == 2, "one episode in each"
+    assert cells["heuristic"]["value"] == played[0]["scenarios"]["unlabelled"]["cells"]["heuristic"]["value"]
+    write_benchmark(keep, found, [load_scenario("unlabelled")], rows, records=0)
+    (line,) = (line for line in leaderboard_lines(keep / "leaderboard.json") if line["policy"] == str(games))
+    assert (line["episodes"], line["value"]) == (2, cell["value"])
+    assert [(entry["seed"], entry["score"]) for entry in line["records"]] == [
+        (AUDIT_SEED, scores[0]),
+        (AUDIT_SEED + 3, scores[1]),
+    ]
+    for entry in line["records"]:
+        assert verify_record(keep / entry["file"]).status == "ok"
+    assert str(games) not in json.loads((keep / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
+    nobody = benchmark(["campaign"], [ROWS[0], row], TINY, 2)["scenarios"]["campaign"]["cells"][str(games)]
+    assert (nobody["value"], nobody["reason"]) == (None, "nobody has played it yet")
+
+
+def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_path: Path) -> None:
+    def refused(match: str, *files: Path) -> None:
+        rows, keep, seen = [ROWS[0], *find_rows([str(files[0].parent)])], tmp_path / "parts", list[str]()
+        with pytest.raises(ValueError, match=match):
+            benchmark(["unlabelled"], rows, TINY, 2, keep=keep, watch=seen.append)
+        assert not keep.exists()
+        assert seen in ([], [str(files[0])])
+
+    def game(name: str, *arguments: Any, **others: Any) -> Path:
+        (tmp_path / name).mkdir(exist_ok=True)
+        path = tmp_path / name / f"{len(list((tmp_path / name).iterdir()))}.jsonl"
+        recorded(path, *arguments, **others)
+        return path
+
+    refused("seeds 4000000 to 4000004, split test.*its seed is 7", game("seed", 7))
+    refused("its split train", game("split", AUDIT_SEED, split="train"))
+    goal = load_scenario("unlabelled").lab_goals[0]
+    refused("it was asked for goal", game("goal", AUDIT_SEED, goal=goal))
+    refused("is of seed 4000000, and so is", game("twice", AUDIT_SEED), game("twice", AUDIT_SEED))
+    torn = game("torn", AUDIT_SEED)
+    torn.write_text("".join(torn.read_text().splitlines(keepends=True)[:-1]))
+    refused("the end is missing", torn)
+    better = game("better", AUDIT_SEED)
+    *lines, end = better.read_text().splitlines()
+    told = json.loads(end)
+    told["end"]["score"] = 0.99
+    better.write_text("\n".join([*lines, json.dumps(told)]) + "\n")
+    refused("0.99", better)
+    game("several", AUDIT_SEED)
+    game("several", AUDIT_SEED + 1, who="somebody else")
+    with pytest.raises(ValueError, match=r"manager_0 is human in .*0.jsonl, and somebody else in .*1.jsonl"):
+        find_rows([str(tmp_path / "several")])
 
 
 def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path) -> None:
