@@ -432,6 +432,9 @@ class JointArguments(TeamArguments):
     envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
     rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
+    net_arch: tuple[int, ...] | None = _argument(
+        None, "Hidden layers of every role; repeat the option.", least=1, most=16_384
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -234,11 +234,12 @@ class _Team(LaboratoryTrainee):
             "gae_lambda": a.gae_lambda,
             "seed": a.seed,
             "device": "cpu",
+            "policy_kwargs": {} if a.net_arch is None else {"net_arch": list(a.net_arch)},
         }
         network: Any = "MlpPolicy"
         if self._whole is not None:
             network = MaskableCentralisedPolicy if discrete else CentralisedPolicy
-            settings["policy_kwargs"] = {"own": space.shape[0]}
+            settings["policy_kwargs"]["own"] = space.shape[0]
             low, high = (
                 np.append(*both) for both in ((space.low, self._whole.space.low), (space.high, self._whole.space.high))
             )
@@ -472,6 +473,9 @@ def _begin_from(text: str, team: _Team) -> None:
         model, mine = found[role], learner.model
         if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
             raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
-        mine.policy.load_state_dict(model.policy.state_dict())
+        learned, own = model.policy.state_dict(), mine.policy.state_dict()
+        if {name: layer.shape for name, layer in learned.items()} != {name: layer.shape for name, layer in own.items()}:
+            raise ValueError(f"begin_from: {text}: {role} has other hidden layers; give them with --net-arch")
+        mine.policy.load_state_dict(learned)
     if not found:
         raise ValueError(f"begin_from: {text}: holds neither a joint run nor runs of {', '.join(team.learners)}")

@@ -270,13 +270,15 @@ def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
 
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
     """In the state are what the world hides, too; what plays was given the same at whatever state, and is exported."""
-    arguments = JointArguments(**SMALL, scenario="rush", critic="state")
+    arguments = JointArguments(**SMALL, scenario="rush", critic="state", net_arch=(48, 24))
     team = team_of(arguments)
     for _ in range(6):
         team.collect()
     for role, learner in team.learners.items():
         number = 0 if role == "manager" else 1
         own = team.labs.observation_space(number).shape[0]
+        layers = [layer for layer in learner.model.policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
+        assert [(layer.in_features, layer.out_features) for layer in layers] == [(own, 48), (48, 24)]
         rows, policy = learner.experience.finished(), learner.model.policy
         seen = torch.as_tensor(learner.experience.observation[rows])
         assert seen[:, own:].std(dim=0).max() > 0.1
@@ -351,6 +353,9 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=message):
             joint._begin_from(wrong, team)
+    larger = team_of(JointArguments(**SMALL, net_arch=(32,)))
+    with pytest.raises(ValueError, match="rxn has other hidden layers; give them with --net-arch"):
+        joint._begin_from(begin, larger)
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
