@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
+from chemlab.agents.evaluation.statistics import interval_text
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
 
@@ -50,7 +51,7 @@ def _cell(line: dict[str, Any] | None) -> str:
     if line is None or line["value"] is None:
         return ""
     runs = f" ({line['runs']})" if line["steps"] else ""
-    return f"{line['value']:.2f} [{line['low']:.2f}, {line['high']:.2f}]{runs}"
+    return interval_text(line, 2) + runs
 
 
 def markdown(rows: list[list[str]]) -> list[str]:
@@ -83,7 +84,7 @@ def effort() -> list[str]:
             numbers = [str(best["runs"]), f"{best['steps']:,}", f"{best['hours']:.2f}"]
             scores = [f"{one['value']:.2f}" for one in (best, last)]
             over = best.get("over_baseline")  # lines of before do not say
-            more = f"{over['value']:+.3f} [{over['low']:+.3f}, {over['high']:+.3f}]" if over else ""
+            more = interval_text(over, 3, "+") if over else ""
             rows.append([f"`{scenario}`, {name}", *numbers, *scores, more, f"{gap['value']:+.2f}"])
     return markdown(rows)
 

@@ -43,7 +43,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from chemlab.arrays import FloatArray
+from chemlab.arrays import BoolArray, FloatArray
 from chemlab.datafile import DataError, read_json
 from chemlab.datamodel import validated
 from chemlab.files import write_text
@@ -204,6 +204,12 @@ class _Block:
 def _reached(scores: FloatArray, random: FloatArray, best: FloatArray) -> float:
     """The mean of some episodes' scores on their own scale."""
     return float((scores.mean() - random.mean()) / max(best.mean() - random.mean(), 1e-9))
+
+
+def _interval(values: FloatArray, there: BoolArray) -> dict[str, Any]:
+    """Of what was played; a single episode says nothing of others, and has none."""
+    found = interval(values)
+    return found if there.sum() > 1 else {**found, "low": None, "high": None}
 
 
 def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
@@ -419,7 +425,7 @@ def _cells(
         scale = Scale(random[there], best[there])
         numbers = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
         cells[name] = {
-            **interval(scale.mean(values[there])),
+            **_interval(scale.mean(values[there]), there),
             "score": float(values[there].mean()),
             "episodes": int(there.sum()),
             "replications": [_reached(values[own], random[own], best[own]) for own in numbers if len(own)],
@@ -428,7 +434,7 @@ def _cells(
         other = scores[baseline]
         if name != baseline and not isinstance(other, str) and (both := there & np.isfinite(other)).any():
             over = Scale(random[both], best[both])
-            cells[name]["over_baseline"] = interval(over.mean(values[both]) - over.mean(other[both]))
+            cells[name]["over_baseline"] = _interval(over.mean(values[both]) - over.mean(other[both]), both)
         if name in gaps:
             cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {

@@ -213,6 +213,17 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     assert (nobody["value"], nobody["reason"]) == (None, "nobody has played it yet")
 
 
+def test_people_play_the_worlds_that_are_scored(tmp_path: Path) -> None:
+    file = tmp_path / "people" / "game.jsonl"
+    words = ["play", "selectivity", "--split", "test", "--seed", str(AUDIT_SEED), "--record", str(file)]
+    done = CliRunner().invoke(app, words, input="submit slot 0\n")
+    assert done.exit_code == 0, done.output
+    (row,) = find_rows([str(file)])
+    assert row.records == (("selectivity", str(file)),)
+    cell = benchmark(["selectivity"], [ROWS[0], row], TINY, 2)["scenarios"]["selectivity"]["cells"][str(file)]
+    assert (cell["episodes"], cell["low"], cell["high"]) == (1, None, None)
+
+
 def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_path: Path) -> None:
     def refused(match: str, *files: Path) -> None:
         rows, keep, seen = [ROWS[0], *find_rows([str(files[0].parent)])], tmp_path / "parts", list[str]()
