@@ -82,9 +82,19 @@ class AdvisedPolicy:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.laboratory.policy.Policy`."""
-        actions = self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
-        self._advisor.played(actions, members)
+        actions = self.advise(observation, mask, step, members)
+        self.played(actions, members)
         return actions
+
+    def advise(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """[B] what it would play; what is played instead, :meth:`played` is told. Arguments as for :meth:`act`."""
+        return self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
+
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """What has been played [B] after :meth:`advise`."""
+        self._advisor.played(actions, members)
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.laboratory.policy.Policy`."""

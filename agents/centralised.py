@@ -36,7 +36,8 @@ class _Sides(MlpExtractor):
 
     def __init__(self, own: int, feature_dim: int, **settings: Any) -> None:
         super().__init__(feature_dim, **settings)
-        self.own, self.policy_net = own, MlpExtractor(own, **settings).policy_net
+        actor = MlpExtractor(own, **settings)
+        self.own, self.policy_net, self.latent_dim_pi = own, actor.policy_net, actor.latent_dim_pi
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         return super().forward_actor(features[:, : self.own])

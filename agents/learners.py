@@ -10,6 +10,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from chemlab.datafile import DataError
+
 from .seals import read_sealed, seal_file
 
 try:
@@ -77,10 +79,13 @@ def load_team(folder: Path) -> dict[str, Any]:
     """The learners of a joint run's checkpoint, by role.
 
     Raises:
-        DataError: a file is not this user's.
+        DataError: a file is not this user's, or of a chemlab that made other networks of it.
     """
     found = {}
     for file in sorted(folder.glob("*.zip")):
         kind = MaskablePPO if "maskable" in file.stem else PPO
-        found[file.stem.partition(".")[0]] = _load(kind, file)
+        try:
+            found[file.stem.partition(".")[0]] = _load(kind, file)
+        except RuntimeError as error:  # torch's, of weights that do not fit
+            raise DataError(f"{file}: was saved by a chemlab that made other networks of it: train it anew") from error
     return found

@@ -49,12 +49,13 @@ from chemlab.datamodel import validated
 from chemlab.files import write_text
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import MANAGER_AGENT
-from chemlab.record import Recorder, read_record, recorded_scenario, scenario_hash, verify_record
+from chemlab.parts import trust
+from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 from ..episodes import play_episode
 from ..plans import ConstantPlan
-from ..policies import make_policies
+from ..policies import make_policies, policy_names
 from ..runs import Run, differences, find_runs, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
@@ -97,7 +98,7 @@ class Row:
         steps: of a run; None where there is none.
         curves: for each run (step, mean score) of its evaluations.
         scenario: what the runs were trained on; None: anything.
-        records: (scenario, file) of episodes that somebody has played already; who has some plays none here.
+        records: (scenario's name, record) of episodes that somebody has played already; who has some plays none here.
     """
 
     name: str
@@ -106,7 +107,7 @@ class Row:
     steps: int | None = None
     curves: tuple[tuple[tuple[int, float], ...], ...] = field(default=())
     scenario: str | None = None
-    records: tuple[tuple[str, str], ...] = ()
+    records: tuple[tuple[str, Record], ...] = ()
 
 
 def world_scenarios() -> list[str]:
@@ -129,15 +130,18 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
     rows: list[Row] = []
     for name in policies:
         folder = Path(name)
-        runs = find_runs(folder) if folder.is_dir() and folder.parent.name != "checkpoints" else []
-        files = [folder] if folder.suffix == _RECORD and folder.is_file() else sorted(folder.glob(f"*{_RECORD}"))
+        runs, files = list[Run](), list[Path]()
+        if name not in policy_names() and folder.parent.name != "checkpoints":
+            runs = find_runs(folder) if folder.is_dir() else []
+            files = sorted(folder.rglob(f"*{_RECORD}")) if folder.is_dir() else [folder] * (folder.suffix == _RECORD)
         if runs:
             rows += _trained_rows(name, runs)
         else:
-            rows.append(_played_row(name, files) if files else Row(name, (name,)))
-    doubled = sorted({row.name for row in rows if sum(row.name == other.name for other in rows) > 1})
+            rows.append(_played_row(str(folder), files) if files else Row(name, (name,)))
+    own = [_file_name(row.name) for row in rows]
+    doubled = sorted({row.name for row in rows if own.count(_file_name(row.name)) > 1})
     if doubled:
-        raise ValueError(f"policies: {', '.join(doubled)}: given twice")
+        raise ValueError(f"policies: {', '.join(doubled)}: given twice, or would have the same files")
     return rows
 
 
@@ -146,7 +150,7 @@ def _played_row(name: str, files: Sequence[Path]) -> Row:
     records, players = [], dict[tuple[str, str], Path]()
     for file in files:
         record = read_record(file)
-        records.append((recorded_scenario(record).name, str(file)))
+        records.append((recorded_scenario(record).name, record))
         for agent, player in record.checked_header().policies.items():
             players.setdefault((agent, player), file)
     told = dict[str, tuple[str, Path]]()
@@ -265,18 +269,17 @@ def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: Audit
     )
 
 
-def _records_of(row: Row, spec: Scenario) -> list[str]:
-    return [file for name, file in row.records if name == spec.name]
+def _records_of(row: Row, spec: Scenario) -> list[Record]:
+    return [record for name, record in row.records if name == spec.name]
 
 
 def _entered(
     row: Row, spec: Scenario, split: str, episodes: int, watch: Callable[[str], None] | None
-) -> dict[int, tuple[float, str]]:
-    """(score, file) of the episodes, by number, that somebody has played; every one is played again."""
-    found: dict[int, tuple[float, str]] = {}
-    for file in _records_of(row, spec):
-        record = read_record(file)
-        header = record.checked_header()
+) -> dict[int, tuple[float, Record]]:
+    """(score, record) of the episodes, by number, that somebody has played; every one is played again."""
+    found: dict[int, tuple[float, Record]] = {}
+    for record in _records_of(row, spec):
+        file, header = record.path, record.checked_header()
         number = -1 if header.seed is None else header.seed - AUDIT_SEED
         if header.options or header.split not in (None, split.partition(":")[0]) or not 0 <= number < episodes:
             raise ValueError(
@@ -284,15 +287,19 @@ def _entered(
                 f"{AUDIT_SEED + episodes - 1}, split {split}, and nothing asked for; its seed is {header.seed}, its "
                 f"split {header.split}" + (f", and it was asked for {', '.join(header.options)}" * bool(header.options))
             )
-        proof = verify_record(record, spec, split=split if ":" in split else None)
-        # On another platform numbers may be rounded otherwise, which is no difference in what was done.
+        if scenario_hash(recorded_scenario(record)) != scenario_hash(spec):
+            raise ValueError(f"policies: {file}: is of another {spec.name} than {spec.origin}: prices or rules differ")
+        proof = verify_record(record, spec, bool(trust()), split=split if ":" in split else None)
+        # Made by another version, or on a platform that rounds otherwise, it may be right all the same.
         if proof.status not in ("ok", "other") or proof.where or proof.score is None:
             raise ValueError(f"policies: {file}: {proof.message}")
         if number in found:
-            raise ValueError(f"policies: {file}: is of seed {header.seed}, and so is {found[number][1]}: leave one")
-        found[number] = (proof.score, file)
+            raise ValueError(
+                f"policies: {file}: is of seed {header.seed}, and so is {found[number][1].path}: leave one"
+            )
+        found[number] = (proof.score, record)
         if watch is not None:
-            watch(file)
+            watch(str(file))
     return found
 
 
@@ -378,7 +385,7 @@ def _cells(
     planned: Mapping[str, dict[str, Any]],
     rows: Sequence[Row],
     fitting: Sequence[Row],
-    entered: Mapping[str, Mapping[int, tuple[float, str]]],
+    entered: Mapping[str, Mapping[int, tuple[float, Record]]],
     blocks: Sequence[_Block],
     split: str,
     baseline: str,
@@ -435,6 +442,9 @@ def _cells(
         if name != baseline and not isinstance(other, str) and (both := there & np.isfinite(other)).any():
             over = Scale(random[both], best[both])
             cells[name]["over_baseline"] = _interval(over.mean(values[both]) - over.mean(other[both]), both)
+            if not there.all():  # others had easier worlds, or harder ones
+                same = [block.first + np.flatnonzero(block.of(both)) for block in blocks]
+                cells[name]["baseline"] = [_reached(other[own], random[own], best[own]) for own in same if len(own)]
         if name in gaps:
             cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {
@@ -457,7 +467,7 @@ def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> di
     if not there:
         return {**told, "interquartile_mean": None, "mean": None, "improvement": None, "profile": None}
     own = [cells[name]["replications"] for cells in there]
-    other = [cells[baseline]["replications"] for cells in there]
+    other = [cells[name].get("baseline", cells[baseline]["replications"]) for cells in there]
     profile = statistics.performance_profile(own, _THRESHOLDS)
     return {
         **told,
@@ -567,10 +577,10 @@ def _recorded(
                 continue
             own = written[spec.name, row.name] = []
             place = folder / "records" / spec.name / _file_name(row.name)
-            for file in _records_of(row, spec):  # all of them: nobody plays them again
-                seed = read_record(file).checked_header().seed or 0
+            for record in _records_of(row, spec):  # all of them: nobody plays them again
+                seed = record.checked_header().seed or 0
                 path = place / f"{seed}{_RECORD}"
-                write_text(path, Path(file).read_text(encoding="utf-8"))
+                write_text(path, "".join(line.decode().rstrip("\n") + "\n" for line in record.lines))
                 score = cells[row.name]["scores"][seed - AUDIT_SEED]
                 own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
             for episode in range(min(count, found["budget_episodes"]) if not row.records else 0):

@@ -162,7 +162,9 @@ class Arguments:
         """
         given = cls._completed(_given(cls, values, where), where)
         try:
-            return cls(**given)
+            made = cls(**given)
+            _check_imitated(made)
+            return made
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
 
@@ -239,10 +241,11 @@ class Arguments:
         return shlex.join(["chemlab", self.command, positional, *self.flags()])
 
 
-def _check_imitated(arguments: Arguments, policy: str | None) -> None:
-    """Whether there is somebody to imitate where it is said how."""
+def _check_imitated(arguments: Arguments) -> None:
+    """Whether there is somebody to imitate where it is said how; runs of before may not have been asked."""
+    somebody = any(getattr(arguments, name, None) is not None for name in ("imitate", "advice"))
     for name in ("imitate_steps", "imitate_rounds"):
-        if policy is None and getattr(arguments, name, None) is not None:
+        if not somebody and getattr(arguments, name, None) is not None:
             raise ValueError(f"{name}: nobody is imitated; give imitate, or leave it out")
 
 
@@ -344,7 +347,6 @@ class TrainArguments(Arguments):
                 f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
                 "last minibatch, where advantages are normalized; give another, or another rollout"
             )
-        _check_imitated(self, self.imitate or self.advice)
         if self.advice is not None and self.imitate not in (None, self.advice):
             raise ValueError(f"imitate: who is advised begins by following the advice, {self.advice!r}; leave it out")
         curriculum_of(self, ())
@@ -420,7 +422,7 @@ class JointArguments(TeamArguments):
         None, "Policy to imitate before learning, in every role that learns, by name.", otherwise="none"
     )
     imitate_steps: int | None = _argument(
-        None, "Turns of it in each role, at least.", least=1, most=10**9, otherwise="20000"
+        None, "Turns of it in each role, about.", least=1, most=10**9, otherwise="20000"
     )
     imitate_rounds: int | None = _argument(
         None,
@@ -435,10 +437,6 @@ class JointArguments(TeamArguments):
     net_arch: tuple[int, ...] | None = _argument(
         None, "Hidden layers of every role; repeat the option.", least=1, most=16_384
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_imitated(self, self.imitate)
 
     def folder(self) -> Path:
         """Where a run stands in a folder of results: scenario, regime (and critic), seed."""

@@ -282,7 +282,7 @@ class _Team(LaboratoryTrainee):
 
         Args:
             shown: the policy, by name.
-            turns: of each role at least.
+            turns: of each role, about; of episodes that a round does not end nothing is learned.
             rounds: in how many parts, all equally long; after the first the learners play together.
 
         Returns:
@@ -474,6 +474,8 @@ def _begin_from(text: str, team: _Team) -> None:
         if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
             raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
         learned, own = model.policy.state_dict(), mine.policy.state_dict()
+        if {name.partition(".")[0] for name in learned} != {name.partition(".")[0] for name in own}:
+            raise ValueError(f"begin_from: {text}: {role} was trained by an algorithm that has other networks")
         if {name: layer.shape for name, layer in learned.items()} != {name: layer.shape for name, layer in own.items()}:
             raise ValueError(f"begin_from: {text}: {role} has other hidden layers; give them with --net-arch")
         mine.policy.load_state_dict(learned)

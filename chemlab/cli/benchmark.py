@@ -24,7 +24,8 @@ def benchmark(
         list[str] | None,
         typer.Option(
             help="Besides random, plan and clairvoyant: names as for `chemlab run`, a training run, or a folder of "
-            "runs of which only the seed differs; repeat the option. Default: heuristic, pretrained, trained."
+            "runs of which only the seed differs, or records of what people have played; repeat the option. "
+            "Default: heuristic, pretrained, trained."
         ),
     ] = None,
     split: SplitOption = "test",

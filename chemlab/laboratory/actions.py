@@ -90,10 +90,10 @@ class ManagerActions:
         Raises:
             ValueError: no such action; the message names what there is.
         """
-        found = self._numbers.get((kind, *arguments))
-        if found is None:
-            raise ValueError(f"manager action{self._mistake(kind, arguments)}")
-        return found
+        try:
+            return self._numbers[(kind, *arguments)]
+        except (KeyError, TypeError):  # what cannot be a key is no action either
+            raise ValueError(f"manager action{self._mistake(kind, arguments)}") from None
 
     @cached_property
     def _numbers(self) -> Mapping[tuple[str | int, ...], int]:
@@ -117,7 +117,9 @@ class ManagerActions:
         expected: tuple[Any, ...] = spaces[kind]
         if len(arguments) != len(expected):
             return f" {kind!r}: takes {len(expected)} arguments, given {arguments!r}"
-        argument, values = next(pair for pair in zip(arguments, expected, strict=True) if pair[0] not in pair[1])
+        given = zip(arguments, expected, strict=True)
+        wrong = (pair for pair in given if not isinstance(pair[0], (str, int, float)) or pair[0] not in pair[1])
+        argument, values = next(wrong, (arguments, self._numbers))
         return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
 
     def decode(self, action: int) -> tuple[str | int, ...]:

@@ -113,6 +113,28 @@ def test_who_only_watches_knows_what_is_to_be_done(scenario: str) -> None:
     assert np.mean(watched.agreed) >= least
 
 
+def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
+    """Whoever is asked what to play, and not followed, must not tell its advisor that it was."""
+
+    class Heard:
+        def __init__(self) -> None:
+            self.played_by_others: list[int] = []
+
+        def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+            return np.zeros(len(members), dtype=np.int64)
+
+        def played(self, actions: Any, members: Any) -> None:
+            self.played_by_others += actions.tolist()
+
+    heard = Heard()
+    teacher = Advisor(AdvisedPolicy(Heard(), Advisor(heard, 5)))
+    nobody = np.zeros(1, dtype=np.int64)
+    assert teacher.advice(np.zeros((1, 3), dtype=np.float32), None, nobody, nobody).tolist() == [0]
+    assert heard.played_by_others == []
+    teacher.played(np.array([4]), nobody)
+    assert heard.played_by_others == [4]
+
+
 def test_what_is_advised_and_not_yet_played_is_not_remembered() -> None:
     labs = Laboratories("rush", 1)
     manager: Any = make_policies("heuristic", labs, 0)["manager_0"]

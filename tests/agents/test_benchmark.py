@@ -30,7 +30,7 @@ from chemlab.agents.runs import Run
 from chemlab.cli import app
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.record import Recorder, verify_record
+from chemlab.record import Recorder, RecordError, verify_record
 from chemlab.scenario import load_scenario
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
@@ -164,9 +164,16 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
     assert lines["unlabelled", "pretrained"]["reason"]
 
 
-def recorded(path: Path, seed: int, split: str = "test", who: str = "human", goal: str | None = None) -> float:
+def recorded(
+    path: Path,
+    seed: int,
+    split: str = "test",
+    who: str = "human",
+    goal: str | None = None,
+    scenario: Any = "unlabelled",
+) -> float:
     """A game of unlabelled, as `chemlab play` writes it; the manager's part has a policy that looks at nothing."""
-    env = raw_env("unlabelled", split=split)
+    env = raw_env(scenario, split=split)
     labs = env.laboratories
     names = dict.fromkeys(labs.agents, "heuristic") | {labs.agents[0]: who}
     policies = make_policies("heuristic", labs, seed) | {
@@ -174,7 +181,7 @@ def recorded(path: Path, seed: int, split: str = "test", who: str = "human", goa
     }
     options = None if goal is None else {"goal": goal}
     with Recorder(path, labs, policies=names) as recorder:
-        return play_episode(env, policies, seed, who, None, options, recorder).score
+        return float(play_episode(env, policies, seed, who, None, options, recorder).score)
 
 
 def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, played: tuple[dict[str, Any], Path]) -> None:
@@ -198,6 +205,12 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     assert cell["value"] == pytest.approx((np.mean(scores) - zero) / (one - zero))
     assert cell["over_baseline"]["value"] == pytest.approx((np.mean(scores) - script) / (one - zero))
     assert len(cell["replications"]) == 2, "one episode in each"
+    script_alone = [(cells["heuristic"]["scores"][k] - cells["random"]["scores"][k]) for k in (0, 3)]
+    spans = [cells["clairvoyant"]["scores"][k] - cells["random"]["scores"][k] for k in (0, 3)]
+    assert cell["baseline"] == pytest.approx(np.array(script_alone) / spans), "in the same episodes, not in all"
+    (summary,) = (one for one in found["rows"] if one["policy"] == str(games))
+    expected = statistics.probability_of_improvement([cell["replications"]], [cell["baseline"]])
+    assert summary["improvement"]["value"] == expected.value
     assert cells["heuristic"]["value"] == played[0]["scenarios"]["unlabelled"]["cells"]["heuristic"]["value"]
     write_benchmark(keep, found, [load_scenario("unlabelled")], rows, records=0)
     (line,) = (line for line in leaderboard_lines(keep / "leaderboard.json") if line["policy"] == str(games))
@@ -219,7 +232,8 @@ def test_people_play_the_worlds_that_are_scored(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words, input="submit slot 0\n")
     assert done.exit_code == 0, done.output
     (row,) = find_rows([str(file)])
-    assert row.records == (("selectivity", str(file)),)
+    assert [(name, record.path) for name, record in row.records] == [("selectivity", file)]
+    assert find_rows([str(file.parent) + "/"])[0].name == str(file.parent), "one folder has one name"
     cell = benchmark(["selectivity"], [ROWS[0], row], TINY, 2)["scenarios"]["selectivity"]["cells"][str(file)]
     assert (cell["episodes"], cell["low"], cell["high"]) == (1, None, None)
 
@@ -252,10 +266,37 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     told["end"]["score"] = 0.99
     better.write_text("\n".join([*lines, json.dumps(told)]) + "\n")
     refused("0.99", better)
+    spec = load_scenario("unlabelled")
+    costs = spec.costs.model_copy(update={"tick": spec.costs.tick + 1e-3})
+    cheap = spec.model_copy(update={"costs": costs})
+    other = tmp_path / "other" / "0.jsonl"
+    other.parent.mkdir()
+    recorded(other, AUDIT_SEED, scenario=cheap)
+    refused(r"is of another unlabelled than .*unlabelled.toml", other)
+    header, *rest = other.read_text().splitlines()
+    other.write_text("\n".join([json.dumps(json.loads(header) | {"chemlab": "0.0.1"}), *rest]) + "\n")
+    refused(r"is of another unlabelled than .*unlabelled.toml", other)
+    with pytest.raises(ValueError, match=r"p/q.*: given twice"):
+        find_rows([str(tmp_path / "p/q"), str(tmp_path / "p_q")])
     game("several", AUDIT_SEED)
     game("several", AUDIT_SEED + 1, who="somebody else")
     with pytest.raises(ValueError, match=r"manager_0 is human in .*0.jsonl, and somebody else in .*1.jsonl"):
         find_rows([str(tmp_path / "several")])
+
+
+def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checkpoint has files of lines, too; and a folder that is called as a policy is, is none."""
+    checkpoint = tmp_path / "checkpoints" / "last-10"
+    for folder in (checkpoint, tmp_path / "heuristic"):
+        folder.mkdir(parents=True)
+        (folder / "curve.jsonl").write_text("{}\n")
+    monkeypatch.chdir(tmp_path)
+    assert find_rows([str(checkpoint), "heuristic"]) == [
+        Row(str(checkpoint), (str(checkpoint),)),
+        Row("heuristic", ("heuristic",)),
+    ]
+    with pytest.raises(RecordError, match="is not a record of an episode"):
+        find_rows([str(checkpoint / "curve.jsonl")])
 
 
 def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path) -> None:
