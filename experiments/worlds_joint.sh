@@ -30,7 +30,7 @@ for seed in ${seeds:-0 1 2 3 4}; do
     learn rush 120000 1500000
     learn selectivity 60000 600000
     learn runaway 60000 600000
-    from_nothing campaign # clones without memory, which plays a part there, are below random play and stay there
+    from_nothing campaign # `learn campaign 60000 1000000` comes to less than random play: clones have no memory there
     learn unlabelled 60000 800000
     learn failing 60000 800000
     learn crude 40000 400000

@@ -41,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from chemlab.arrays import BoolArray, FloatArray
@@ -83,6 +84,7 @@ _TOLD = ("value", "low", "high", "score", "episodes", "generalization", "over_ba
 """Of a cell, what the leaderboard has, too."""
 _LEADERBOARD_BYTES = 50_000_000
 _RECORD = ".jsonl"
+"""How files of records end."""
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
 """Of performance profiles, on the scale."""
 
@@ -147,20 +149,17 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
 
 def _played_row(name: str, files: Sequence[Path]) -> Row:
     """What somebody has played: who, is what the records say."""
-    records, players = [], dict[tuple[str, str], Path]()
+    records, told = [], dict[str, tuple[str, Path]]()
     for file in files:
         record = read_record(file)
         records.append((recorded_scenario(record).name, record))
         for agent, player in record.checked_header().policies.items():
-            players.setdefault((agent, player), file)
-    told = dict[str, tuple[str, Path]]()
-    for (agent, player), file in players.items():
-        other = told.setdefault(agent, (player, file))
-        if other[0] != player:
-            raise ValueError(
-                f"policies: {name}: one row has the same players everywhere; {agent} is {other[0]} in {other[1]}, and "
-                f"{player} in {file}: put these into folders of their own"
-            )
+            other, first = told.setdefault(agent, (player, file))
+            if other != player:
+                raise ValueError(
+                    f"policies: {name}: one row has the same players everywhere; {agent} is {other} in {first}, and "
+                    f"{player} in {file}: put these into folders of their own"
+                )
     return Row(name, (), records=tuple(records))
 
 
@@ -205,9 +204,9 @@ class _Block:
         return np.asarray(scores)[self.first : self.first + self.count]
 
 
-def _reached(scores: FloatArray, random: FloatArray, best: FloatArray) -> float:
-    """The mean of some episodes' scores on their own scale."""
-    return float((scores.mean() - random.mean()) / max(best.mean() - random.mean(), 1e-9))
+def _normalised(scores: Any, random: float, best: float) -> FloatArray:
+    """Scores on the scale of episodes in which random play and who knows the world come to so much in the mean."""
+    return np.asarray((np.asarray(scores) - random) / max(best - random, 1e-9))
 
 
 def _interval(values: FloatArray, there: BoolArray) -> dict[str, Any]:
@@ -219,8 +218,7 @@ def _interval(values: FloatArray, there: BoolArray) -> dict[str, Any]:
 def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
     """The scores of each replication's episodes on its own scale."""
     return [
-        (np.asarray(scores)[one["first"] : one["first"] + one["count"]] - one["random"])
-        / max(one["clairvoyant"] - one["random"], 1e-9)
+        _normalised(np.asarray(scores)[one["first"] : one["first"] + one["count"]], one["random"], one["clairvoyant"])
         for one in scales
     ]
 
@@ -347,6 +345,8 @@ def benchmark(
     names = ["random", "plan", *(row.name for row in rows), "clairvoyant"]
     if baseline not in names:
         raise ValueError(f"baseline: known: {', '.join(names)}; given {baseline!r}")
+    if _row_named(rows, baseline).records:
+        raise ValueError(f"baseline: {baseline}: must have played all episodes, which people need not; give a policy")
     blocks = _blocks(chosen.episodes, seeds)
     found = {}
     entered = {
@@ -406,9 +406,9 @@ def _cells(
         if row not in fitting:
             scores[row.name] = f"was trained in {row.scenario}"
             continue
-        parts = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}"] for block in blocks]
-        refused = next((part["reason"] for part in parts if part["scores"] is None), None)
-        scores[row.name] = refused if refused is not None else np.concatenate([part["scores"] for part in parts])
+        test = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}"] for block in blocks]
+        refused = next((part["reason"] for part in test if part["scores"] is None), None)
+        scores[row.name] = refused if refused is not None else np.concatenate([part["scores"] for part in test])
         if refused is None and spec.world.draws and split != "train":
             train = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}-train"] for block in blocks]
             gaps[row.name] = np.concatenate([part["scores"] for part in train])
@@ -430,21 +430,21 @@ def _cells(
             continue
         there = np.isfinite(values)
         scale = Scale(random[there], best[there])
-        numbers = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
+        blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
+        parts = [numbers for numbers in blockwise if len(numbers)]
         cells[name] = {
             **_interval(scale.mean(values[there]), there),
             "score": float(values[there].mean()),
             "episodes": int(there.sum()),
-            "replications": [_reached(values[own], random[own], best[own]) for own in numbers if len(own)],
+            "replications": _replications(values, random, best, parts),
             "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
         }
         other = scores[baseline]
-        if name != baseline and not isinstance(other, str) and (both := there & np.isfinite(other)).any():
-            over = Scale(random[both], best[both])
-            cells[name]["over_baseline"] = _interval(over.mean(values[both]) - over.mean(other[both]), both)
-            if not there.all():  # others had easier worlds, or harder ones
-                same = [block.first + np.flatnonzero(block.of(both)) for block in blocks]
-                cells[name]["baseline"] = [_reached(other[own], random[own], best[own]) for own in same if len(own)]
+        if name != baseline and not isinstance(other, str):
+            more = scale.mean(values[there]) - scale.mean(other[there])
+            cells[name]["over_baseline"] = _interval(more, there)
+            if not there.all():  # in the other episodes worlds are easier, or harder
+                cells[name]["baseline"] = _replications(other, random, best, parts)
         if name in gaps:
             cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
     return {
@@ -453,6 +453,13 @@ def _cells(
         "plans": played["plan"]["plans"],
         "cells": cells,
     }
+
+
+def _replications(
+    scores: FloatArray, random: FloatArray, best: FloatArray, parts: Sequence[npt.NDArray[np.intp]]
+) -> list[float]:
+    """The mean of each part of the episodes, on that part's own scale."""
+    return [float(_normalised(scores[own].mean(), random[own].mean(), best[own].mean())) for own in parts]
 
 
 def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> dict[str, Any]:
@@ -558,7 +565,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
                 steps = {}
                 for i, (step, mean) in enumerate(curve):
-                    reached = (mean - scale["random"]) / max(scale["clairvoyant"] - scale["random"], 1e-9)
+                    reached = float(_normalised(mean, scale["random"], scale["clairvoyant"]))
                     steps[f"step_{i}"] = {"step_count": step, "return": [reached]}
                 steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns.tolist()}
                 algorithm[f"seed_{k}"] = {**steps, "absolute_metrics": {"return": [float(returns.mean())]}}

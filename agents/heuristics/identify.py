@@ -212,6 +212,7 @@ class IdentifyingManager(ManagerHeuristic):
         belief.looked.add(v)
         name = f"slot_{self._vessels[v]}_{self._instrument}"
         noise = np.hypot(self._scenario.instruments[str(self._instrument)].noise, _MODEL_ERROR)
+        # Not `base.likelihood`, which sums in another order: among bottles that look alike a last digit decides.
         apart = ((observation[self._slices[name]] - self._expected[v]) ** 2).sum(axis=-1) / noise**2
         belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
 

@@ -118,7 +118,9 @@ class ManagerActions:
         if len(arguments) != len(expected):
             return f" {kind!r}: takes {len(expected)} arguments, given {arguments!r}"
         given = zip(arguments, expected, strict=True)
-        wrong = (pair for pair in given if not isinstance(pair[0], (str, int, float)) or pair[0] not in pair[1])
+        wrong = (
+            pair for pair in given if not isinstance(pair[0], (str, int, float, np.number)) or pair[0] not in pair[1]
+        )
         argument, values = next(wrong, (arguments, self._numbers))
         return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
 

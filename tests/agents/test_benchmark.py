@@ -278,6 +278,8 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     refused(r"is of another unlabelled than .*unlabelled.toml", other)
     with pytest.raises(ValueError, match=r"p/q.*: given twice"):
         find_rows([str(tmp_path / "p/q"), str(tmp_path / "p_q")])
+    with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must have played all episodes"):
+        benchmark(["unlabelled"], find_rows([str(other)]), TINY, 2, baseline=str(other))
     game("several", AUDIT_SEED)
     game("several", AUDIT_SEED + 1, who="somebody else")
     with pytest.raises(ValueError, match=r"manager_0 is human in .*0.jsonl, and somebody else in .*1.jsonl"):

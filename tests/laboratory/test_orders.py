@@ -236,6 +236,7 @@ def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None
     [
         (("submit", 0), "takes 2 arguments"),
         (("submit", 0, 2), "2 is not one of [0, 1]"),
+        (("submit", np.int64(0), 2), "argument 2 is not one of [0, 1]"),
         (("submit", 0, [1]), "[1] is not one of [0, 1]"),
         (("submit", 0, np.array(1)), "array(1) is not one of [0, 1]"),
         (("submit", 12, 0), "12"),
