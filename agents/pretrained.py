@@ -476,11 +476,12 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
         alone: whether also in a laboratory benches are to be taken that learned on single benches.
 
     Raises:
-        ValueError: there is none; the message says why each does not fit.
+        ValueError: there is none; the message says why each of its kind does not fit.
     """
     reasons, fitting = [], []
-    for name in pretrained_names():
-        card = _read_card(_shipped() / f"{name}.json")
+    cards = {name: _read_card(_shipped() / f"{name}.json") for name in pretrained_names()}
+    alike = {name: card for name, card in cards.items() if card.interface["kind"] == workplace.kind}
+    for name, card in alike.items():
         difference = _difference(card, workplace)
         if difference:
             reasons.append(f"{name}: {difference}")
@@ -491,7 +492,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
     if not fitting:
         raise ValueError(
             f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} "
-            f"({'; '.join(reasons) or 'none come with this version'}); train one: {_advice(workplace)}"
+            f"({'; '.join(reasons) or f'none for {workplace.kind} comes along'}); train one: {_advice(workplace)}"
         )
     policy = load_pretrained(min(fitting)[-1])
     policy.check(workplace)

@@ -20,7 +20,7 @@ from chemlab.agents.evaluation.statistics import interval_text
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
 
-__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "table"]
+__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "shipped", "table"]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
@@ -37,6 +37,7 @@ LEARNERS = {
 }
 """Folders of runs below RESULTS, behind the scenario's name, and what the table calls them."""
 _KINDS = ("best", "last")
+_SHIPPED = ("pretrained", "trained")
 
 
 def _lines() -> dict[tuple[str, str], dict[str, Any]]:
@@ -89,6 +90,19 @@ def effort() -> list[str]:
     return markdown(rows)
 
 
+def shipped() -> list[str]:
+    """What comes along beside the scripted agents: benches (pretrained), benches and a manager (trained)."""
+    lines = _lines()
+    rows = [["scenario", "scripted", *_SHIPPED, *(f"{name} / scripted" for name in _SHIPPED)]]
+    for scenario in world_scenarios():
+        scripted, *others = (lines.get((scenario, name)) for name in ("heuristic", *_SHIPPED))
+        if scripted is None or not any(_cell(one) for one in others):
+            continue
+        ratios = [f"{one['value'] / scripted['value']:.2f}" if one and _cell(one) else "" for one in others]
+        rows.append([f"`{scenario}`", *map(_cell, (scripted, *others)), *ratios])
+    return markdown(rows)
+
+
 def finished(results: Path, scenario: str) -> list[str]:
     """Folders of runs below ``results`` of which none is unfinished; tells of the others."""
     chosen = []
@@ -109,9 +123,8 @@ def _play(results: Path, budget: str) -> None:
         write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
     for scenario in world_scenarios():
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
-        if not chosen:
-            continue
-        words = ["benchmark", scenario, "--policy", "heuristic", *chosen, "--budget", budget, "--records", "0"]
+        chosen += [word for name in ("heuristic", *_SHIPPED) for word in ("--policy", name)]
+        words = ["benchmark", scenario, *chosen, "--budget", budget, "--records", "0"]
         command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
         subprocess.run(command, check=True, cwd=results)
     written = json.loads(own.read_text(encoding="utf-8"))
@@ -127,3 +140,4 @@ if __name__ == "__main__":
         _play(asked.play, asked.budget)
     replace_between(PAGE, "baselines", table())
     replace_between(PAGE, "effort", effort())
+    replace_between(PAGE, "shipped", shipped())

@@ -18,14 +18,25 @@ from chemlab.scenario import load_scenario
 
 GOAL = "I"
 TARGET = BenchTarget(load_scenario("fictitious").with_actions("discrete"), "rxn", split="test")
-REPLAY = {"learning_rate": 5e-4, "train_freq": 16, "gradient_steps": 32, "learning_starts": 500, "batch_size": 64}
-"""Of DQN and QR-DQN alike: 32 updates after 16 steps of all environments."""
+REPLAY = {
+    "learning_rate": 5e-4,
+    "train_freq": 16,
+    "gradient_steps": 64,
+    "learning_starts": 500,
+    "batch_size": 64,
+    "n_steps": 20,
+    "target_update_interval": 500,
+    "exploration_fraction": 0.5,
+}
+"""Of DQN and QR-DQN alike: 64 updates after 16 steps of all environments, from returns of whole experiments (20 steps).
+With one step, and Stable-Baselines3's own interval and exploration, neither learns anything."""
+QUANTILES = {"policy_kwargs": {"n_quantiles": 50}}
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
     """One seed of each learner, and the scripted agent with the same choice of actions."""
     policies = {
-        "QR-DQN": learned("qr-dqn", training_envs(TARGET, GOAL), budget, **REPLAY),
+        "QR-DQN": learned("qr-dqn", training_envs(TARGET, GOAL), budget, **REPLAY, **QUANTILES),
         "DQN": learned("dqn", training_envs(TARGET, GOAL), budget, **REPLAY),
         PLAIN: learned("ppo", training_envs(TARGET, GOAL), budget),
         SCRIPTED: "heuristic",

@@ -58,9 +58,9 @@ def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.Monke
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """And of the scenarios as they are; nobody knows more than who knows the world."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from baselines import LEADERBOARD, PAGE, effort, table
+    from baselines import LEADERBOARD, PAGE, effort, shipped, table
 
-    for rows in (table(), effort()):
+    for rows in (table(), effort(), shipped()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
     for line in leaderboard_lines(LEADERBOARD):
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"

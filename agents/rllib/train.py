@@ -28,7 +28,6 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario
 
 from ..executors import connected
@@ -195,14 +194,12 @@ class _Team(LaboratoryTrainee):
         self, role: str, state: dict[str, npt.NDArray[Any]], step: int = 0, evaluation: dict[str, Any] | None = None
     ) -> PretrainedPolicy:
         """A role's policy without Ray and PyTorch, from its module's weights."""
-        a, labs = self._arguments, Laboratories(self.scenario, 1)
-        number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
-        workplace = labs.role(number)
+        a, workplace = self._arguments, self.workplaces[role]
         card = Card.of(
             workplace,
             name=role,
             env_id="chemlab/Laboratory-v0",
-            goals=list(self.scenario.goals if number else self.scenario.lab_goals),
+            goals=list(self.scenario.lab_goals if role == MANAGER_ROLE else self.scenario.goals),
             starts="lab",
             algo=ALGORITHM,
             label=LABEL,

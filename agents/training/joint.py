@@ -264,6 +264,8 @@ class _Team(LaboratoryTrainee):
         for learner in self.learners.values():
             learner.experience.abandon()
         self.labs.reset(self.labs.members)
+        self._ended = np.zeros(len(self.labs.members), dtype=np.bool_)
+        """[N] laboratories that have been to an end since"""
         self._players = Players(
             self.labs, [self._player(number, shown, tried) for number in range(len(self.labs.agents))]
         )
@@ -283,7 +285,8 @@ class _Team(LaboratoryTrainee):
         Args:
             shown: the policy, by name.
             turns: of each role, about; of episodes that a round does not end nothing is learned.
-            rounds: in how many parts, all equally long; after the first the learners play together.
+            rounds: in how many parts. After the first the learners play together, as long as the policy did, and on
+                until every laboratory has been to an end: mistakes make long episodes.
 
         Returns:
             By role, how well it is hit (see :func:`~.imitate.imitate`).
@@ -293,10 +296,10 @@ class _Team(LaboratoryTrainee):
         for number in range(rounds):
             self._begin_anew(shown, tried=number > 0)
             collected = 0
-            while collected < first or (number == 0 and self._fewest_turns() < turns / rounds):
+            while collected < first or not (self._ended.all() if number else self._fewest_turns() >= turns / rounds):
                 self.collect()
                 collected += 1
-            first = collected
+            first = first or collected
             hit = {role: self._clone(learner) for role, learner in self.learners.items()}
         for learner in self.learners.values():
             model = learner.model
@@ -326,6 +329,7 @@ class _Team(LaboratoryTrainee):
             over = labs.members[labs.state.status != RUNNING]
             if len(over):
                 self.returns += labs.result(over).tolist()
+                self._ended[over] = True
                 labs.reset(over)
 
     def _after(self, number: int, members: IntArray) -> None:
@@ -379,7 +383,7 @@ class _Team(LaboratoryTrainee):
                 save_learned(
                     folder,
                     self.learners[role].model,
-                    self.labs.role(number),
+                    self.workplaces[role],
                     self._config,
                     goals=goals_met(self.scenario, role) if number else list(self.scenario.lab_goals),
                     starts="lab",

@@ -135,6 +135,9 @@ class LaboratoryTrainee(Trainee):
     def __init__(self, arguments: TeamArguments, scenario: Scenario) -> None:
         self.scenario, self.steps, self._background = scenario, arguments.steps, arguments.background
         self._evaluation_split = arguments.evaluation_split
+        labs = Laboratories(load_scenario(arguments.scenario), 1)
+        self.workplaces = {role_of(agent): labs.role(number) for number, agent in reversed([*enumerate(labs.agents)])}
+        """By role, where it is to work: a run may reward it otherwise than the scenario does, for no other task."""
 
     @abstractmethod
     def learned(self) -> Mapping[str, Policy]:

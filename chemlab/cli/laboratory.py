@@ -301,6 +301,7 @@ def compare(
     """Compare policies over many episodes with the same seeds; also regenerates README's table."""
     from rich.progress import Progress
 
+    from ..agents.policies import make_policies
     from ..scenario import scenario_names
 
     policies = policy or ["heuristic", "random"]
@@ -309,10 +310,12 @@ def compare(
         check_marks(update, "results")
         check_target(update)
     with Progress(console=err, transient=True) as progress:
-        names = scenarios or scenario_names()
-        task = progress.add_task("episodes", total=len(names) * len(policies) * episodes)
-        for name in names:
-            spec, env = prepare(name, quiet=True, split=split)
+        prepared = [prepare(name, quiet=True, split=split) for name in scenarios or scenario_names()]
+        for _, env in prepared:  # who cannot play is found before anybody has
+            for played in policies:
+                make_policies(played, env.laboratories, seed)
+        task = progress.add_task("episodes", total=len(prepared) * len(policies) * episodes)
+        for spec, env in prepared:
             for played in policies:
                 results = []
                 for result in _play(env, played, range(seed, seed + episodes)):

@@ -34,7 +34,7 @@ from chemlab.record import Recorder, RecordError, verify_record
 from chemlab.scenario import load_scenario
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
-ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("pretrained", ("pretrained",))]
+ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("serial", ("serial",))]
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +47,8 @@ def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any],
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
     assert [cells[name]["value"] for name in ("random", "clairvoyant")] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert all(cell["value"] <= 1.0 + 1e-12 for cell in cells.values() if cell["value"] is not None)
-    assert cells["pretrained"]["value"] is None
-    assert "no pretrained policy fits" in cells["pretrained"]["reason"]
+    assert cells["serial"]["value"] is None
+    assert "has no orders to choose from" in cells["serial"]["reason"]
 
 
 def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -> None:
@@ -87,7 +87,7 @@ def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -
         assert found[name]["interquartile_mean"]["value"] == pytest.approx(ours.mean())  # of two: nothing is cut off
         shares = [estimate["value"] for estimate in found[name]["profile"]]
         assert shares == [np.mean(ours > level) for level in played[0]["thresholds"]]
-    assert found["pretrained"]["scenarios"] == 0
+    assert found["serial"]["scenarios"] == 0
 
 
 def test_profiles_are_shares_of_samples_with_intervals() -> None:
@@ -161,7 +161,7 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
         assert record["score"] == pytest.approx(first, rel=1e-9)
         assert line["hardware"]["cores"]
         assert line["versions"]["chemlab"]
-    assert lines["unlabelled", "pretrained"]["reason"]
+    assert lines["unlabelled", "serial"]["reason"]
 
 
 def recorded(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from chemlab.agents.training.export import export_run
 from chemlab.agents.training.joint import train_together
 from chemlab.agents.training.learn import train
 from chemlab.agents.training.loop import described_team
+from chemlab.laboratory.core import Laboratories
 
 BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
 SMALL: dict[str, Any] = {
@@ -233,6 +235,17 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
             export_run(tmp_path / "run", tmp_path / "other", role)
 
 
+def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:
+    """What it was rewarded for is no part of the task that its card names."""
+    small = {**SMALL, "scenario": "relay", "roles": ("manager",), "steps": 40, "rewards": "mixed"}
+    train_together(JointArguments(**small), tmp_path / "run")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
+        load_pretrained(tmp_path / "mine").check(Laboratories("relay", 1).role(0))
+    assert card.bench == "manager"
+
+
 def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:
     train_together(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("fin",), "steps": 40}), tmp_path / "run")
     assert export_run(tmp_path / "run", tmp_path / "mine", "fin").goals == ["E"]
@@ -266,6 +279,21 @@ def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
     assert e.action[0] == asked[0]
     assert (e.action[rows] != tried).mean() > 0.2
     assert e.mask[rows, e.action[rows].astype(int)].mean() > 0.9
+
+
+def test_rounds_go_on_until_every_laboratory_has_been_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A manager that knows no end plays longer than whom it is to learn from, and it is such play that it lacks."""
+    team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",), "rollout": 2}))
+    ended: list[bool] = []
+
+    def clone(learner: object) -> float:
+        ended.append(bool(team._ended.all()))
+        return 0.0
+
+    monkeypatch.setattr(team, "_clone", clone)
+    monkeypatch.setattr(team, "_fewest_turns", lambda: 10_000)
+    team.imitate("heuristic", 3, 3)
+    assert ended == [False, True, True]
 
 
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
