@@ -1,22 +1,24 @@
 """Put the table of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
 With ``--play RESULTS`` it first has ``chemlab benchmark`` play what was trained there (``experiments/worlds.toml``,
-``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario the runs, where none of them is unfinished.
-What has been played is kept in ``RESULTS/benchmark``; its leaderboard, which begins as the committed one, is copied to
-``docs/results/leaderboard.json``.
+``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that is finished, all episodes, as
+a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard, which begins as the committed
+one, is copied to ``docs/results/leaderboard.json``. So seeds that have been trained elsewhere, or earlier, stay: the
+table has a learner's runs together.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
-from chemlab.agents.evaluation.statistics import interval_text
+from chemlab.agents.evaluation.statistics import interval_text, mean
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
 
@@ -37,15 +39,39 @@ LEARNERS = {
 }
 """Folders of runs below RESULTS, behind the scenario's name, and what the table calls them."""
 _KINDS = ("best", "last")
+_SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
 
 
 def _lines() -> dict[tuple[str, str], dict[str, Any]]:
-    """The committed leaderboard by scenario and row; learners' rows as ``LEARNERS`` has them."""
-    found = {}
+    """The committed leaderboard by scenario and row; learners' rows as ``LEARNERS`` has them, each run's joined."""
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for line in leaderboard_lines(LEADERBOARD):
-        found[line["scenario"], line["policy"].removeprefix(f"{line['scenario']}-")] = line
-    return found
+        row = _SEED.sub("", line["policy"].removeprefix(f"{line['scenario']}-"))
+        found.setdefault((line["scenario"], row), []).append(line)
+    return {row: _joined(lines) for row, lines in found.items()}
+
+
+def _joined(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """The lines of runs that differ in their seeds, or of a folder of such runs, as one.
+
+    Of several runs that have played all episodes each, intervals are over runs. Where a folder of runs, which have
+    shared the episodes, has more of them, that stands.
+    """
+    most = max(lines, key=lambda line: line["runs"])
+    if len(lines) == 1 or len(lines) <= most["runs"]:
+        return most
+    told = {
+        key: _over_runs([line[key] for line in lines]) if all(line[key] for line in lines) else None
+        for key in ("over_baseline", "generalization")
+    }
+    hours = sum(line["hours"] for line in lines)
+    return {**most, **_over_runs(lines), **told, "runs": len(lines), "hours": hours}
+
+
+def _over_runs(estimates: list[dict[str, Any]]) -> dict[str, Any]:
+    found = mean([[one["value"] for one in estimates]])
+    return {key: getattr(found, key) for key in ("value", "low", "high")}
 
 
 def _cell(line: dict[str, Any] | None) -> str:
@@ -104,14 +130,16 @@ def shipped() -> list[str]:
 
 
 def finished(results: Path, scenario: str) -> list[str]:
-    """Folders of runs below ``results`` of which none is unfinished; tells of the others."""
+    """Folders below ``results`` of runs that are finished; tells of the others."""
     chosen = []
     for folder in (f"{scenario}-{learner}" for learner in LEARNERS):
         runs = find_runs(results / folder) if (results / folder).is_dir() else []
-        if runs and all(run.result() is not None for run in runs):
-            chosen.append(folder)
-        else:
-            print(f"{folder}: {'unfinished' if runs else 'not begun'}", flush=True)
+        chosen += [str(run.path.relative_to(results)) for run in runs if run.result() is not None]
+        for run in runs:
+            if run.result() is None:
+                print(f"{run.path.relative_to(results)}: unfinished", flush=True)
+        if not runs:
+            print(f"{folder}: not begun", flush=True)
     return chosen
 
 

@@ -24,7 +24,7 @@ from chemlab.agents.training.arguments import JointArguments
 from chemlab.agents.training.joint import train_together
 from chemlab.scenario import load_scenario
 
-TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct").with_rewards("mixed"))
+TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
 LEARNING: dict[str, Any] = {
     "rewards": "mixed",
@@ -39,7 +39,7 @@ def team(budget: Budget, **settings: Any) -> Outcome:
     """What a run of ``chemlab train-together`` comes to."""
     size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
     if budget.toy:
-        size = {"envs": 4, "rollout": 12, "imitate_steps": 50}
+        size = {"envs": 4, "rollout": 12, "imitate_steps": 50, "imitate_rounds": 1}
     given = {**LEARNING, **ONCE, **size, **settings}
     arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
     return score_run(train_together, arguments, TARGET, GOAL, budget)

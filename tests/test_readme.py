@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -55,6 +56,31 @@ def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.Monke
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
+def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Each seed's line may come from another machine; an interval is over them. More runs in one line stand."""
+    monkeypatch.syspath_prepend(str(README.parent / "docs"))
+    import baselines
+
+    common = {"scenario": "runaway", "split": "test", "steps": 10, "hours": 0.5, "over_baseline": None}
+    own = [
+        {"policy": f"runaway-manager_0/recurrent/seed-{seed} (best)", "runs": 1, "value": value}
+        for seed, value in enumerate((0.2, 0.4, 0.9))
+    ]
+    for run, runs in (("", 2), ("/seed-7", 1)):
+        own.append({"policy": f"runaway-joint/benches{run} (best)", "runs": runs, "value": runs})
+    told = {"low": 0.0, "high": 1.0}
+    lines = [{**common, **told, **line, "generalization": {"value": line["value"] / 2}} for line in own]
+    (tmp_path / "leaderboard.json").write_text(json.dumps({"lines": lines}), encoding="utf-8")
+    monkeypatch.setattr(baselines, "LEADERBOARD", tmp_path / "leaderboard.json")
+    found = baselines._lines()
+    managers, benches = (found["runaway", name] for name in ("manager_0/recurrent (best)", "joint/benches (best)"))
+    assert (managers["runs"], managers["hours"], managers["over_baseline"]) == (3, 1.5, None)
+    assert managers["value"] == pytest.approx(0.5)
+    assert managers["generalization"]["value"] == pytest.approx(0.25)
+    assert 0.19 < managers["low"] < 0.5 < managers["high"] < 0.91
+    assert (benches["runs"], benches["value"]) == (2, 2)
+
+
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """And of the scenarios as they are; nobody knows more than who knows the world."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
