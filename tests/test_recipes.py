@@ -35,7 +35,7 @@ def test_recipes_run(path: Path, tmp_path: Path) -> None:
             pytest.skip(f"needs {package}")
     out = tmp_path / "result.json"
     command = [sys.executable, str(path), "--toy", "--seeds", "2", "--out", str(out)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stderr
     found = json.loads(out.read_text(encoding="utf-8"))
     assert found == json.loads(done.stdout)
