@@ -32,7 +32,7 @@ learn wurtz_any 120000 6 10 --roles ext --roles dit --imitate heuristic --imitat
 learn wurtz_dodecane_direct 20000 4 30 --roles dit --begin-from "$results/wurtz_any-transfer"
 learn wurtz_scarce 10000 1 30 --roles ext --roles dit --begin-from "$results/wurtz_any-transfer"
 learn fictitious 20000 4 20 --roles dit --imitate heuristic --imitate-steps 30000 --background heuristic --ent-coef 0
-learn wurtz_real 200000 10 40 --roles ext --roles dit --imitate heuristic --imitate-steps 30000 --imitate-rounds 5 \
+learn wurtz_real 200000 10 40 --background heuristic,rxn=wurtz_real_rxn --roles ext --roles dit --imitate heuristic --imitate-steps 30000 --imitate-rounds 5 \
     --net-arch 128 --net-arch 128 --epochs 6 --learning-rate 1e-4 --batch-size 1024 --rollout 64 --ent-coef 0
 for learned in fictitious:dit wurtz_real:ext wurtz_real:dit wurtz_any:ext wurtz_any:dit wurtz_dodecane_direct:dit wurtz_scarce:ext wurtz_scarce:dit; do
     scenario=${learned%:*} role=${learned#*:}
