@@ -65,6 +65,8 @@ def small(algo: str, **more: Any) -> TrainArguments:
     if algo in ("dqn", "qr-dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
+    if "recurrent" in algo:
+        values = {"memory": 16, **values}
     return TrainArguments.of(values)
 
 
