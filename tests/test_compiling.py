@@ -138,7 +138,7 @@ def start(code: str, cache: Path | None = None) -> subprocess.Popen[str]:
 @compiled
 def test_after_a_rehearsal_nothing_is_left_to_compile() -> None:
     """An episode looks nothing up in the cache of kernels any more."""
-    out, _ = start(EPISODE).communicate(timeout=600)
+    out, _ = start(EPISODE).communicate(timeout=1800)
     assert out.strip() == "[]"
 
 
@@ -146,13 +146,13 @@ def test_after_a_rehearsal_nothing_is_left_to_compile() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no telling who compiles what")
 def test_several_processes_compile_a_kernel_once(tmp_path: Path) -> None:
     processes = [start(TOGETHER, tmp_path) for _ in range(2)]
-    counts = [int(process.communicate(timeout=300)[0]) for process in processes]
+    counts = [int(process.communicate(timeout=900)[0]) for process in processes]
     assert sum(counts) == 1
 
 
 @compiled
 def test_a_kernel_in_the_cache_is_loaded_without_numbas_compiler(tmp_path: Path) -> None:
     """Which is there all the same for whoever compiles something."""
-    first, second = (start(LOADED, tmp_path).communicate(timeout=300)[0].split() for _ in range(2))
+    first, second = (start(LOADED, tmp_path).communicate(timeout=900)[0].split() for _ in range(2))
     assert first[1:] == ["True", "3.0"]
     assert second == [first[0], "False", "3.0"]

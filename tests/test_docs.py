@@ -309,7 +309,7 @@ def test_pages_build_without_warnings(tmp_path: Path) -> None:
         if importlib.util.find_spec(package) is None:
             pytest.skip(f'building the documentation needs {package}: pip install "chemlab-marl[docs]"')
     command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", str(DOCS), str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stderr
     pages = tmp_path / "generated"
     for name in scenario_names():

@@ -339,7 +339,7 @@ def test_an_environment_imports_nothing_of_the_extra() -> None:
         "assert not bad, bad\n"
     )
     plain = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=570, env=plain)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=1800, env=plain)
     assert done.returncode == 0, done.stderr
 
 

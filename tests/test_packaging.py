@@ -36,7 +36,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def build(tree: Path, kind: str, place: Path) -> Path:
     """The file that a build backend's hook makes."""
     program = f"import setuptools.build_meta as backend; backend.build_{kind}({str(place)!r})"
-    done = subprocess.run([sys.executable, "-c", program], cwd=tree, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", program], cwd=tree, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     (made,) = place.iterdir()
     return made

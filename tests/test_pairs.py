@@ -323,7 +323,7 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
         pytest.skip("tools/ is in the repository, not in what is installed")
     made = tmp_path / "my_pairs.toml"
     command = [sys.executable, "tools/pairs.py", "diethyl_ether", "dodecane", "--output", str(made)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     (pair,) = load_pairs([made]).values()
     shipped = shipped_pairs()[frozenset(pair.of)]
@@ -338,7 +338,7 @@ def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
     if not (ROOT / "tools" / "pairs.py").exists():
         pytest.skip("tools/ is in the repository, not in what is installed")
     command = [sys.executable, "tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode != 0
     assert "'Na+' is no molecule in a liquid" in done.stderr
     assert "Traceback" not in done.stderr

@@ -24,7 +24,7 @@ def test_python_runs_when_pasted(block: str, tmp_path: Path) -> None:
     """Each block is a whole program."""
     script = tmp_path / "pasted.py"
     script.write_text(block, encoding="utf-8")
-    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
 
 

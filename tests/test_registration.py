@@ -22,7 +22,7 @@ else:
 
 def run(code: str) -> str:
     """What a fresh Python process that runs ``code`` prints."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -82,7 +82,7 @@ def gone(pid: int) -> bool:
         return True
 
 
-def until(met: Callable[[], Any], seconds: float = 120.0) -> None:
+def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
     end = time.monotonic() + seconds
     while not met():
         assert time.monotonic() < end

@@ -94,7 +94,7 @@ def test_another_process_plays_the_same_episodes(names: Sequence[str]) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=900,
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == here

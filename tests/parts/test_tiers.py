@@ -72,7 +72,7 @@ def test_nobody_gets_another_tiers_laws_without_compiling_either() -> None:
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
     )
     assert done.returncode == 0, done.stdout
 

@@ -28,7 +28,7 @@ def here() -> str:
 
 def play(cache: Path) -> str:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run([sys.executable, "-c", PLAY], capture_output=True, text=True, env=environment, timeout=300)
+    done = subprocess.run([sys.executable, "-c", PLAY], capture_output=True, text=True, env=environment, timeout=900)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -83,7 +83,7 @@ def test_damaged_files_are_compiled_again(tmp_path: Path) -> None:
 def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, words: str, tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     code = f"from numba.core import caching\n{trouble}\n{PLAY}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=900)
     assert done.returncode == 0, done.stderr
     assert done.stdout == here()
     assert done.stderr.count("chemlab:") == 1
