@@ -27,6 +27,8 @@ __all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "mar
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
+_ENDS = ("random", "clairvoyant")
+_WHOLE = {"trained": "manager over benches"}
 _SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
 LEARNERS = {
     "manager_0/feedforward": "PPO",
@@ -90,10 +92,12 @@ def markdown(rows: list[list[str]]) -> list[str]:
 def table() -> list[str]:
     """The committed baselines as a Markdown table: best by validation of everything that learns."""
     lines = _lines()
-    names = {**_SCRIPTED, **{f"{folder} (best)": name for folder, name in LEARNERS.items()}, "people": "people"}
-    rows = [["scenario", *names.values()]]
+    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if "over-benches" not in folder}
+    names = {**_SCRIPTED, **learners, **_WHOLE, "people": "people"}
+    rows = [["scenario", _ENDS[0], *names.values(), _ENDS[1]]]
     for scenario in world_scenarios():
-        rows.append([f"`{scenario}`", *(_cell(lines.get((scenario, name))) for name in names)])
+        low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
+        rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
 
 
