@@ -36,6 +36,7 @@ LEARNERS = {
     "manager_0/advised": "PPO with advice",
     "joint/benches": "benches",
     "manager_0/over-benches": "recurrent PPO over benches",
+    "manager_0/advised-over-benches": "PPO with advice over benches",
     "joint/together": "IPPO",
     "joint/together-state": "MAPPO",
 }
