@@ -25,7 +25,8 @@ checkpoint; or records of these episodes that somebody has played (``chemlab pla
 | ``leaderboard.json`` | a line for each row and scenario, with commit, versions, hardware, hours and records |
 | ``records/`` | episodes of each row that ``chemlab verify`` plays again |
 
-A line of the leaderboard that another command has written stays, unless it is of the same row and scenario.
+A line of the leaderboard that another command has written stays, unless it is of the same row and scenario. Where
+somebody was better than the planner, in this command or before, all lines of the same episodes are on that scale.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
-_TOLD = ("value", "low", "high", "score", "episodes", "generalization", "over_baseline")
+_TOLD = ("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline")
 """Of a cell, what the leaderboard has, too."""
 _LEADERBOARD_BYTES = 50_000_000
 _RECORD = ".jsonl"
@@ -436,6 +437,7 @@ def _cells(
             **_interval(scale.mean(values[there]), there),
             "score": float(values[there].mean()),
             "episodes": int(there.sum()),
+            "scale": {"random": float(random[there].mean()), "clairvoyant": float(best[there].mean())},
             "replications": _replications(values, random, best, parts),
             "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
         }
@@ -605,15 +607,38 @@ def _recorded(
     return written
 
 
-class _Line(BaseModel):
-    """What every line of a leaderboard has; the rest of it stays as it is."""
+class _Open(BaseModel):
+    """What is read of something that may have more, which stays as it is."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class _Estimate(_Open):
+    """A number on the scale, and its interval."""
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class _Ends(_Open):
+    """What 0 and 1 are: mean scores in a line's episodes, as far as its own command knew."""
+
+    random: float
+    clairvoyant: float
+
+
+class _Line(_Estimate):
+    """A line of a leaderboard."""
 
     scenario: str
     policy: str
     split: str
     value: float | None
+    scenario_hash: str | None = None
+    scale: _Ends | None = None
+    over_baseline: _Estimate | None = None
+    generalization: _Estimate | None = None
 
 
 class _Leaderboard(BaseModel):
@@ -636,7 +661,7 @@ def leaderboard_lines(path: Path) -> list[dict[str, Any]]:
         found: _Leaderboard = validated(_Leaderboard, read_json(path, _LEADERBOARD_BYTES), str(path))
     except DataError as error:
         raise DataError(f"{error}; this is no leaderboard: move it away, or name another folder with --out") from error
-    return [line.model_dump(mode="json") for line in found.lines]
+    return [line.model_dump(mode="json", exclude_unset=True) for line in found.lines]
 
 
 def _write_leaderboard(
@@ -651,7 +676,46 @@ def _write_leaderboard(
             effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
-    new = {(line["scenario"], line["policy"], line["split"]) for line in lines}
-    kept = [line for line in leaderboard_lines(path) if (line["scenario"], line["policy"], line["split"]) not in new]
-    everything = sorted([*kept, *lines], key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
+    everything = _together(leaderboard_lines(path), lines)
+    everything.sort(key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
     write_text(path, json.dumps({"kind": "leaderboard", "format": 1, "lines": everything}, indent=1) + "\n")
+
+
+def _together(before: list[dict[str, Any]], new: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Lines of commands before and new ones, which replace those of the same row, on the longest scale among them.
+
+    A scale ends where who was best of those that one command has played came to, so commands differ in it.
+    """
+    lines = {(line["scenario"], line["policy"], line["split"]): line for line in before}
+    for key, line in (((line["scenario"], line["policy"], line["split"]), line) for line in new):
+        old = lines.get(key, line)
+        if line["policy"] != "clairvoyant" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
+            lines[key] = line
+    longest: dict[Any, float] = {}
+    for line in lines.values():
+        longest[_episodes(line)] = max(_end(line), longest.get(_episodes(line), -np.inf))
+    return [_rescaled(line, longest[_episodes(line)]) for line in lines.values()]
+
+
+def _episodes(line: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What is equal of lines of the same episodes: nobody has random play's mean score in others."""
+    return line["scenario"], line["split"], line.get("scenario_hash"), (line.get("scale") or {}).get("random")
+
+
+def _end(line: Mapping[str, Any]) -> float:
+    """What 1 is on a line's scale; of lines that do not say (an empty cell), nothing."""
+    return float(line["scale"]["clairvoyant"]) if line.get("scale") else -np.inf
+
+
+def _rescaled(line: dict[str, Any], end: float) -> dict[str, Any]:
+    """A line on the scale that ends there; 0 stays where it is."""
+    if _end(line) in (end, -np.inf):
+        return line
+    zero = line["scale"]["random"]
+    factor = (_end(line) - zero) / max(end - zero, 1e-9)
+
+    def scaled(told: dict[str, Any]) -> dict[str, Any]:
+        return told | {key: told[key] * factor for key in ("value", "low", "high") if told.get(key) is not None}
+
+    told = {key: scaled(line[key]) for key in ("over_baseline", "generalization") if line.get(key)}
+    return scaled(line) | told | {"scale": {"random": zero, "clairvoyant": end}}

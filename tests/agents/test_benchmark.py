@@ -164,6 +164,50 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
     assert lines["unlabelled", "serial"]["reason"]
 
 
+def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    """That of whoever was best in any of them; the planner of the command that ends lower does not lower it again."""
+    found, _ = played
+    spec = load_scenario("unlabelled")
+
+    def written(path: Path, *before: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        path.mkdir(exist_ok=True)
+        if before:
+            (path / "leaderboard.json").write_text(json.dumps({"lines": before}))
+        write_benchmark(path, found, [spec], ROWS, records=0)
+        return {line["policy"]: line for line in leaderboard_lines(path / "leaderboard.json")}
+
+    own = written(tmp_path / "own")
+    zero, end = (own["hasty"]["scale"][key] for key in ("random", "clairvoyant"))
+    assert own["hasty"]["value"] == pytest.approx((own["hasty"]["score"] - zero) / (end - zero))
+    half, twice = (zero + (end - zero) * factor for factor in (0.5, 2.0))
+    lower = {**own["hasty"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
+    higher = {**own["clairvoyant"], "score": twice, "scale": {"random": zero, "clairvoyant": twice}}
+    # A command whose scale ended at half of this one's: its line comes to half as much on this one's.
+    lines = written(tmp_path / "lower", lower)
+    assert {name: lines[name] for name in own} == own
+    for part in (None, "over_baseline", "generalization"):
+        line, before = (one if part is None else one[part] for one in (lines["somebody"], lower))
+        for key in ("value", "low", "high"):
+            assert line[key] == pytest.approx(before[key] / 2)
+    assert lines["somebody"]["scale"] == own["hasty"]["scale"]
+    assert lines["somebody"]["score"] == lower["score"]
+    # One whose scale ended higher: its end stays, and all others are on it.
+    lines = written(tmp_path / "higher", higher, lower)
+    assert lines["clairvoyant"] == higher
+    assert lines["hasty"]["value"] == pytest.approx(own["hasty"]["value"] / 2)
+    assert lines["somebody"]["value"] == pytest.approx(own["hasty"]["value"] / 4)
+    assert lines["random"]["value"] == 0.0
+    # Other episodes, other worlds, or a line that does not say: nothing to compare.
+    others: list[dict[str, Any]] = [
+        {**lower, "policy": "a", "scale": {"random": zero + 0.1, "clairvoyant": half}},
+        {**lower, "policy": "b", "scenario_hash": "another"},
+        {**lower, "policy": "c", "split": "validation"},
+        {key: value for key, value in lower.items() if key != "scale"},
+    ]
+    lines = written(tmp_path / "others", *others)
+    assert [lines[line["policy"]] for line in others] == others
+
+
 def recorded(
     path: Path,
     seed: int,
