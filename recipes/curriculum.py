@@ -28,7 +28,7 @@ GOAL = "dodecane"
 
 def manager(budget: Budget, staged: bool) -> Outcome:
     """What a run of ``chemlab train manager`` comes to with its last checkpoint."""
-    size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64}
+    size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {}
     given = {"env_id": "manager", "preset": "manager-curriculum", "scenario": TARGET.scenario.name, "seed": budget.seed}
     arguments = TrainArguments.of({**given, "steps": budget.steps, **ONCE, **size})
     if not staged:
@@ -46,4 +46,4 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
 
 
 if __name__ == "__main__":
-    cook(recipe, __doc__, f"the manager of `{TARGET.scenario.name}`, {GOAL}", steps=100_000)
+    cook(recipe, __doc__, f"the manager of `{TARGET.scenario.name}`, {GOAL}", steps=200_000)
