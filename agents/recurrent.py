@@ -58,6 +58,23 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
         own = {"features_extractor_class": _Apart, "features_extractor_kwargs": {"actions": int(action_space.n)}}
         super().__init__(observation_space, action_space, lr_schedule, **{**settings, **own})
 
+    @staticmethod
+    def _process_sequence(
+        features: torch.Tensor,
+        lstm_states: tuple[torch.Tensor, torch.Tensor],
+        episode_starts: torch.Tensor,
+        lstm: torch.nn.LSTM,
+    ) -> tuple[torch.Tensor, torch.Tensor]:  # of which the second is two, in truth
+        # sb3-contrib's goes through a sequence turn by turn wherever one begins an episode. Its buffer cuts sequences
+        # where episodes begin, so that only a sequence's first turn does: then what is remembered before it is nothing.
+        count = lstm_states[0].shape[1]
+        starts = episode_starts.reshape(count, -1)
+        if not starts[:, 1:].any():
+            kept = (1.0 - starts[:, 0]).view(1, count, 1)
+            lstm_states = (kept * lstm_states[0], kept * lstm_states[1])
+            episode_starts = torch.zeros_like(episode_starts)
+        return RecurrentActorCriticPolicy._process_sequence(features, lstm_states, episode_starts, lstm)
+
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
         # Whatever leads here has extracted the features of the same observations just before.
         assert isinstance(self.features_extractor, _Apart), "as it was made"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Channel, channel_slices
 from chemlab.instruments.table import InstrumentTable
+from chemlab.jit import kernel
 from chemlab.laboratory.actions import ManagerActions
 from chemlab.laboratory.view import order_channels
 from chemlab.scenario import Scenario
@@ -60,8 +62,33 @@ def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: 
         noise: standard deviation of each number.
         least: likelihood that is left to what a reading speaks against.
     """
-    found = apart(readings, expected) / noise**2
-    return np.asarray(np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True))) + least)
+    rows = np.ascontiguousarray(readings.reshape(-1, readings.shape[-1]), dtype=np.float64)
+    found = np.zeros((len(rows), len(expected)))
+    _likelihood(rows, np.ascontiguousarray(expected.T), noise**2, least, found)
+    return found.reshape(*readings.shape[:-1], len(expected))
+
+
+_VANISHES = 38.0
+"""Beside 1, e to the power of minus this is less than half of a last digit."""
+
+
+@kernel
+def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, least: float, out: FloatArray) -> None:
+    """Fill ``out`` [B, K] for readings [B, R] and what is expected [R, K]."""
+    count = out.shape[1]
+    vanishes = np.log(least) - _VANISHES
+    for b in range(out.shape[0]):
+        for r in range(readings.shape[1]):
+            for k in range(count):
+                off = readings[b, r] - expected[r, k]
+                out[b, k] += off * off
+        lowest = np.inf
+        for k in range(count):
+            out[b, k] /= variance
+            lowest = min(lowest, out[b, k])
+        for k in range(count):
+            power = -0.5 * (out[b, k] - lowest)
+            out[b, k] = np.exp(power) + least if power > vanishes else least
 
 
 def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
@@ -92,10 +119,11 @@ class Setting(NamedTuple):
 
 
 class _Advice(NamedTuple):
-    """Attributes: decided: an action; before: the memories that decision was made from; seen: the observation."""
+    """Attributes: decided: an action; before: the memories that decision was made from, pickled, which takes a fraction
+    of a copy, and most are not asked for; seen: the observation."""
 
     decided: int
-    before: list[Any]
+    before: bytes
     seen: ObservationArray
 
 
@@ -145,7 +173,7 @@ class ScriptedManager(Generic[M]):
             elif all(memory.get(i) is None for memory in self._memories):
                 s = 0  # what it decided first was not played
             self._see(o, s, i)
-            before = copy.deepcopy([memory.get(i) for memory in self._memories]) if copied else []
+            before = pickle.dumps([memory.get(i) for memory in self._memories], -1) if copied else b""
             decided[n] = self._decide(o, m, s, i)
             self._advised[i] = _Advice(int(decided[n]), before, o)
         return decided
@@ -159,13 +187,13 @@ class ScriptedManager(Generic[M]):
         for action, i in zip(actions.tolist(), members.tolist(), strict=True):
             advice = self._advised.pop(i)
             if action != advice.decided:
-                for memory, own in zip(self._memories, advice.before, strict=True):
+                for memory, own in zip(self._memories, pickle.loads(advice.before), strict=True):
                     memory[i] = own
                 self._take_note(advice.seen, action, i)
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.laboratory.policy.Policy`; what is advised and not yet played is not decided."""
-        before = {i: advice.before for i, advice in self._advised.items()}
+        before = {i: pickle.loads(advice.before) for i, advice in self._advised.items()}
         return copy.deepcopy(
             [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
         )

@@ -276,22 +276,22 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         belief.likelihood[v] = np.maximum(belief.likelihood[v] / belief.likelihood[v].max(), _SURPRISE)
 
     def _posterior(self, likely: FloatArray) -> FloatArray:
-        """[..., V, S * O] probability of every world for each vessel, from likelihoods [..., V, S, O]: what one vessel
-        says of what they share holds for the others, too."""
+        """[V, S * O] probability of every world for each vessel, from likelihoods [V, S, O]: what one vessel says of
+        what they share holds for the others, too."""
         shared = likely.mean(axis=-1)
         others = np.exp(np.log(shared).sum(axis=-2, keepdims=True) - np.log(shared))
         weights = likely * others[..., None]
         weights = weights.reshape(*weights.shape[:-2], math.prod(weights.shape[-2:]))
         return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
-    def _promises(self, belief: _Belief, goal: str, posterior: FloatArray | None = None) -> FloatArray:
-        """[..., V, K] what each vessel is expected to bring, less what is still to be paid, at each stage that it can
+    def _promises(self, belief: _Belief, goal: str) -> FloatArray:
+        """[V, K] what each vessel is expected to bring, less what is still to be paid, at each stage that it can
         come to; what it cannot, or what is gone, -inf."""
-        known = self._posterior(belief.likelihood) if posterior is None else posterior
-        rows = [self._promise(known[..., v, :], goal, stage) for v, stage in enumerate(belief.stage)]
+        known = self._posterior(belief.likelihood)
+        rows = [self._promise(known[v], goal, stage) for v, stage in enumerate(belief.stage)]
         for v in belief.gone:
             rows[v][:] = -np.inf
-        return np.stack(rows, axis=-2)
+        return np.stack(rows)
 
     def _promise(self, known: FloatArray, goal: str, stage: int) -> FloatArray:
         """[..., K] the same of one vessel, from the probabilities [..., S * O] of its worlds."""
@@ -301,9 +301,9 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         out[..., to] = known @ foresight.still[stage]
         return out
 
-    def _total(self, promises: FloatArray, orders: int) -> FloatArray:
-        """[...] what the best vessels bring to as many orders as are open, from [..., V, K]."""
-        best = np.sort(np.maximum(promises.max(axis=-1), 0.0), axis=-1)
+    def _total(self, bests: FloatArray, orders: int) -> FloatArray:
+        """[...] what the best vessels bring to as many orders as are open, from what each brings [..., V]."""
+        best = np.sort(np.maximum(bests, 0.0), axis=-1)
         return np.asarray(best[..., -orders:].sum(axis=-1))
 
     def _next_look(self, belief: _Belief, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
@@ -311,7 +311,8 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         if self._instrument is None:
             return None
         orders = max(len(self._orders) - belief.order, 1)
-        now, posterior = float(self._total(promises, orders)), self._posterior(belief.likelihood)
+        bests, posterior = promises.max(axis=-1), self._posterior(belief.likelihood)
+        now = float(self._total(bests, orders))
         best, most = None, self._price
         fresh = set[tuple[int, ...]]()
         for v, slot in enumerate(belief.slots):
@@ -324,27 +325,37 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             if alike in fresh:
                 continue
             fresh.add(alike)
-            gain = self._after_look(belief, goal, v, posterior[v], promises, orders) - now
+            gain = float(self._total(self._after_look(belief, goal, v, posterior[v], bests), orders).mean()) - now
             if gain > most:
                 best, most = v, gain
         return best
 
-    def _after_look(
-        self, belief: _Belief, goal: str, v: int, known: FloatArray, promises: FloatArray, orders: int
-    ) -> float:
-        """What is expected of all orders after another look at a vessel."""
+    def _after_look(self, belief: _Belief, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
+        """[_SAMPLES, V] what each vessel is expected to bring after another look at one of them."""
         worlds = np.searchsorted(np.cumsum(known), self._shares).clip(0, len(known) - 1)
         readings = self._foresight[goal].readings[worlds, belief.stage[v]] + self._errors
         likely = self._likely(readings, goal, belief.stage[v])
-        after = np.repeat(promises[None], _SAMPLES, axis=0)
-        if self._shape[0] == 1:  # it says nothing of the others
-            posterior = known * likely
-            after[:, v] = self._promise(posterior / posterior.sum(axis=1, keepdims=True), goal, belief.stage[v])
-        else:
-            after_all = np.repeat(belief.likelihood[None], _SAMPLES, axis=0)
-            after_all[:, v] *= likely.reshape(_SAMPLES, *self._shape)
-            after = self._promises(belief, goal, self._posterior(after_all))
-        return float(self._total(after, orders).mean())
+        after = np.repeat(bests[None], _SAMPLES, axis=0)
+        if self._shape[0] > 1:
+            shared = (likely * belief.likelihood[v].ravel()).reshape(_SAMPLES, *self._shape).mean(axis=-1)
+            self._tell_others(belief, goal, v, shared, after)
+        posterior = known * likely
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        after[:, v] = self._promise(posterior, goal, belief.stage[v]).max(axis=-1)
+        return after
+
+    def _tell_others(self, belief: _Belief, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
+        """Fill in what the others are expected to bring [B, V], as one vessel's reading tells the worlds that they
+        share apart by ``shared`` [B, S]: what they bring in each of these is only weighed anew."""
+        logs = np.log(belief.likelihood.mean(axis=-1))
+        foresight = self._foresight[goal]
+        for w, stage in enumerate(belief.stage):
+            if w == v or w in belief.gone:
+                continue
+            weights = shared * np.exp(logs.sum(axis=0) - logs[v] - logs[w])
+            here = belief.likelihood[w]
+            worth = (here[:, None] @ foresight.still[stage].reshape(*self._shape, -1))[:, 0]
+            after[:, w] = ((weights @ worth) / (weights @ here.sum(axis=-1))[:, None]).max(axis=-1)
 
 
 # -- foreseeing -------------------------------------------------------------------------------------------------------

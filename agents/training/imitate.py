@@ -8,6 +8,7 @@ Needs the extra: ``pip install "chemlab-marl[train]"``.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -128,13 +129,14 @@ def fit(
     with torch.no_grad():
         parts = np.array_split(np.arange(shown.count), minibatches)
         chosen = np.concatenate([shown.chosen(some) for some in parts])
+        played = shown.actions[np.concatenate([shown.rows(some) for some in parts])]
         if hasattr(network, "log_std"):
             # What is most likely; from the 1 that it begins with no optimizer of so few updates comes down to it.
-            missing = np.sqrt(((chosen - shown.actions) ** 2).mean(axis=0))
+            missing = np.sqrt(((chosen - played) ** 2).mean(axis=0))
             network.log_std.copy_(torch.as_tensor(np.log(np.maximum(missing, _LEAST_SPREAD))))
-    if np.issubdtype(shown.actions.dtype, np.integer):
-        return float((chosen == shown.actions).mean())
-    return float(np.abs(chosen - shown.actions).mean())
+    if np.issubdtype(played.dtype, np.integer):
+        return float((chosen == played).mean())
+    return float(np.abs(chosen - played).mean())
 
 
 class _Turns:
@@ -198,14 +200,20 @@ class _Episodes(_Turns):
 
     def rows(self, some: IntArray) -> IntArray:
         """See :class:`_Turns`."""
-        padded, there = self._padded(some)
-        return padded[there]
+        return np.concatenate([padded[there] for _, padded, there in self._groups(some)])
 
-    def _padded(self, some: IntArray) -> tuple[IntArray, BoolArray]:
-        """[E * longest] turns, one episode after the other, and which of them there are."""
-        turn = np.arange(self._lengths[some].max())
-        there = turn < self._lengths[some, None]
-        return np.where(there, self._first[some, None] + turn, 0).ravel(), there.ravel()
+    def _groups(self, some: IntArray) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
+        """Some of the episodes, those of about one length together, so that few turns are computed that there are not.
+
+        Yields:
+            episodes, [episodes * longest] turns, one episode after the other, and which of them there are.
+        """
+        doublings = np.frexp(self._lengths[some])[1]
+        for doubling in np.unique(doublings):
+            group = some[doublings == doubling]
+            turn = np.arange(self._lengths[group].max())
+            there = turn < self._lengths[group, None]
+            yield group, np.where(there, self._first[group, None] + turn, 0).ravel(), there.ravel()
 
     def _begun(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor]:
         """What an LSTM remembers when these episodes begin: nothing."""
@@ -215,21 +223,23 @@ class _Episodes(_Turns):
 
     def evaluated(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """See :class:`_Turns`."""
-        padded, there = self._padded(some)
-        seen, played = torch.as_tensor(self._observations[padded]), torch.as_tensor(self.actions[padded])
-        memory = RNNStates(self._begun(some), self._begun(some))
-        values, log_probability, entropy = self._network.evaluate_actions(
-            seen, played, memory, torch.zeros(len(padded))
-        )
-        kept = torch.as_tensor(there)
-        return values.flatten()[kept], log_probability[kept], None if entropy is None else entropy[kept]
+        found = []
+        for group, padded, there in self._groups(some):
+            seen, played = torch.as_tensor(self._observations[padded]), torch.as_tensor(self.actions[padded])
+            memory, kept = RNNStates(self._begun(group), self._begun(group)), torch.as_tensor(there)
+            of_turns = self._network.evaluate_actions(seen, played, memory, torch.zeros(len(padded)))
+            found.append([None if column is None else column.flatten()[kept] for column in of_turns])
+        values, log_probability, entropy = zip(*found, strict=True)
+        return torch.cat(values), torch.cat(log_probability), None if entropy[0] is None else torch.cat(entropy)
 
     def chosen(self, some: IntArray) -> npt.NDArray[Any]:
         """See :class:`_Turns`."""
-        padded, there = self._padded(some)
-        seen = torch.as_tensor(self._observations[padded])
-        distribution, _ = self._network.get_distribution(seen, self._begun(some), torch.zeros(len(padded)))
-        return np.asarray(distribution.get_actions(deterministic=True).numpy()[there])
+        found = []
+        for group, padded, there in self._groups(some):
+            seen = torch.as_tensor(self._observations[padded])
+            distribution, _ = self._network.get_distribution(seen, self._begun(group), torch.zeros(len(padded)))
+            found.append(distribution.get_actions(deterministic=True).numpy()[there])
+        return np.concatenate(found)
 
 
 class _Examples(NamedTuple):

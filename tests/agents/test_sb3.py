@@ -18,6 +18,7 @@ pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip ins
 import torch
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -337,6 +338,21 @@ def test_masked_ppo_never_plays_a_masked_action(bench: str) -> None:
     plain = PPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
     plain.learn(256, unmasked)
     assert unmasked.illegal > 0, "without masks it does"
+
+
+def test_a_sequence_goes_through_the_memory_at_once_as_turn_by_turn() -> None:
+    """Whether its first turn begins an episode or goes on with one; sb3-contrib's own goes turn by turn."""
+    torch.manual_seed(0)
+    lstm, sequences, turns = torch.nn.LSTM(5, 4), 3, 7
+    features, before = torch.randn(sequences * turns, 5), torch.randn(1, sequences, 4)
+    starts = torch.zeros(sequences, turns)
+    for begins in ((0, 0), (2, 0), (1, 3)):  # an episode that begins within a sequence, too
+        starts[begins] = 1.0
+        given = (features, (before, 2 * before), starts.flatten(), lstm)
+        found, after = MaskedLstmPolicy._process_sequence(*given)
+        one_by_one, last = RecurrentActorCriticPolicy._process_sequence(*given)
+        torch.testing.assert_close(found, one_by_one)
+        torch.testing.assert_close(after, last)
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
