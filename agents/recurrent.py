@@ -24,6 +24,8 @@ __all__ = ["MaskedLstmPolicy"]
 
 _NEVER = -1e8
 """Logit of what is illegal; finite, because padding has no legal action at all."""
+_WIDE = 1_000
+"""Numbers seen, from which on torch's own LSTM is faster than oneDNN's."""
 
 
 class _Apart(BaseFeaturesExtractor):
@@ -73,7 +75,14 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
             kept = (1.0 - starts[:, 0]).view(1, count, 1)
             lstm_states = (kept * lstm_states[0], kept * lstm_states[1])
             episode_starts = torch.zeros_like(episode_starts)
-        return RecurrentActorCriticPolicy._process_sequence(features, lstm_states, episode_starts, lstm)
+        # oneDNN's LSTM works out the gradient of its inputs, too, which nobody asks for: the wider, the longer.
+        backend: Any = torch.backends.mkldnn
+        one_dnn = backend.enabled
+        backend.enabled = one_dnn and lstm.input_size < _WIDE
+        try:
+            return RecurrentActorCriticPolicy._process_sequence(features, lstm_states, episode_starts, lstm)
+        finally:
+            backend.enabled = one_dnn
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
         # Whatever leads here has extracted the features of the same observations just before.
