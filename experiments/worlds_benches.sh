@@ -19,7 +19,7 @@ learn() { # SCENARIO STEPS ROLE ...
     for role in "${@:3}"; do
         roles+=(--roles "$role")
     done
-    bench "$1" "$2" 60 "${roles[@]}" --imitate-steps 60000 --evaluations 20
+    bench "$1" "$2" 60 "${roles[@]}" --imitate-steps 60000 --imitate-spread 0.3 --evaluations 20
 }
 
 for seed in ${seeds:-0 1 2 3 4}; do

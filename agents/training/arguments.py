@@ -244,7 +244,7 @@ class Arguments:
 def _check_imitated(arguments: Arguments) -> None:
     """Whether there is somebody to imitate where it is said how; runs of before may not have been asked."""
     somebody = any(getattr(arguments, name, None) is not None for name in ("imitate", "advice"))
-    for name in ("imitate_steps", "imitate_rounds"):
+    for name in ("imitate_steps", "imitate_rounds", "imitate_spread"):
         if not somebody and getattr(arguments, name, None) is not None:
             raise ValueError(f"{name}: nobody is imitated; give imitate, or leave it out")
 
@@ -302,6 +302,13 @@ class TrainArguments(Arguments):
         least=1,
         most=1000,
         otherwise="1",
+    )
+    imitate_spread: float | None = _argument(
+        None,
+        "Standard deviation that a clone's continuous actions begin with at least: how widely it explores.",
+        above=0.0,
+        most=1.0,
+        otherwise="0.02",
     )
     advice: str | None = _argument(
         None,
@@ -431,6 +438,13 @@ class JointArguments(TeamArguments):
         most=1000,
         otherwise="1",
     )
+    imitate_spread: float | None = _argument(
+        None,
+        "Standard deviation that a clone's continuous actions begin with at least: how widely it explores.",
+        above=0.0,
+        most=1.0,
+        otherwise="0.02",
+    )
     envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
     rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
@@ -483,6 +497,7 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "imitate": _ON_POLICY,
     "imitate_steps": _ON_POLICY,
     "imitate_rounds": _ON_POLICY,
+    "imitate_spread": ("ppo", "a2c", "recurrent-ppo"),
     "advice": ("maskable-ppo", "maskable-recurrent-ppo"),
     "gae_lambda": _ON_POLICY,
     "ent_coef": (*_ON_POLICY, "sac"),

@@ -24,10 +24,13 @@ from chemlab.laboratory.policy import as_policy
 from ..advice import Advisor, with_advice
 from ..policies import Policy
 
-__all__ = ["IMITATED", "fit", "imitate"]
+__all__ = ["IMITATED", "LEAST_SPREAD", "fit", "imitate"]
 
 IMITATED = 20_000
 """Turns to learn from, where nobody says how many."""
+LEAST_SPREAD = 0.02
+"""Standard deviation of a clone's continuous actions, where it hits what it is shown better than that and nobody says
+how widely it is to explore."""
 
 _EPOCHS = 10
 _UPDATES = 1_100
@@ -41,8 +44,6 @@ _SEQUENCES_LEARNING_RATE = 3e-3
 _ENTROPY = 0.03
 """Keeps the clone from being certain where its examples happen to agree, so that it can still find better."""
 _VALUES = 0.5
-_LEAST_SPREAD = 0.02
-"""Standard deviation of a clone's continuous actions, where it hits what it is shown better than that."""
 
 
 def imitate(
@@ -53,6 +54,7 @@ def imitate(
     seed: int,
     advised: bool = False,
     rounds: int = 1,
+    spread: float = LEAST_SPREAD,
 ) -> float:
     """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
 
@@ -68,6 +70,7 @@ def imitate(
         seed: of the episodes and of the order of minibatches.
         advised: whether the learner sees the policy's advice (:mod:`chemlab.agents.advice`): it learns to follow it.
         rounds: in how many parts.
+        spread: standard deviation that continuous actions have at least.
 
     Returns:
         Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
@@ -81,7 +84,7 @@ def imitate(
         if advised:
             seen = with_advice(seen, actions, batch.action_count)
         legal = np.concatenate(masks) if masks else None
-        hit = fit(model, seen, legal, actions, returns, seed, lengths if remembers else None)
+        hit = fit(model, seen, legal, actions, returns, seed, lengths if remembers else None, spread)
     return hit
 
 
@@ -93,6 +96,7 @@ def fit(
     returns: npt.NDArray[np.float32],
     seed: int,
     lengths: IntArray | None = None,
+    spread: float = LEAST_SPREAD,
 ) -> float:
     """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
 
@@ -104,6 +108,7 @@ def fit(
         returns: [T] discounted return from that turn on.
         seed: of the order of minibatches.
         lengths: [E] turns of each episode, one after the other, for a learner that remembers; None for any other.
+        spread: as for :func:`imitate`.
     """
     shown = _Turns(model, observations, masks, actions)
     if lengths is not None:
@@ -133,7 +138,7 @@ def fit(
         if hasattr(network, "log_std"):
             # What is most likely; from the 1 that it begins with no optimizer of so few updates comes down to it.
             missing = np.sqrt(((chosen - played) ** 2).mean(axis=0))
-            network.log_std.copy_(torch.as_tensor(np.log(np.maximum(missing, _LEAST_SPREAD))))
+            network.log_std.copy_(torch.as_tensor(np.log(np.maximum(missing, spread))))
     if np.issubdtype(played.dtype, np.integer):
         return float((chosen == played).mean())
     return float(np.abs(chosen - played).mean())

@@ -52,7 +52,7 @@ try:
     from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
     from ..learners import load_learner, load_team, save_team
     from .checkpoints import load_state, random_state, restore_random_state, save_state
-    from .imitate import IMITATED, fit
+    from .imitate import IMITATED, LEAST_SPREAD, fit
     from .loop import (
         LaboratoryTrainee,
         Progress,
@@ -319,7 +319,8 @@ class _Team(LaboratoryTrainee):
         returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
         masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
         actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
-        return fit(model, e.observation[rows], masks, actions, returns, a.seed)
+        spread = a.imitate_spread or LEAST_SPREAD
+        return fit(model, e.observation[rows], masks, actions, returns, a.seed, spread=spread)
 
     def collect(self) -> None:
         """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""

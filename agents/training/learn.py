@@ -40,7 +40,7 @@ try:
     from ..recurrent import MaskedLstmPolicy
     from ..sb3 import ChemlabVecEnv
     from .checkpoints import load_agent, save_agent
-    from .imitate import IMITATED, imitate
+    from .imitate import IMITATED, LEAST_SPREAD, imitate
     from .loop import Progress, Trainee, Watcher, open_run, reached, train_in_rounds, training_versions
     from .networks import save_learned
 except ImportError as error:
@@ -119,8 +119,9 @@ class _Agent(Trainee):
             shown = a.imitate or a.advice
             if shown is not None:
                 turns, begun = a.imitate_steps or IMITATED, time.perf_counter()
-                rounds = a.imitate_rounds or 1
-                imitate(self.model, task.batch(a.envs), task.policy(shown), turns, a.seed, a.advice is not None, rounds)
+                rounds, spread = a.imitate_rounds or 1, a.imitate_spread or LEAST_SPREAD
+                batch, teacher, advised = task.batch(a.envs), task.policy(shown), a.advice is not None
+                imitate(self.model, batch, teacher, turns, a.seed, advised, rounds, spread)
                 self.progress.seconds = time.perf_counter() - begun
         self._player = task.advised(as_policy(self.model), a.advice)
 

@@ -265,6 +265,15 @@ def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
     assert not any(len(learner.experience) for learner in team.learners.values())
 
 
+def test_a_clone_explores_as_widely_as_it_is_told() -> None:
+    """What it is most likely to play stays what it was shown."""
+    small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn",), "rewards": "mixed"}
+    team = team_of(JointArguments(**small, imitate="heuristic", imitate_spread=0.3))
+    hit = team.imitate("heuristic", 600)
+    np.testing.assert_allclose(team.learners["rxn"].model.policy.log_std.exp().detach(), 0.3, rtol=1e-6)
+    assert hit["rxn"] < 0.05
+
+
 def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
     """What becomes experience then is what the policy would have played, not what was."""
     team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",)}))

@@ -459,6 +459,7 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "checkpoints": (0,),
     "imitate_steps": (0,),
     "imitate_rounds": (0,),
+    "imitate_spread": (0.0, -0.1, 1.5, NAN, INFINITY),
     "rollout": (0,),
     "gradient_steps": (0, -1),
     "buffer_size": (0,),
