@@ -1,10 +1,10 @@
 """Put the table of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
-With ``--play RESULTS`` it first has ``chemlab benchmark`` play what was trained there (``experiments/worlds.toml``,
-``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that is finished, all episodes, as
-a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard, which begins as the committed
-one, is copied to ``docs/results/leaderboard.json``. So seeds that have been trained elsewhere, or earlier, stay: the
-table has a learner's runs together.
+With ``--play RESULTS [SCENARIO ...]`` it first has ``chemlab benchmark`` play what was trained there
+(``experiments/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that
+is finished, all episodes, as a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard,
+which begins as the committed one, is copied to ``docs/results/leaderboard.json``. So seeds that have been trained
+elsewhere, or earlier, stay: the table has a learner's runs together.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def _joined(lines: list[dict[str, Any]]) -> dict[str, Any]:
     shared the episodes, has more of them, that stands.
     """
     most = max(lines, key=lambda line: line["runs"])
-    if len(lines) == 1 or len(lines) <= most["runs"]:
+    lines = [line for line in lines if line["runs"] == 1]
+    if len(lines) <= most["runs"]:
         return most
     told = {
         key: _over_runs([line[key] for line in lines]) if all(line[key] for line in lines) else None
@@ -148,13 +149,13 @@ def finished(results: Path, scenario: str) -> list[str]:
     return chosen
 
 
-def _play(results: Path, budget: str) -> None:
+def _play(results: Path, scenarios: list[str], budget: str) -> None:
     """Have the command play everything that has been trained to its end; what others have played stays in the table."""
     own = results / "benchmark" / "leaderboard.json"
     if LEADERBOARD.exists() and not own.exists():
         own.parent.mkdir(parents=True, exist_ok=True)
         write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
-    for scenario in world_scenarios():
+    for scenario in scenarios:
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
         chosen += [word for name in ("heuristic", *_SHIPPED) for word in ("--policy", name)]
         words = ["benchmark", scenario, *chosen, "--budget", budget, "--records", "0"]
@@ -167,10 +168,11 @@ def _play(results: Path, budget: str) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--play", type=Path, metavar="RESULTS", help="play what has been trained there first")
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="to play (default: all that draw worlds)")
     parser.add_argument("--budget", default="full", help="of chemlab benchmark (default: %(default)s)")
     asked = parser.parse_args()
     if asked.play is not None:
-        _play(asked.play, asked.budget)
+        _play(asked.play, asked.scenarios or world_scenarios(), asked.budget)
     replace_between(PAGE, "baselines", table())
     replace_between(PAGE, "effort", effort())
     replace_between(PAGE, "shipped", shipped())

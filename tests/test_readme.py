@@ -57,7 +57,7 @@ def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.Monke
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
 def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Each seed's line may come from another machine; an interval is over them. More runs in one line stand."""
+    """Each seed's line may come from another machine; an interval is over them. A line of as many runs stands."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
     import baselines
 
@@ -68,6 +68,8 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
     ]
     for run, runs in (("", 2), ("/seed-7", 1)):
         own.append({"policy": f"runaway-joint/benches{run} (best)", "runs": runs, "value": runs})
+    for run, runs in (("", 2), ("/seed-0", 1), ("/seed-1", 1), ("/seed-2", 1)):
+        own.append({"policy": f"runaway-joint/together{run} (best)", "runs": runs, "value": runs / 4})
     told = {"low": 0.0, "high": 1.0}
     lines = [{**common, **told, **line, "generalization": {"value": line["value"] / 2}} for line in own]
     (tmp_path / "leaderboard.json").write_text(json.dumps({"lines": lines}), encoding="utf-8")
@@ -79,6 +81,8 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
     assert managers["generalization"]["value"] == pytest.approx(0.25)
     assert 0.19 < managers["low"] < 0.5 < managers["high"] < 0.91
     assert (benches["runs"], benches["value"]) == (2, 2)
+    team = found["runaway", "joint/together (best)"]
+    assert (team["runs"], team["hours"], team["value"]) == (3, 1.5, 0.25)
 
 
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
