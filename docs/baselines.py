@@ -3,8 +3,9 @@
 With ``--play RESULTS [SCENARIO ...]`` it first has ``chemlab benchmark`` play what was trained there
 (``experiments/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that
 is finished, all episodes, as a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard,
-which begins as the committed one, is copied to ``docs/results/leaderboard.json``. So seeds that have been trained
-elsewhere, or earlier, stay: the table has a learner's runs together.
+which begins as the committed one, is copied to ``docs/results/leaderboard.json``, and its records of what comes along
+to ``docs/results/records``. So seeds that have been trained elsewhere, or earlier, stay: the table has a learner's runs
+together.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -157,10 +159,15 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
     for scenario in scenarios:
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
-        chosen += [word for name in ("heuristic", *_SHIPPED) for word in ("--policy", name)]
-        words = ["benchmark", scenario, *chosen, "--budget", budget, "--records", "0"]
-        command = [sys.executable, "-m", "chemlab", *words, "--processes", "1", "--out", "benchmark"]
-        subprocess.run(command, check=True, cwd=results)
+        along = [word for name in ("heuristic", *_SHIPPED) for word in ("--policy", name)]
+        # Of what everybody has, there is a record beside the table, too.
+        for policies, records in ((chosen + along, "0"), (along, "1")):
+            words = ["benchmark", scenario, *policies, "--budget", budget, "--records", records, "--processes", "1"]
+            command = [sys.executable, "-m", "chemlab", *words, "--out", "benchmark"]
+            subprocess.run(command, check=True, cwd=results)
+        kept = Path("records") / scenario
+        shutil.rmtree(LEADERBOARD.parent / kept, ignore_errors=True)
+        shutil.copytree(own.parent / kept, LEADERBOARD.parent / kept)
     written = json.loads(own.read_text(encoding="utf-8"))
     write_text(LEADERBOARD, json.dumps(written, indent=1) + "\n")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.agents.evaluation.benchmark import leaderboard_lines
-from chemlab.record import scenario_hash
+from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
+from chemlab.record import scenario_hash, verify_record
 from chemlab.scenario import load_scenario, scenario_names
 
 README = Path(__file__).parent.parent / "README.md"
@@ -92,9 +92,18 @@ def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.Mo
 
     for rows in (table(), effort(), shipped()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
+    recorded = set()
     for line in leaderboard_lines(LEADERBOARD):
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"
         assert line["value"] is None or line["value"] <= 1.0
+        for record in line["records"]:
+            recorded.add((line["scenario"], line["policy"]))
+            proof = verify_record(LEADERBOARD.parent / record["file"])
+            # On another platform numbers may differ.
+            assert proof.status in ("ok", "other"), proof
+            assert proof.status == "other" or proof.score == pytest.approx(record["score"], abs=1e-9)
+    along = ("plan", "heuristic", "pretrained", "trained")
+    assert recorded == {(scenario, policy) for scenario in world_scenarios() for policy in along}
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
