@@ -14,23 +14,23 @@ bench() { # SCENARIO STEPS EPISODES ARGUMENT ...
         --quiet "${@:4}"
 }
 
-learn() { # SCENARIO STEPS ROLE ...
+learn() { # SCENARIO STEPS SPREAD ROLE ...: how widely clones explore at least
     roles=()
-    for role in "${@:3}"; do
+    for role in "${@:4}"; do
         roles+=(--roles "$role")
     done
-    bench "$1" "$2" 60 "${roles[@]}" --imitate-steps 60000 --imitate-spread 0.3 --evaluations 20
+    bench "$1" "$2" 60 "${roles[@]}" --imitate-steps 60000 --imitate-spread "$3" --evaluations 20
 }
 
 for seed in ${seeds:-0 1 2 3 4}; do
-    learn runaway 2500000 rxn
-    learn relay 4000000 rxn fin
-    learn rush 1500000 rxn
-    learn unlabelled 300000 rxn
-    learn selectivity 300000 rxn
-    learn campaign 500000 rxn
-    learn failing 500000 east west
-    # With the settings above, benches of crude come to less than the scripted ones.
+    learn runaway 2500000 0.3 rxn
+    learn relay 4000000 0.3 rxn fin
+    learn rush 1500000 0.3 rxn
+    learn unlabelled 300000 0.3 rxn
+    learn selectivity 300000 0.3 rxn
+    learn campaign 500000 0.3 rxn
+    learn failing 500000 0.02 east west
+    # Wider, failing's lose what they were shown. With the settings above, benches of crude come to less than the scripted ones.
     bench crude 100000 100 --roles ext --roles dit --imitate-steps 40000 --imitate-rounds 5 --epochs 6 --net-arch 128 \
         --net-arch 128 --learning-rate 1e-4 --evaluations 10
 done

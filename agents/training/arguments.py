@@ -94,9 +94,9 @@ def _positional(default: str, text: str) -> Any:
     return field(default=default, metadata={"help": text})
 
 
-def _other_default(name: str, default: Any) -> Any:
-    """A field of :class:`Arguments` that begins with another value."""
-    of: Field[Any] = Arguments.__dataclass_fields__[name]
+def _other_default(name: str, default: Any, kind: type[Any] | None = None) -> Any:
+    """A field of another kind of run (:class:`Arguments`) that begins with another value."""
+    of: Field[Any] = (kind or Arguments).__dataclass_fields__[name]
     return field(default=default, metadata=of.metadata, kw_only=True)
 
 
@@ -431,20 +431,8 @@ class JointArguments(TeamArguments):
     imitate_steps: int | None = _argument(
         None, "Turns of it in each role, about.", least=1, most=10**9, otherwise="20000"
     )
-    imitate_rounds: int | None = _argument(
-        None,
-        "In how many parts; after the first the learners play, and are shown what the policy would have played.",
-        least=1,
-        most=1000,
-        otherwise="1",
-    )
-    imitate_spread: float | None = _argument(
-        None,
-        "Standard deviation that a clone's continuous actions begin with at least: how widely it explores.",
-        above=0.0,
-        most=1.0,
-        otherwise="0.02",
-    )
+    imitate_rounds: int | None = _other_default("imitate_rounds", None, TrainArguments)
+    imitate_spread: float | None = _other_default("imitate_spread", None, TrainArguments)
     envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
     rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
     by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
