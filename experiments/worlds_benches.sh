@@ -29,8 +29,8 @@ for seed in ${seeds:-0 1 2 3 4}; do
     learn unlabelled 300000 0.3 rxn
     learn selectivity 300000 0.3 rxn
     learn campaign 500000 0.3 rxn
-    learn failing 500000 0.02 east west
-    # Wider, failing's lose what they were shown. With the settings above, benches of crude come to less than the scripted ones.
+    learn failing 500000 0.02 east west # more widely exploring they lose what they were shown
+    # With the settings above, benches of crude come to less than the scripted ones.
     bench crude 100000 100 --roles ext --roles dit --imitate-steps 40000 --imitate-rounds 5 --epochs 6 --net-arch 128 \
         --net-arch 128 --learning-rate 1e-4 --evaluations 10
 done
