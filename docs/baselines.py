@@ -68,7 +68,7 @@ def _joined(lines: list[dict[str, Any]]) -> dict[str, Any]:
     if len(lines) <= most["runs"]:
         return most
     told = {
-        key: _over_runs([line[key] for line in lines]) if all(line[key] for line in lines) else None
+        key: _over_runs([line[key] for line in lines]) if all(line.get(key) for line in lines) else None
         for key in ("over_baseline", "generalization")
     }
     hours = sum(line["hours"] for line in lines)
