@@ -2,7 +2,7 @@
 # Benches that learn in the running laboratory, under the scripted manager: clones of the scripted ones, half for their own
 # experiments and half for the laboratory's score. From the repository's root, and again to go on:
 # bash experiments/worlds_benches.sh [RESULTS [SEED ...]]
-# Those of the first seed come along, but in unlabelled (there MAPPO's do, see worlds_joint.sh):
+# What comes along is of earlier runs of these, and in unlabelled MAPPO's (worlds_joint.sh); others are exported so:
 # chemlab export RESULTS/relay-joint/benches/seed-0 --role rxn --out agents/models/relay_rxn
 set -euo pipefail
 results=${1:-results}

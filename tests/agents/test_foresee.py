@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import mapping
+from scipy.stats import norm
 
+from chemlab.agents.heuristics.base import likelihood
 from chemlab.agents.heuristics.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import bench_heuristic, make_policies, manager_heuristic
@@ -36,14 +38,14 @@ def test_recipes_keep_the_order_of_the_benches() -> None:
 def test_what_vessels_share_is_weighed_as_the_sum_over_all_worlds_has_it() -> None:
     """Two vessels, three worlds of what they share, four of what each has: Bayes by enumeration."""
     manager: Any = object.__new__(ForeseeingManager)
-    likelihood = np.random.default_rng(0).random((2, 3, 4))
+    likely = np.random.default_rng(0).random((2, 3, 4))
     expected = np.zeros((2, 3, 4))
     for s, first, second in itertools.product(range(3), range(4), range(4)):
-        together = likelihood[0, s, first] * likelihood[1, s, second]
+        together = likely[0, s, first] * likely[1, s, second]
         expected[0, s, first] += together
         expected[1, s, second] += together
     expected /= expected.sum(axis=(1, 2), keepdims=True)
-    assert manager._posterior(likelihood) == pytest.approx(expected.reshape(2, 12), rel=1e-12)
+    assert manager._posterior(likely) == pytest.approx(expected.reshape(2, 12), rel=1e-12)
 
 
 def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
@@ -113,3 +115,31 @@ def test_memory_can_be_put_back() -> None:
     first = decided()
     manager.set_memory(kept)
     assert decided() == first
+
+
+def test_likelihoods_are_those_of_independent_normal_errors() -> None:
+    draw = np.random.default_rng(0)
+    readings, expected = draw.random((2, 4, 3)), draw.random((6, 3))
+    found = np.exp(norm.logpdf(readings[:, :, None], expected, 0.02).sum(axis=-1))
+    found = found / found.max(axis=-1, keepdims=True) + 1e-9
+    assert likelihood(readings, expected, 0.02, 1e-9) == pytest.approx(found, rel=1e-9)
+
+
+def test_a_look_at_one_vessel_tells_of_the_others_what_concluding_anew_does() -> None:
+    scenario = load_scenario("selectivity")
+    labs = Laboratories(scenario, 1)
+    manager = make_policies("heuristic", labs)["manager_0"]
+    assert isinstance(manager, ForeseeingManager)
+    labs.reset(labs.members)
+    belief, goal = manager._begin(labs.observe(0, labs.members)[0]), scenario.lab_goals[0]
+    belief.likelihood = np.random.default_rng(0).random(belief.likelihood.shape)
+    belief.stage[1] = 2
+    known, bests = manager._posterior(belief.likelihood), manager._promises(belief, goal).max(axis=-1)
+    found = manager._after_look(belief, goal, 0, known[0], bests)
+    worlds = np.searchsorted(np.cumsum(known[0]), manager._shares).clip(0, known.shape[1] - 1)
+    readings = manager._foresight[goal].readings[worlds, 0] + manager._errors
+    before = belief.likelihood.copy()
+    for sample, likely in enumerate(manager._likely(readings, goal, 0)):
+        belief.likelihood = before.copy()
+        belief.likelihood[0] *= likely.reshape(manager._shape)
+        assert found[sample] == pytest.approx(manager._promises(belief, goal).max(axis=-1), rel=1e-9)
