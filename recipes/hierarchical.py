@@ -28,11 +28,13 @@ TURNS = 5
 """Of all roles together to a decision of the manager: the scripted laboratory's 43 to 9."""
 
 
-def learned_together(budget: Budget, roles: tuple[str, ...], steps: int, background: str = "heuristic") -> Outcome:
+def learned_together(
+    budget: Budget, roles: tuple[str, ...], steps: int, background: str = "heuristic", **settings: Any
+) -> Outcome:
     """What roles that learn from nothing come to, over others that are played by policies of that name."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64, "rollout": 64}
-    given = {"roles": roles, "background": background, "learning_rate": 1e-3, "seed": budget.seed, **size, **ONCE}
-    arguments = JointArguments(TARGET.scenario.name, steps=steps, **given)
+    size |= {"roles": roles, "background": background, "learning_rate": 1e-3}
+    arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=steps, **{**size, **ONCE, **settings})
     return score_run(train_together, arguments, TARGET, GOAL, budget)
 
 

@@ -21,7 +21,12 @@ from chemlab.record import read_record
 ROOT = Path(__file__).parent.parent
 RECIPES = sorted(path for path in (ROOT / "recipes").glob("*.py") if path.stem != "recipe_parts")
 LEARNING = ("stable_baselines3", "sb3_contrib")
-NEEDS = {"bayesian": ("sklearn",), "planning": (), "demonstrations": (*LEARNING, "minari", "h5py")}
+NEEDS = {
+    "bayesian": ("sklearn",),
+    "planning": (),
+    "demonstrations": (*LEARNING, "minari", "h5py"),
+    "value_based": (*LEARNING, "benchmarl"),
+}
 """Packages that a recipe needs, where it is not what most need."""
 pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
 

@@ -32,9 +32,11 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import RewardSpec, Scenario
 
-from ..roles import role_of
+from ..policies import agent_policy
+from ..roles import chosen_roles, role_of
 
 try:
     import torch
@@ -66,15 +68,17 @@ class TorchLaboratory(EnvBase):
         rewards: replaces the scenario's reward mix.
         actions: replaces the scenario's kind of actions: ``discrete`` for value-based learners.
         split: which worlds there may be.
-        groups: agents by group; agents of a group must see and do the same. Default: a group for each role.
+        groups: agents by group; agents of a group must see and do the same. Default: a group for each role that learns.
+        roles: those that learn; None: all. The others are played inside.
+        background: who plays these, by name (see :func:`~chemlab.agents.policies.make_policies`).
         state: whether steps have the true state.
         seed: of the first episodes; laboratory i has seed + i.
         device: of what it returns.
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: ``num_envs`` is not at least 1; or groups that are not of all agents, each once, or of agents with
-            different spaces.
+        ValueError: ``num_envs`` is not at least 1; or an unknown role or policy; or groups that are not of all agents
+            that learn, each once, or of agents with different spaces.
     """
 
     def __init__(
@@ -85,6 +89,8 @@ class TorchLaboratory(EnvBase):
         actions: str | None = None,
         split: str = "train",
         groups: Mapping[str, Sequence[str]] | None = None,
+        roles: Sequence[str] | None = None,
+        background: str = "heuristic",
         state: bool = True,
         seed: int | None = None,
         device: Any = "cpu",
@@ -94,22 +100,28 @@ class TorchLaboratory(EnvBase):
         )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = batch.scenario
-        roles: dict[str, list[str]] = {}
-        for agent in batch.possible_agents:
-            roles.setdefault(role_of(agent), []).append(agent)
-        self.group_map = roles if groups is None else {group: list(agents) for group, agents in groups.items()}
-        self._check_groups()
+        by_role: dict[str, list[str]] = {role: [] for role in chosen_roles(batch.laboratories, roles)}
+        policies: list[Policy | None] = []
+        for number, agent in enumerate(batch.possible_agents):
+            learns = role_of(agent) in by_role
+            if learns:
+                by_role[role_of(agent)].append(agent)
+            policies.append(None if learns else agent_policy(background, batch.laboratories, number, seed))
+        self._players = Players(batch.laboratories, policies)
+        self._played = [number for number, policy in enumerate(policies) if policy is not None]
+        self.group_map = by_role if groups is None else {group: list(agents) for group, agents in groups.items()}
+        self._check_groups([agent for agents in by_role.values() for agent in agents])
         self._state = np.empty((num_envs, *batch.state_space.shape), dtype=np.float32) if state else None
         self._make_specs()
         self._first_seed: int | None = None
         if seed is not None:
             self.set_seed(seed)
 
-    def _check_groups(self) -> None:
+    def _check_groups(self, learners: list[str]) -> None:
         batch = self._batch
         listed = [agent for agents in self.group_map.values() for agent in agents]
-        if sorted(listed) != sorted(batch.possible_agents):
-            raise ValueError(f"groups: must have each of {', '.join(batch.possible_agents)} once; given {listed}")
+        if sorted(listed) != sorted(learners):
+            raise ValueError(f"groups: must have each of {', '.join(learners)} once; given {listed}")
         for group, agents in self.group_map.items():
             spaces = [(batch.observation_space(agent), batch.action_space(agent)) for agent in agents]
             if any(pair != spaces[0] for pair in spaces):
@@ -161,6 +173,9 @@ class TorchLaboratory(EnvBase):
         if tensordict is not None and "_reset" in tensordict and self._first_seed is None:
             options["reset_mask"] = tensordict["_reset"].reshape(-1).cpu().numpy()
         observations, infos = self._batch.reset(seed=self._first_seed, options=options)
+        if self._first_seed is not None:
+            for member in range(self._batch.num_envs):
+                self._players.seed(member, self._first_seed + member)
         self._first_seed = None
         begun = np.flatnonzero(options["reset_mask"]) if options else Ellipsis
         told = {**self._told(observations, infos, begun), **self._ended()}
@@ -173,6 +188,15 @@ class TorchLaboratory(EnvBase):
             for actions in [tensordict[group, "action"].cpu().numpy()]
             for i, agent in enumerate(agents)
         }
+        labs = self._batch.laboratories
+        turns = labs.turns(labs.members)
+        for number in self._played:
+            who = labs.members[turns[number]]
+            if len(who):
+                decided = self._players.decide(number, who)
+                actions = np.zeros((self._batch.num_envs, *decided.shape[1:]), dtype=decided.dtype)
+                actions[who] = decided
+                given[labs.agents[number]] = actions
         observations, rewards, terminated, truncated, infos = self._batch.step(given)
         told = self._told(observations, infos)
         for group, agents in self.group_map.items():

@@ -37,7 +37,8 @@ __all__ = ["ChemlabTask", "laboratory_task"]
 
 class ChemlabTask(TaskClass):
     """A laboratory; ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``,
-    ``rewards``, ``split``, ``groups``, and ``state`` (False: a centralised critic sees what its group sees)."""
+    ``rewards``, ``split``, ``groups``, ``roles``, ``background``, and ``state`` (False: a centralised critic sees what
+    its group sees)."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any

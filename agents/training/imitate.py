@@ -115,7 +115,7 @@ def fit(
         shown = _Episodes(model, observations, masks, actions, lengths)
     network, rng = model.policy, np.random.default_rng(seed)
     network.set_training_mode(True)
-    optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate)
+    optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate, fused=True)
     minibatches = max(1, shown.count // shown.batch)
     epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
     # What the examples agree on is found fast; thresholds between two actions only in small steps.

@@ -211,6 +211,18 @@ class Players:
             if remind is not None:
                 remind(own)
 
+    def decide(self, number: int, members: IntArray) -> npt.NDArray[Any]:
+        """Actions [B, ...] of an agent that has a policy, in some laboratories [B] that give it the turn.
+
+        Raises:
+            ValueError: the policy's actions are outside its agent's space; the message names the agent.
+        """
+        labs, policy = self._labs, self._policies[number]
+        assert policy is not None, "whom somebody else moves decides nothing here"
+        seen, mask = labs.observe(number, members), labs.mask(number, members)
+        actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
+        return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
+
     def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
         """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
         tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
@@ -230,10 +242,7 @@ class Players:
             here = members[cursor[members] == number - 1]
             group = here[status[here] == RUNNING]
             if len(group):
-                seen, mask = labs.observe(number, group), labs.mask(number, group)
-                actions = policy.act(seen, mask, labs.turns_had(number)[group], group)
-                space = labs.action_space(number)
-                self._act(number, group, checked_actions(labs.agents[number], actions, len(group), space))
+                self._act(number, group, self.decide(number, group))
                 after(number, group)
 
     def play_on(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:

@@ -11,12 +11,15 @@ import pytest
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
 
+from chemlab.agents.player import play_laboratory
+from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.agents.torchrl.env import TorchLaboratory
 from chemlab.laboratory import parallel_env
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.core import Laboratories
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
 
@@ -39,6 +42,33 @@ def test_agents_of_a_role_are_a_group_and_others_can_be_asked_for() -> None:
         TorchLaboratory(1, groups={"all": ["manager_0"]})
     with pytest.raises(ValueError, match="do not have the same spaces"):
         TorchLaboratory(1, groups={"all": ["manager_0", "rxn_0", "ext_0", "dit_0"]})
+
+
+def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None:
+    """The manager moves alone, with what the scripted one would play: the scripted laboratory's scores."""
+    env = TorchLaboratory(3, "wurtz_two_lines", roles=["manager"])
+    labs = Laboratories(env.scenario, 3)
+    expected = play_laboratory(labs, make_policies("heuristic", labs), None, 7)
+    assert list(env.group_map) == ["manager"]
+    assert {key for key in env.observation_spec.keys() if key != "state"} == {"manager"}  # noqa: SIM118
+    seen = env._batch.laboratories
+    manager = agent_policy("heuristic", seen, 0)
+    env.set_seed(7)
+    now, scores = env.reset(), np.full(3, np.nan)
+    while np.isnan(scores).any():
+        turn = now["manager", "has_turn"][:, 0].numpy()
+        members, actions = np.flatnonzero(turn), np.zeros(3, dtype=np.int64)
+        if len(members):
+            masks, turns = now["manager", "action_mask"][members, 0].numpy().astype(np.int8), seen.turns_had(0)[members]
+            actions[members] = manager.act(now["manager", "observation"][members, 0].numpy(), masks, turns, members)
+        now["manager", "action"] = torch.as_tensor(actions)[:, None]
+        now = env.step(now)["next"]
+        over = now["done"][:, 0].numpy() & np.isnan(scores)
+        scores[over] = now["manager", "info", "score"][over, 0].numpy()
+        now = env.reset(TensorDict({**now, "_reset": now["done"]}, [3])) if now["done"].any() else now
+    np.testing.assert_allclose(scores, expected.returns, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"wurtz_two_lines has manager, rxn, ext, dit; given extraction"):
+        TorchLaboratory(1, "wurtz_two_lines", roles=["extraction"])
 
 
 def _row(rollout: TensorDictBase, member: int, step: int) -> Any:
