@@ -78,11 +78,10 @@ def imitate(
     """
     remembers, hit, found = hasattr(model.policy, "lstm_actor"), 0.0, list[_Examples]()
     for learner in [None] + [as_policy(model)] * (rounds - 1):
-        found.append(_examples(batch, policy, learner, math.ceil(steps / rounds), None if found else seed, model.gamma))
+        turns, own_seed = math.ceil(steps / rounds), None if found else seed
+        found.append(_examples(batch, policy, learner, turns, own_seed, model.gamma, advised))
         seen, actions, returns, lengths = (np.concatenate([own[i] for own in found]) for i in range(4))
         masks = [own.masks for own in found if own.masks is not None]
-        if advised:
-            seen = with_advice(seen, actions, batch.action_count)
         legal = np.concatenate(masks) if masks else None
         hit = fit(model, seen, legal, actions, returns, seed, lengths if remembers else None, spread)
     return hit
@@ -272,6 +271,7 @@ def _examples(
     steps: int,
     seed: int | None,
     gamma: float,
+    advised: bool,
 ) -> _Examples:
     """What a policy plays, or what it would play where a learner does."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
@@ -285,9 +285,10 @@ def _examples(
     while len(rows) * n < steps or not (learner is None or ended.all()):
         mask = batch.action_masks().astype(np.int8) if discrete else None
         action = played = shown.advice(observation, mask, turns, members)
-        rows.append((observation.copy(), mask, action))
+        seen = with_advice(observation, action, batch.action_count) if advised else observation.copy()
+        rows.append((seen, mask, action))
         if learner is not None:
-            played = learner.act(observation, mask, turns, members)
+            played = learner.act(seen, mask, turns, members)
         shown.played(played, members)
         observation, reward, terminated, truncated, _ = batch.step(played)
         over = terminated | truncated
@@ -307,7 +308,7 @@ def _examples(
     def in_order(column: list[Any]) -> npt.NDArray[Any]:
         return np.stack(column).swapaxes(0, 1)[kept.T]
 
-    seen, masks, actions = zip(*rows, strict=True)
+    observed, masks, actions = zip(*rows, strict=True)
     lengths = np.diff(np.flatnonzero(in_order(ends)), prepend=-1)
     legal = in_order(list(masks)) if discrete else None
-    return _Examples(in_order(list(seen)), in_order(list(actions)), returns.T[kept.T], lengths, legal)
+    return _Examples(in_order(list(observed)), in_order(list(actions)), returns.T[kept.T], lengths, legal)

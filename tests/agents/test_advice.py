@@ -10,8 +10,9 @@ import pytest
 
 from chemlab.agents.advice import AdvisedPolicy, Advisor, with_advice
 from chemlab.agents.player import play_laboratory
-from chemlab.agents.policies import make_policies
+from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.laboratory.core import Laboratories
+from chemlab.laboratory.policy import as_policy
 from chemlab.laboratory.state import RUNNING
 
 MANAGED = ["wurtz_two_lines", "rush", "relay", "unlabelled", "campaign", "failing", "selectivity"]
@@ -249,6 +250,34 @@ def test_nothing_comes_after_the_limits_that_a_manager_sees() -> None:
         if (terminated | truncated).any():
             break
     assert truncated.any()
+
+
+def test_who_plays_in_later_rounds_sees_the_advice_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever has learned to follow it plays on with it, so that it still is what they are shown."""
+    pytest.importorskip("sb3_contrib")
+    from sb3_contrib import MaskablePPO
+
+    from chemlab.agents.background import focal_vector_env
+    from chemlab.agents.sb3 import ChemlabVecEnv
+    from chemlab.agents.training import imitate as module
+
+    batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    teacher = agent_policy("heuristic", batch.laboratories, 0)
+    venv = ChemlabVecEnv(batch, advisor=Advisor(teacher, batch.action_count))
+    model, own = MaskablePPO("MlpPolicy", venv, n_steps=16, seed=0, device="cpu"), []
+    policy = as_policy(model)
+
+    class Watched:
+        """The learner."""
+
+        def act(self, seen: Any, mask: Any, step: Any, members: Any) -> Any:
+            actions = policy.act(seen, mask, step, members)
+            own.append((seen[:, -batch.action_count :].argmax(axis=1) == actions).mean())
+            return actions
+
+    monkeypatch.setattr(module, "as_policy", lambda given: Watched())
+    assert module.imitate(model, batch, teacher, 1200, 0, advised=True, rounds=2) > 0.99
+    assert np.mean(own) > 0.9
 
 
 @pytest.mark.parametrize("algo", ["maskable-ppo", "maskable-recurrent-ppo"])
