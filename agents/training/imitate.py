@@ -271,7 +271,7 @@ def _examples(
     steps: int,
     seed: int | None,
     gamma: float,
-    advised: bool,
+    advised: bool = False,
 ) -> _Examples:
     """What a policy plays, or what it would play where a learner does."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
