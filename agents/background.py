@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+import numpy.typing as npt
+
+from chemlab.arrays import IntArray
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv, Policies
+from chemlab.laboratory.policy import Players
 
 from .policies import agent_policy
 from .roles import role_of
 
-__all__ = ["Background", "focal_env", "focal_vector_env"]
+__all__ = ["Background", "background_players", "focal_env", "focal_vector_env"]
 
 Background = str | Mapping[str, Any]
 """Who plays the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
@@ -76,3 +80,27 @@ def background_policies(background: Background) -> Policies:
         return chosen
 
     return choose
+
+
+def background_players(
+    laboratories: Laboratories,
+    learning: Collection[str],
+    background: str,
+    act: Callable[[int, IntArray, npt.NDArray[Any]], None] | None = None,
+) -> Players:
+    """Who plays the roles that do not learn.
+
+    Args:
+        laboratories: where they play.
+        learning: the roles that somebody else moves.
+        background: the others' policy, by name (see :func:`~.policies.make_policies`).
+        act: as for :class:`~chemlab.laboratory.policy.Players`.
+
+    Raises:
+        ValueError: unknown policy, or one that does not fit.
+    """
+    policies = [
+        None if role_of(agent) in learning else agent_policy(background, laboratories, number)
+        for number, agent in enumerate(laboratories.agents)
+    ]
+    return Players(laboratories, policies, act)

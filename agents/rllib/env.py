@@ -29,10 +29,9 @@ import numpy as np
 
 from chemlab.arrays import IntArray
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.policy import Players
 from chemlab.laboratory.state import RUNNING
 
-from ..policies import agent_policy
+from ..background import background_players
 from ..roles import chosen_roles, role_of
 
 try:
@@ -72,13 +71,8 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         self.possible_agents = [agent for agent in labs.agents if role_of(agent) in learning]
         self.agents = list(self.possible_agents)
         # AEC's own step keeps account of rewards and infos, whoever has the turn.
-        self._players = Players(
-            labs,
-            [
-                None if agent in self.possible_agents else agent_policy(background, labs, number)
-                for number, agent in enumerate(labs.agents)
-            ],
-            lambda number, members, actions: self.laboratory.step(actions[0]),
+        self._players = background_players(
+            labs, learning, background, lambda number, members, actions: self.laboratory.step(actions[0])
         )
         self.observation_spaces = {agent: self._seen_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: self.laboratory.action_space(agent) for agent in self.possible_agents}

@@ -32,10 +32,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.policy import Players, Policy
 from chemlab.scenario import RewardSpec, Scenario
 
-from ..policies import agent_policy
+from ..background import background_players
 from ..roles import chosen_roles, role_of
 
 try:
@@ -100,15 +99,11 @@ class TorchLaboratory(EnvBase):
         )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = batch.scenario
-        by_role: dict[str, list[str]] = {role: [] for role in chosen_roles(batch.laboratories, roles)}
-        policies: list[Policy | None] = []
-        for number, agent in enumerate(batch.possible_agents):
-            learns = role_of(agent) in by_role
-            if learns:
-                by_role[role_of(agent)].append(agent)
-            policies.append(None if learns else agent_policy(background, batch.laboratories, number, seed))
-        self._players = Players(batch.laboratories, policies)
-        self._played = [number for number, policy in enumerate(policies) if policy is not None]
+        labs = batch.laboratories
+        learning = chosen_roles(labs, roles)
+        self._players = background_players(labs, learning, background)
+        self._others = [number for number, agent in enumerate(labs.agents) if role_of(agent) not in learning]
+        by_role = {role: [agent for agent in labs.agents if role_of(agent) == role] for role in learning}
         self.group_map = by_role if groups is None else {group: list(agents) for group, agents in groups.items()}
         self._check_groups([agent for agents in by_role.values() for agent in agents])
         self._state = np.empty((num_envs, *batch.state_space.shape), dtype=np.float32) if state else None
@@ -188,22 +183,28 @@ class TorchLaboratory(EnvBase):
             for actions in [tensordict[group, "action"].cpu().numpy()]
             for i, agent in enumerate(agents)
         }
-        labs = self._batch.laboratories
-        turns = labs.turns(labs.members)
-        for number in self._played:
-            who = labs.members[turns[number]]
-            if len(who):
-                decided = self._players.decide(number, who)
-                actions = np.zeros((self._batch.num_envs, *decided.shape[1:]), dtype=decided.dtype)
-                actions[who] = decided
-                given[labs.agents[number]] = actions
-        observations, rewards, terminated, truncated, infos = self._batch.step(given)
+        observations, rewards, terminated, truncated, infos = self._batch.step({**given, **self._played()})
         told = self._told(observations, infos)
         for group, agents in self.group_map.items():
             earned = np.stack([rewards[agent] for agent in agents], axis=1)[..., None]
             told[group]["reward"] = self._tensor(earned, torch.float32)
         ended = self._ended(terminated, truncated)
         return TensorDict({**told, **ended}, batch_size=self.batch_size, device=self.device)
+
+    def _played(self) -> dict[str, npt.NDArray[Any]]:
+        """Actions [N, ...] of the agents in the background that have the turn anywhere."""
+        labs, played = self._batch.laboratories, dict[str, npt.NDArray[Any]]()
+        if not self._others:
+            return played
+        turns = labs.turns(labs.members)
+        for number in self._others:
+            who = labs.members[turns[number]]
+            if len(who):
+                decided = self._players.decide(number, who)
+                actions = np.zeros((len(labs.members), *decided.shape[1:]), dtype=decided.dtype)
+                actions[who] = decided
+                played[labs.agents[number]] = actions
+        return played
 
     def _told(
         self, observations: Mapping[str, Any], infos: Mapping[str, Mapping[str, Any]], begun: Any = Ellipsis
