@@ -30,7 +30,6 @@ ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
 _ENDS = ("random", "clairvoyant")
-_WHOLE = "manager over benches"
 _SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
 LEARNERS = {
     "manager_0/feedforward": "PPO",
@@ -42,7 +41,9 @@ LEARNERS = {
     "joint/together": "IPPO",
     "joint/together-state": "MAPPO",
 }
-"""Folders of runs below RESULTS, behind the scenario's name, and what the table calls them."""
+"""Folders of runs below RESULTS, behind the scenario's name, and what the tables call them."""
+_ELSEWHERE = ("manager_0/over-benches",)
+"""Those of two scenarios alone, which only the table of efforts has."""
 _KINDS = ("best", "last")
 _SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
@@ -96,16 +97,12 @@ def markdown(rows: list[list[str]]) -> list[str]:
 def table() -> list[str]:
     """The committed baselines as a Markdown table: best by validation of everything that learns."""
     lines = _lines()
-    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if "over-benches" not in folder}
-    over = [f"{folder} (best)" for folder in LEARNERS if "over-benches" in folder]
-    names = {**_SCRIPTED, **learners, _WHOLE: _WHOLE, "people": "people"}
+    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
+    names = {**_SCRIPTED, **learners, "people": "people"}
     rows = [["scenario", _ENDS[0], *names.values(), _ENDS[1]]]
     for scenario in world_scenarios():
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
-        shown = {name: lines.get((scenario, name)) for name in names}
-        # No scenario has both: with memory where that pays, with advice elsewhere.
-        shown[_WHOLE] = next((lines[scenario, row] for row in over if (scenario, row) in lines), None)
-        rows.append([f"`{scenario}`", low, *map(_cell, shown.values()), high])
+        rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
 
 
