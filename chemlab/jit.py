@@ -54,6 +54,7 @@ _BUILD: Any = cgutils
 _ARRAYS: Any = arrayobj
 _CACHE: Any = caching.FunctionCache
 _CACHE_FILE: Any = caching.IndexDataCacheFile
+_PLACES: Any = caching.CompileResultCacheImpl
 _EXTENDING: Any = numba.extending
 _MODELS: Any = models
 _TEMPLATES: Any = templates
@@ -170,8 +171,18 @@ def kernel(function: F, **options: Any) -> F:
     return cast(F, compiled)  # numba's dispatcher stands in for the function
 
 
+class _KernelPlaces(_PLACES):  # type: ignore[misc]  # numba has no types
+    """Where numba keeps kernels: in ``NUMBA_CACHE_DIR``, or else in the user's cache folder; beside the source only
+    where neither can be written to. An installer does not take away what it did not put there, and a package's folder
+    with nothing but kernels in it hides the package where that is installed next (``pip install -e .``)."""
+
+    _locator_classes = sorted(_PLACES._locator_classes, key=lambda place: "InTree" in place.__name__)
+
+
 class _KernelCache(_CACHE):  # type: ignore[misc]  # numba has no types
     """Where numba looks for a kernel before it compiles it."""
+
+    _impl_class = _KernelPlaces
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import chemlab
 from chemlab.jit import _checksum
 from chemlab.rng import uniform
 
@@ -89,3 +91,27 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, w
     assert done.stderr.count("chemlab:") == 1
     assert words in done.stderr
     assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
+@pytest.mark.parametrize("home", [True, False], ids=["home", "homeless"])
+def test_kernels_are_kept_outside_the_package(home: bool, tmp_path: Path) -> None:
+    """An installer would leave them behind, and the folder would hide an editable installation that comes after. They
+    are beside the source all the same where no other folder can be written to."""
+    packages, user = tmp_path / "packages", tmp_path / "user"
+    shutil.copytree(Path(chemlab.__file__).parent, packages / "chemlab", ignore=shutil.ignore_patterns("__pycache__"))
+    if home:
+        user.mkdir()
+    else:
+        user.touch()
+    homes = dict.fromkeys(("HOME", "USERPROFILE", "LOCALAPPDATA", "XDG_CACHE_HOME"), str(user))
+    environment = {**os.environ, **homes, "PYTHONPATH": str(packages), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    code = f"{PLAY}import chemlab\nprint(chemlab.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=900
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{here()}{packages / 'chemlab' / '__init__.py'}\n"
+    assert bool(list(user.rglob("*.nbi"))) == home
+    assert bool(list(packages.rglob("__pycache__"))) != home
