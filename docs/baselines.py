@@ -20,11 +20,16 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
-from chemlab.agents.evaluation.statistics import interval_text, mean
+from chemlab.agents.evaluation.statistics import (
+    interquartile_mean,
+    interval_text,
+    mean,
+    probability_of_improvement,
+)
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
 
-__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "shipped", "table"]
+__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "overall", "shipped", "table"]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
@@ -49,31 +54,34 @@ _SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
 
 
-def _lines() -> dict[tuple[str, str], dict[str, Any]]:
-    """The committed leaderboard by scenario and row; learners' rows as ``LEARNERS`` has them, each run's joined."""
+def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """Lines of the committed leaderboard by scenario and row, as ``LEARNERS`` has them: of a learner one of each run.
+
+    Where a folder of runs, which have shared the episodes, has more of them, its line alone.
+    """
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for line in leaderboard_lines(LEADERBOARD):
         row = _SEED.sub("", line["policy"].removeprefix(f"{line['scenario']}-"))
         found.setdefault((line["scenario"], row), []).append(line)
-    return {row: _joined(lines) for row, lines in found.items()}
+    for row, lines in found.items():
+        most = max(lines, key=lambda line: line["runs"])
+        single = [line for line in lines if line["runs"] == 1]
+        found[row] = single if len(single) > most["runs"] else [most]
+    return found
+
+
+def _lines() -> dict[tuple[str, str], dict[str, Any]]:
+    """The same with runs that differ in their seeds as one line; intervals are over runs."""
+    return {row: _joined(lines) if len(lines) > 1 else lines[0] for row, lines in _runs().items()}
 
 
 def _joined(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """The lines of runs that differ in their seeds, or of a folder of such runs, as one.
-
-    Of several runs that have played all episodes each, intervals are over runs. Where a folder of runs, which have
-    shared the episodes, has more of them, that stands.
-    """
-    most = max(lines, key=lambda line: line["runs"])
-    lines = [line for line in lines if line["runs"] == 1]
-    if len(lines) <= most["runs"]:
-        return most
     told = {
         key: _over_runs([line[key] for line in lines]) if all(line.get(key) for line in lines) else None
         for key in ("over_baseline", "generalization")
     }
     hours = sum(line["hours"] for line in lines)
-    return {**most, **_over_runs(lines), **told, "runs": len(lines), "hours": hours}
+    return {**lines[0], **_over_runs(lines), **told, "runs": len(lines), "hours": hours}
 
 
 def _over_runs(estimates: list[dict[str, Any]]) -> dict[str, Any]:
@@ -104,6 +112,32 @@ def table() -> list[str]:
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
         rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
+
+
+def overall() -> list[str]:
+    """All scenarios together, each with the same weight, of whoever is there in every one; the best first.
+
+    Intervals are over runs, within scenarios. Interquartile means want equally many runs in each.
+    """
+    runs, scenarios = _runs(), world_scenarios()
+    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
+    scripted = [[runs[scenario, "heuristic"][0]["value"]] for scenario in scenarios]
+    found = []
+    for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **learners}.items():
+        cells = [runs[scenario, name] for scenario in scenarios if (scenario, name) in runs]
+        if len(cells) < len(scenarios):
+            continue
+        samples = [[line["value"] for line in cell] for cell in cells]
+        counts = sorted({sum(line["runs"] for line in cell) for cell in cells if cell[0]["steps"]})
+        even = len({len(sample) for sample in samples}) == 1
+        average, middle = mean(samples), interquartile_mean(samples) if even else None
+        estimates = (average, middle, probability_of_improvement(samples, scripted))
+        texts = [interval_text(one.as_dict(), 2) if one else "" for one in estimates]
+        found.append((average.value, [called, "-".join(map(str, counts)), *texts]))
+    found.sort(key=lambda one: -one[0])
+    return markdown(
+        [["who", "runs in each", "mean", "interquartile mean", "above scripted"], *(row for _, row in found)]
+    )
 
 
 def effort() -> list[str]:
@@ -182,5 +216,6 @@ if __name__ == "__main__":
     if asked.play is not None:
         _play(asked.play, asked.scenarios or world_scenarios(), asked.budget)
     replace_between(PAGE, "baselines", table())
+    replace_between(PAGE, "overall", overall())
     replace_between(PAGE, "effort", effort())
     replace_between(PAGE, "shipped", shipped())

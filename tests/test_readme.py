@@ -88,9 +88,9 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """And of the scenarios as they are; nobody knows more than who knows the world."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from baselines import LEADERBOARD, PAGE, effort, shipped, table
+    from baselines import LEADERBOARD, PAGE, effort, overall, shipped, table
 
-    for rows in (table(), effort(), shipped()):
+    for rows in (table(), overall(), effort(), shipped()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
     recorded = set()
     for line in leaderboard_lines(LEADERBOARD):
