@@ -49,6 +49,7 @@ LEARNERS = {
 """Folders of runs below RESULTS, behind the scenario's name, and what the tables call them."""
 _ELSEWHERE = ("manager_0/over-benches",)
 """Those of two scenarios alone, which only the table of efforts has."""
+_EVERYWHERE = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
 _KINDS = ("best", "last")
 _SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
@@ -105,8 +106,7 @@ def markdown(rows: list[list[str]]) -> list[str]:
 def table() -> list[str]:
     """The committed baselines as a Markdown table: best by validation of everything that learns."""
     lines = _lines()
-    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
-    names = {**_SCRIPTED, **learners, "people": "people"}
+    names = {**_SCRIPTED, **_EVERYWHERE, "people": "people"}
     rows = [["scenario", _ENDS[0], *names.values(), _ENDS[1]]]
     for scenario in world_scenarios():
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
@@ -120,10 +120,9 @@ def overall() -> list[str]:
     Intervals are over runs, within scenarios. Interquartile means want equally many runs in each.
     """
     runs, scenarios = _runs(), world_scenarios()
-    learners = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
     scripted = [[runs[scenario, "heuristic"][0]["value"]] for scenario in scenarios]
     found = []
-    for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **learners}.items():
+    for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **_EVERYWHERE}.items():
         cells = [runs[scenario, name] for scenario in scenarios if (scenario, name) in runs]
         if len(cells) < len(scenarios):
             continue

@@ -70,6 +70,7 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
         own.append({"policy": f"runaway-joint/benches{run} (best)", "runs": runs, "value": runs})
     for run, runs in (("", 2), ("/seed-0", 1), ("/seed-1", 1), ("/seed-2", 1)):
         own.append({"policy": f"runaway-joint/together{run} (best)", "runs": runs, "value": runs / 4})
+    own.append({"policy": "heuristic", "runs": 0, "value": 0.3, "steps": None})
     told = {"low": 0.0, "high": 1.0}
     lines = [{**common, **told, **line, "generalization": {"value": line["value"] / 2}} for line in own]
     (tmp_path / "leaderboard.json").write_text(json.dumps({"lines": lines}), encoding="utf-8")
@@ -83,6 +84,16 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
     assert (benches["runs"], benches["value"]) == (2, 2)
     team = found["runaway", "joint/together (best)"]
     assert (team["runs"], team["hours"], team["value"]) == (3, 1.5, 0.25)
+    # All scenarios together, the best first: two of the three managers' runs are above the scripted agents.
+    monkeypatch.setattr(baselines, "world_scenarios", lambda: ["runaway"])
+    assert [row.split(" | ")[0] for row in baselines.overall()[2:]] == [
+        "| benches",
+        "| recurrent PPO",
+        "| scripted",
+        "| IPPO",
+    ]
+    _, runs, average, middle, above = baselines.overall()[3].strip("| ").split(" | ")
+    assert (runs, average[:4], middle[:4], above[:4]) == ("3", "0.50", "0.50", "0.67")
 
 
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
