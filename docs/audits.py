@@ -1,4 +1,4 @@
-"""Put the table of the committed audits into README.md and docs/worlds.md: ``python docs/audits.py``.
+"""Put the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
 
 One is made by ``chemlab audit SCENARIO --out docs/results/audits/SCENARIO.json``, of scenarios that draw worlds with
 ``--budget full``; with ``--all`` this makes all of them that are missing, or were made of a scenario that has changed
@@ -18,11 +18,11 @@ from chemlab.files import replace_between
 from chemlab.record import scenario_hash
 from chemlab.scenario import load_scenario, scenario_names
 
-__all__ = ["FOLDER", "PAGES", "audits", "table"]
+__all__ = ["FOLDER", "PAGE", "audits", "table"]
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs" / "results" / "audits"
-PAGES = (ROOT / "README.md", ROOT / "docs" / "worlds.md")
+PAGE = ROOT / "docs" / "worlds.md"
 _NUMBERS = {
     "blind": "blind",
     "reference": "scripted",
@@ -80,5 +80,4 @@ if __name__ == "__main__":
         budget = "full" if load_scenario(name).world.draws else "small"
         command = ["chemlab", "audit", name, "--budget", budget, "--out", str(FOLDER / f"{name}.json")]
         subprocess.run([sys.executable, "-m", *command], check=True)
-    for page in PAGES:
-        replace_between(page, "audits", table())
+    replace_between(PAGE, "audits", table())

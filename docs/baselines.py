@@ -1,4 +1,4 @@
-"""Put the table of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
+"""Put the tables of the committed baselines into docs/protocol.md and README.md: ``python docs/baselines.py``.
 
 With ``--play RESULTS [SCENARIO ...]`` it first has ``chemlab benchmark`` play what was trained there
 (``experiments/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that
@@ -28,12 +28,27 @@ from chemlab.agents.evaluation.statistics import (
 )
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
+from chemlab.scenario import load_scenario
 
-__all__ = ["LEADERBOARD", "LEARNERS", "PAGE", "ROOT", "effort", "finished", "markdown", "overall", "shipped", "table"]
+__all__ = [
+    "LEADERBOARD",
+    "LEARNERS",
+    "PAGE",
+    "README",
+    "ROOT",
+    "effort",
+    "finished",
+    "markdown",
+    "overall",
+    "shipped",
+    "table",
+    "tasks",
+]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
+README = ROOT / "README.md"
 _ENDS = ("random", "clairvoyant")
 _SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
 LEARNERS = {
@@ -53,6 +68,16 @@ _EVERYWHERE = {f"{folder} (best)": name for folder, name in LEARNERS.items() if 
 _KINDS = ("best", "last")
 _SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
+_HIDDEN = {
+    "identity": "which material a vessel holds",
+    "titre": "strength of the feeds",
+    "amount": "contents of the vessels",
+    "pre_exponential": "rate constants",
+    "formation": "heat of reaction",
+    "gain": "condition of the equipment",
+    "arrives": "orders to come",
+}
+"""Hidden parameters by their kind, in README's words; kinds that are drawn together with one of these have none."""
 
 
 def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
@@ -112,6 +137,24 @@ def table() -> list[str]:
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
         rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
+
+
+def tasks() -> list[str]:
+    """README's table of scenarios with hidden parameters: what is hidden, and the best policy of each kind."""
+    lines = _lines()
+    learners = {**_EVERYWHERE, **{name: name for name in _SHIPPED}}
+    rows = []
+    for name in world_scenarios():
+        scenario = load_scenario(name)
+        kinds = {draw.what for draw in scenario.world.draws.values()}
+        hidden = "; ".join(words for kind, words in _HIDDEN.items() if kind in kinds)
+        found = {words: lines[name, row] for row, words in learners.items() if (name, row) in lines}
+        best = max(found, key=lambda words: found[words]["value"])
+        scores = [f"{line['value']:.2f}" for line in (lines[name, "plan"], lines[name, "heuristic"], found[best])]
+        rows.append([f"`{name}`", ", ".join(scenario.benches), hidden, *scores, best])
+    heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "best learned", "which"]
+    words = ["---", "---", "---", "--:", "--:", "--:", "---"]
+    return [f"| {' | '.join(row)} |" for row in (heads, words, *rows)]
 
 
 def overall() -> list[str]:
@@ -218,3 +261,4 @@ if __name__ == "__main__":
     replace_between(PAGE, "overall", overall())
     replace_between(PAGE, "effort", effort())
     replace_between(PAGE, "shipped", shipped())
+    replace_between(README, "tasks", tasks())

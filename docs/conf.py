@@ -11,6 +11,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 sys.path.insert(0, str(Path(__file__).parent))
 
 from generate import setup_pages
+from sphinx.application import Sphinx
 
 from chemlab import __version__
 
@@ -72,4 +73,15 @@ nitpick_ignore_regex = [
 ]
 suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
 
-setup = setup_pages
+
+def whole_sentence(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Keep Napoleon from taking the words before a colon in an attribute's first line for its type: it looks for a
+    type in the first line alone, which is empty here."""
+    if what in ("attribute", "property", "data"):
+        lines.insert(0, "")
+
+
+def setup(app: Sphinx) -> None:
+    """Make the pages that come from the code, and read attributes before Napoleon does."""
+    setup_pages(app)
+    app.connect("autodoc-process-docstring", whole_sentence, priority=400)

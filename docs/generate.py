@@ -218,9 +218,9 @@ def _environments() -> dict[str, str]:
 
 
 def _results() -> dict[str, list[list[str]]]:
-    """Results of README and of the page of syntheses by scenario: rows of cells, the policy first."""
+    """Raw scores of scripted and random agents by scenario: rows of cells, the policy first."""
     found: dict[str, list[list[str]]] = {}
-    for page in (HERE.parent / "README.md", HERE / "syntheses.md"):
+    for page in (HERE / "results" / "scripted.md", HERE / "syntheses.md"):
         text = page.read_text(encoding="utf-8")
         block = text.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
         for line in block.splitlines():
@@ -408,7 +408,7 @@ def _scenarios() -> dict[str, str]:
                 rows,
                 range(3, 9),
             ),
-            "The scores are means of 100 episodes, from README's table. 1 is the theoretical maximum, pure and free of",
+            "Raw scores are means of 100 episodes ([table](../../results/scripted.md)). 1 is the theoretical maximum, pure and free of",
             "costs. The last three are of an [audit](../../worlds.md): 0 is random play, 1 a planner that knows",
             "everything; where blind play comes close to the reference, a scenario asks for no eyes.",
             "",

@@ -2,8 +2,8 @@
 
 | Tables | Made into |
 |---|---|
-| `papers/chemgymrl/results/` | `docs/results/summary.md`, the paper's figures, README's table of its experiments |
-| `experiments/results/` | `docs/results/laboratory.md` with curves, the other tables of README and `docs/results.md` |
+| `papers/chemgymrl/results/` | `docs/results/summary.md`, the paper's figures, the first table of `docs/results.md` |
+| `experiments/results/` | `docs/results/laboratory.md` with curves, the other tables of `docs/results.md` |
 
 ``--collect RUNS`` first makes those tables from training runs, as ``chemlab sweep`` leaves them, and plays their best
 checkpoints; what the tables have of other runs stays. Needs the extra ``plot``, and for collecting ``train``.
@@ -28,7 +28,7 @@ from .shipped import benches_table, collect_benches
 
 ROOT = Path(__file__).parents[1]
 LABORATORY = ROOT / "experiments" / "results"
-PAGES = {ROOT / "README.md": ("paper", "managers"), ROOT / "docs" / "results.md": ("benches", "measuring")}
+PAGES = {ROOT / "docs" / "results.md": ("paper", "managers", "benches", "measuring")}
 """Files with marks, between which the tables stand."""
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
+from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Derandomized: a failure on one machine is a failure on every machine. HYPOTHESIS_PROFILE=explore looks further.
@@ -16,3 +20,21 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 # Seals of what tests train are made with a key of their own; processes that they start have it, too.
 _state = tempfile.TemporaryDirectory()
 os.environ.setdefault("CHEMLAB_STATE_DIR", _state.name)
+
+_CHROMIUM = shutil.which("chromium")
+_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+_FLAGS += ["--disable-component-update", "--disable-sync"]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless Chromium with a profile of its own."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra test)")
+    if _CHROMIUM is None:
+        pytest.skip("needs chromium on the path")
+    with playwright.sync_playwright() as driver:
+        context = driver.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp("profile")), executable_path=_CHROMIUM, headless=True, args=_FLAGS
+        )
+        yield context
+        context.close()

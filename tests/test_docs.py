@@ -8,6 +8,7 @@ import importlib.util
 import io
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -302,16 +303,61 @@ def test_pictures_are_small() -> None:
     assert (images / "episode.webp").stat().st_size < 400_000
 
 
-@pytest.mark.slow
-def test_pages_build_without_warnings(tmp_path: Path) -> None:
-    """Every scenario, command and environment has its page, and the tables are those of the spaces."""
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_commands_are_valid_shell() -> None:
+    """Bash itself reads every command of README and the pages; ``shlex`` accepts what bash refuses."""
+    for page in PROSE:
+        for block in blocks_of(page):
+            if block.language in ("bash", "console"):
+                done = subprocess.run(["bash", "-n"], input=block.text, capture_output=True, text=True)
+                assert done.returncode == 0, f"{block.where}: {done.stderr}"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built pages; Sphinx's warnings are errors."""
     for package in ("sphinx", "myst_parser", "furo"):
-        if importlib.util.find_spec(package) is None:
-            pytest.skip(f'building the documentation needs {package}: pip install "chemlab-marl[docs]"')
-    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", str(DOCS), str(tmp_path)]
+        pytest.importorskip(package, reason="needs the extra docs")
+    folder = tmp_path_factory.mktemp("pages")
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", str(DOCS), str(folder)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stderr
-    pages = tmp_path / "generated"
+    return folder
+
+
+@pytest.mark.slow
+def test_no_text_leaves_its_cell(built: Path, browser: Any) -> None:
+    """On a desktop's and a telephone's screen, no text of a table is printed over the next cell's."""
+    page = browser.new_page()
+    outside = {}
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        for file in sorted(built.rglob("*.html")):
+            page.goto(file.as_uri())
+            found = page.evaluate(
+                """() => [...document.querySelectorAll("td, th")].filter(cell => {
+                    const text = document.createRange();
+                    text.selectNodeContents(cell);
+                    return text.getBoundingClientRect().right > cell.getBoundingClientRect().right + 2;
+                }).map(cell => cell.textContent.trim().slice(0, 60))"""
+            )
+            if found:
+                outside[f"{file.relative_to(built)} at {width} px"] = found
+    page.close()
+    assert not outside
+
+
+@pytest.mark.slow
+def test_attributes_keep_their_sentences(built: Path) -> None:
+    """The words before a colon are not taken for an attribute's type: annotations alone give types."""
+    for file in (built / "generated" / "api").glob("*.html"):
+        assert 'Type<span class="colon">' not in file.read_text(encoding="utf-8"), file.name
+
+
+@pytest.mark.slow
+def test_pages_build_without_warnings(built: Path) -> None:
+    """Every scenario, command and environment has its page, and the tables are those of the spaces."""
+    pages = built / "generated"
     for name in scenario_names():
         assert load_scenario(name).title in (pages / "scenarios" / f"{name}.html").read_text(encoding="utf-8")
     commands = (pages / "command.html").read_text(encoding="utf-8")

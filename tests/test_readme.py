@@ -40,7 +40,8 @@ def test_two_commands() -> None:
 
 def test_results_table_is_complete() -> None:
     """Every shipped scenario has its heuristic and its random row."""
-    table = TEXT.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
+    page = (README.parent / "docs" / "results" / "scripted.md").read_text(encoding="utf-8")
+    table = page.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
     rows = re.findall(r"^\| `(\w+)` \| (\w+) \|", table, re.M)
     assert set(rows) == {(name, policy) for name in scenario_names() for policy in ("heuristic", "random")}
 
@@ -49,10 +50,9 @@ def test_results_table_is_complete() -> None:
 def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which are of the scenarios as they are: tests/agents/test_audit.py."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from audits import PAGES, table
+    from audits import PAGE, table
 
-    for page in PAGES:
-        assert "\n".join(table()) in page.read_text(encoding="utf-8"), "run: python docs/audits.py"
+    assert "\n".join(table()) in PAGE.read_text(encoding="utf-8"), "run: python docs/audits.py"
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
@@ -99,10 +99,11 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """And of the scenarios as they are; nobody knows more than who knows the world."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from baselines import LEADERBOARD, PAGE, effort, overall, shipped, table
+    from baselines import LEADERBOARD, PAGE, effort, overall, shipped, table, tasks
 
     for rows in (table(), overall(), effort(), shipped()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
+    assert "\n".join(tasks()) in TEXT, "run: python docs/baselines.py"
     recorded = set()
     for line in leaderboard_lines(LEADERBOARD):
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"

@@ -298,7 +298,7 @@ def compare(
     update: Annotated[Path | None, typer.Option(help="Put the rows into this Markdown file's results.")] = None,
     trust: TrustOption = False,
 ) -> None:
-    """Compare policies over many episodes with the same seeds; also regenerates README's table."""
+    """Compare policies on the same seeds; --update writes the rows into a Markdown table."""
     from rich.progress import Progress
 
     from ..agents.policies import make_policies

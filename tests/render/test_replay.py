@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,6 @@ from chemlab.render.replay import replay_data, replay_page
 from chemlab.scenario import Scenario, dump_scenario, restore_scenario, scenario_names
 
 runner = CliRunner()
-CHROMIUM = shutil.which("chromium")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
-FLAGS += ["--disable-component-update", "--disable-sync"]
 
 
 def record(path: Path, scenario: str | Scenario = "wurtz_dodecane", policy: str = "heuristic", seed: int = 0) -> Path:
@@ -191,20 +187,6 @@ def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
 
 
 # -- in the browser -------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A headless Chromium with a profile of its own."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra test)")
-    if CHROMIUM is None:
-        pytest.skip("needs chromium on the path")
-    with playwright.sync_playwright() as driver:
-        context = driver.chromium.launch_persistent_context(
-            str(tmp_path_factory.mktemp("profile")), executable_path=CHROMIUM, headless=True, args=FLAGS
-        )
-        yield context
-        context.close()
 
 
 def turn_of(path: Path, agent: str, number: int = 8) -> int:
