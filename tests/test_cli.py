@@ -20,7 +20,7 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 from chemlab import __version__
-from chemlab.cli import app
+from chemlab.cli import PANELS, app
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.files import replace_between, write_text
 from chemlab.laboratory.core import Laboratories
@@ -55,6 +55,16 @@ def test_list_names_every_scenario() -> None:
     assert all(row["agents"][0] == "manager_0" for row in rows)
     shown = runner.invoke(app, ["list"]).stdout
     assert all(name in shown for name in (*scenario_names(), *synthesis_names()))
+
+
+def test_help_shows_commands_in_panels() -> None:
+    """Every command is in the panel that names it, with -h as with --help."""
+    shown, same = (runner.invoke(app, [flag], env={"COLUMNS": "80"}).stdout for flag in ("-h", "--help"))
+    assert shown == same
+    places = [shown.index(f"─ {panel} ─") for panel in PANELS]
+    assert places == sorted(places)
+    for names, start, stop in zip(PANELS.values(), places, [*places[1:], len(shown)], strict=True):
+        assert all(f"│ {name} " in shown[start:stop] for name in names)
 
 
 @pytest.mark.parametrize("policy", slow_but(["heuristic", "random"], "heuristic"))

@@ -2,10 +2,38 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from . import audit, benchmark, chemistry, crossplay, evaluation, laboratory, plan, play, plot, records, training  # noqa: F401 - importing a module adds its commands
 from .common import app
 
-__all__ = ["app", "main"]
+__all__ = ["PANELS", "app", "main"]
+
+PANELS: dict[str, tuple[str, ...]] = {
+    "Play": ("run", "play", "list", "describe"),
+    "Train": ("train", "train-together", "train-rllib", "sweep", "evaluate", "figures", "export", "starts"),
+    "Compare": ("compare", "benchmark", "crossplay", "audit", "plan"),
+    "Author": ("new", "generate", "difficulty", "material", "pairs", "reactions"),
+    "Records": ("verify", "replay", "plot", "demos"),
+}
+"""Panels of ``chemlab --help`` with their commands, in the order of display."""
+
+
+def _arrange() -> None:
+    """Sort the commands into their panels."""
+    order = [(name, panel) for panel, names in PANELS.items() for name in names]
+    panels, names = dict(order), [name for name, _ in order]
+
+    def place(command: Any) -> int:
+        name = command.name or command.callback.__name__
+        command.rich_help_panel = panels[name]
+        return names.index(name)
+
+    app.registered_commands.sort(key=place)
+    app.registered_groups.sort(key=place)
+
+
+_arrange()
 
 
 def main() -> None:

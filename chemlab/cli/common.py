@@ -79,7 +79,7 @@ app = typer.Typer(
     cls=_Commands,
     help="A multi-agent chemistry laboratory for reinforcement-learning research.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
