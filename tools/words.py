@@ -1,7 +1,8 @@
 """Check the prose of the project against its style: ``python tools/words.py [FILE ...]``.
 
 Reads README, the pages below docs, every docstring, and the strings of the commands (help and messages). Refuses the
-words in ``REFUSED`` and docstrings whose first word asks a question. Prints ``file:line: text`` for each finding, and exits with 1 if there is one.
+words in ``REFUSED``, and docstrings whose first word asks a question. Prints ``file:line: text`` for each finding, and
+exits with 1 if there is one.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ __all__ = ["findings", "main"]
 
 ROOT = Path(__file__).parent.parent
 REFUSED = (
-    r"whoever|whomever|nobody|strangers?|go(?:es)? astray|(?:comes?|came|coming) along|those (?:that|who)|(?:is|are) told|"
-    r"as much as it|no number that is|(?:what is|that is) not meant|worth of|what comes"
+    r"whoever|whomever|nobody|strangers?|go(?:es)? astray|(?:comes?|came|coming) along|those (?:that|who)|"
+    r"(?:is|are) told|as much as it|no number that is|(?:what is|that is) not meant|worth of|what comes"
 )
 _REFUSED = re.compile(rf"\b(?:{REFUSED})\b", re.IGNORECASE)
 _QUESTION = re.compile(r"(?:What|Who|Whose|Whoever|Whether|Which|Where|How|When)\b(?! to\b)")
@@ -46,9 +47,9 @@ def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         body = getattr(node, "body", ())
         for child in body if isinstance(body, list) else ():
-            if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
-                if isinstance(child.value.value, str):
-                    yield child.lineno, child.value.value
+            value = child.value if isinstance(child, ast.Expr) else None
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                yield child.lineno, value.value
 
 
 def _strings(tree: ast.AST) -> Iterator[tuple[int, str]]:
