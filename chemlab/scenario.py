@@ -974,11 +974,12 @@ def dump_scenario(scenario: Scenario) -> dict[str, Any]:
 def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
     """Return what :func:`load_scenario` takes for a loaded scenario: its name or its file, as long as these give the
     same scenario, else a :func:`dump_scenario`."""
+    content = dump_scenario(scenario)
     for known in (scenario.name, scenario.origin):
         with contextlib.suppress(DataError):
-            if load_scenario(known) == scenario:
+            if dump_scenario(load_scenario(known)) == content:
                 return known
-    return dump_scenario(scenario)
+    return content
 
 
 def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:

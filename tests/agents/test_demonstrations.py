@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from helpers import Careless
@@ -20,6 +22,7 @@ from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.record import Play, Recorder, read_record
 from chemlab.render.history import RecordReplay
+from chemlab.scenario import load_scenario
 
 runner = CliRunner()
 
@@ -221,6 +224,27 @@ def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Pat
             assert episode.rewards[i] == reward
             assert (episode.terminations[i], episode.truncations[i]) == (terminated, truncated)
             assert episode.infos["elapsed_ticks"][i + 1] == info["elapsed_ticks"]
+
+
+@pytest.mark.parametrize("how", ["path", "loaded"])
+def test_what_minari_collects_names_its_environment(minari: Any, tmp_path: Path, how: str) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('name = "mine"\nbase = "wurtz_dodecane"\nambient_pressure_kpa = 95.0\n')
+    scenario = mine if how == "path" else load_scenario(mine)
+    env = minari.DataCollector(gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench="ext"), record_infos=True)
+    env.reset(seed=1)
+    over = False
+    while not over:
+        *_, over, _, _ = env.step(env.action_space.sample())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        dataset = env.create_dataset("tests/collected-v0")
+    episode = next(dataset.iterate_episodes())
+    again = dataset.recover_environment()
+    assert again.unwrapped.bench.scenario.ambient_pressure_kpa == 95.0
+    np.testing.assert_array_equal(again.reset(seed=1)[0], episode.observations[0])
+    for i, action in enumerate(episode.actions):
+        np.testing.assert_array_equal(again.step(action)[0], episode.observations[i + 1])
 
 
 def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path) -> None:

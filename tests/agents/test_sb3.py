@@ -261,6 +261,23 @@ def test_batches_it_cannot_take() -> None:
         ChemlabVecEnv(gymnasium.make_vec("CartPole-v1", num_envs=2))
 
 
+@pytest.mark.parametrize("bench", BENCHES)
+def test_what_a_wrapper_writes_into_an_info_stays_there(bench: str) -> None:
+    """A wrapper that adds up into ``info`` gets its own sum, in every step and for every member."""
+    venv = ChemlabVecEnv(3, bench=bench)
+    venv.reset()
+    for action in plan(bench, 30, 3):
+        infos = venv.step(action)[3]
+        for info in infos:
+            assert "seen" not in info
+            info["seen"] = 1
+
+
+def test_a_render_mode_is_refused_when_it_is_made() -> None:
+    with pytest.raises(ValueError, match="render_mode: must be None"):
+        ChemlabVecEnv(2, render_mode="rgb_array")
+
+
 def test_pickles_go_on_alike() -> None:
     venv = ChemlabVecEnv(2, bench="ext", threads=2)
     venv.seed(3)

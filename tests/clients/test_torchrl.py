@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -12,6 +14,7 @@ pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install tor
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequential
+from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 from torchrl.envs.utils import MarlGroupMapType, check_env_specs
 from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, ValueOperator
@@ -202,3 +205,29 @@ def test_an_actor_for_each_role_learns(api: str, name: str) -> None:
         after = torch.nn.utils.parameters_to_vector(one.parameters())
         assert torch.isfinite(after).all()
         assert not torch.equal(before, after)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [("chemlab/LabManager-v0", {}), ("chemlab/LabAgent-v0", {"agent": "rxn_0"}), ("chemlab/WurtzExtraction-v0", {})],
+)
+def test_the_default_reader_takes_infos_of_single_views(name: str, arguments: dict[str, Any]) -> None:
+    env = GymEnv(name, **arguments).auto_register_info_dict()
+    env.set_seed(0)
+    rollout = env.rollout(5)["next"]
+    assert rollout["cost"].dtype == rollout["score"].dtype == torch.float64
+    assert rollout["experiment_over"].dtype == rollout["illegal_action"].dtype == torch.bool
+    assert len(rollout["cost"]) == len(rollout["reward"])
+
+
+def test_spawned_processes_find_environments_by_an_id_that_names_the_module() -> None:
+    """As docs/training.md says; ``spawn`` begins with a Python that has imported nothing."""
+    code = (
+        "from torchrl.envs import GymEnv, ParallelEnv\n"
+        "if __name__ == '__main__':\n"
+        "    env = ParallelEnv(2, lambda: GymEnv('chemlab:chemlab/WurtzExtraction-v0'), mp_start_method='spawn')\n"
+        "    print(tuple(env.rollout(3)['observation'].shape[:2]))\n"
+        "    env.close()\n"
+    )
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=600)
+    assert done.stdout.splitlines()[-1:] == ["(2, 3)"], done.stderr
