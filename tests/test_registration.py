@@ -53,9 +53,15 @@ def test_either_may_come_first(first: str) -> None:
     run(first + AFTERWARDS)
 
 
-def test_ids_that_name_the_module_work_after_somebody_has_looked_for_gymnasium() -> None:
-    look = "import chemlab; from importlib.util import find_spec; find_spec('gymnasium'); import gymnasium\n"
-    run(look + "gymnasium.make('chemlab:chemlab/Bench-v0', scenario='fictitious', bench='rxn')")
+@pytest.mark.parametrize(
+    "before",
+    [
+        "import chemlab; from importlib.util import find_spec; find_spec('gymnasium'); import gymnasium",
+        "import gymnasium",  # as in a process that another one has spawned
+    ],
+)
+def test_ids_that_name_the_module_need_nothing_else(before: str) -> None:
+    run(f"{before}\ngymnasium.make('chemlab:chemlab/Bench-v0', scenario='fictitious', bench='rxn')")
 
 
 def test_a_registered_library_keeps_its_own_loader() -> None:

@@ -247,11 +247,12 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordC
     def _view(self, observation: Any, achieved: FloatArray) -> GoalObservation:
         desired = np.zeros(self._goals, dtype=np.float32)
         desired[self._bench_env.batch.experiments.goal[0]] = 1.0
-        return {
-            "observation": observation[self._shown],
-            "achieved_goal": achieved.astype(np.float32),
-            "desired_goal": desired,
-        }
+        with np.errstate(under="ignore"):  # traces are 0
+            return {
+                "observation": observation[self._shown],
+                "achieved_goal": achieved.astype(np.float32),
+                "desired_goal": desired,
+            }
 
 
 class ObservationNoise(gymnasium.Wrapper[ObservationArray, Any, Any, Any], RecordConstructorArgs):

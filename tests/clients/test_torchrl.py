@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -218,16 +216,3 @@ def test_the_default_reader_takes_infos_of_single_views(name: str, arguments: di
     assert rollout["cost"].dtype == rollout["score"].dtype == torch.float64
     assert rollout["experiment_over"].dtype == rollout["illegal_action"].dtype == torch.bool
     assert len(rollout["cost"]) == len(rollout["reward"])
-
-
-def test_spawned_processes_find_environments_by_an_id_that_names_the_module() -> None:
-    """As docs/training.md says; ``spawn`` begins with a Python that has imported nothing."""
-    code = (
-        "from torchrl.envs import GymEnv, ParallelEnv\n"
-        "if __name__ == '__main__':\n"
-        "    env = ParallelEnv(2, lambda: GymEnv('chemlab:chemlab/WurtzExtraction-v0'), mp_start_method='spawn')\n"
-        "    print(tuple(env.rollout(3)['observation'].shape[:2]))\n"
-        "    env.close()\n"
-    )
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=600)
-    assert done.stdout.splitlines()[-1:] == ["(2, 3)"], done.stderr
