@@ -39,7 +39,7 @@ from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
 from chemlab.laboratory.state import TERMINATED
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
-from chemlab.scenario import Scenario, load_scenario, shipped_file
+from chemlab.scenario import Scenario, plain_scenario
 
 __all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
 
@@ -252,13 +252,11 @@ def write_datasets(
     return [_write(minari, id, agent, episodes, labs) for id, (agent, episodes) in zip(ids, chosen, strict=True)]
 
 
-def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec | None:
-    """The environment whose spaces and episodes a dataset has; None where the scenario is not one of chemlab's."""
-    if not shipped_file(scenario.name) or scenario_hash(load_scenario(scenario.name)) != scenario_hash(scenario):
-        return None
+def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec:
+    """The environment whose spaces and episodes a dataset has."""
     manager = agent == MANAGER_AGENT
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))
-    spec.kwargs["scenario"] = scenario.name
+    spec.kwargs["scenario"] = plain_scenario(scenario)
     if not manager:
         spec.kwargs["bench"] = labs.role(labs.agents.index(agent)).key
     return spec
@@ -276,7 +274,6 @@ def _write(
         with warnings.catch_warnings():
             # Minari asks for an author, an address and a link to code, which a record does not have.
             warnings.filterwarnings("ignore", message=".* is set to None")
-            warnings.filterwarnings("ignore", message="env_spec is None")
             dataset = minari.create_dataset_from_buffers(
                 id,
                 buffers,

@@ -54,7 +54,7 @@ class ChemlabVecEnv(VecEnv):
     ``cost`` (weighted safety events of the step) and ``illegal_action``, in views of the laboratory
     ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
     ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
-    without one. Where nothing happened, a member's info is the same dictionary at every step: copy before changing it.
+    without one.
 
     Masks: ``env_method("action_masks")`` is one mask a member; where actions are continuous there is no such attribute,
     so that sb3-contrib's ``is_masking_supported`` says so.
@@ -98,7 +98,6 @@ class ChemlabVecEnv(VecEnv):
         self._started = time.time()
         self._returns = np.zeros(batch.num_envs)
         self._lengths = np.zeros(batch.num_envs, dtype=np.int64)
-        self._quiet: Infos = [self._info() for _ in range(batch.num_envs)]
         space: Any = env.single_observation_space
         if show_masks or advisor is not None:
             added = np.ones(advice[1] + len(self._legal), dtype=np.float32)
@@ -147,23 +146,23 @@ class ChemlabVecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._quiet.copy()
+        # Dictionaries of their own in every step: wrappers write into them.
+        infos = list(map(self._info, found["cost"].tolist(), found["illegal_action"].tolist()))
         if "elapsed_ticks" in found:  # the laboratory's views, whose steps differ in length
-            infos = [{**info, "elapsed_ticks": int(t)} for info, t in zip(infos, found["elapsed_ticks"], strict=True)]
-        cost, illegal = found["cost"], found["illegal_action"]
-        for i in np.flatnonzero(dones | illegal | (cost > 0.0)):
-            info = infos[i] = {**infos[i], **self._info(float(cost[i]), bool(illegal[i]))}
-            if dones[i]:
-                info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i] and not self._sees_limits)
-                info["terminal_observation"] = self._ended(found["final_obs"][i], int(i))
-                if found["experiment_over"][i]:
-                    info["score"] = float(found["score"][i])
-                info["episode"] = {
-                    "r": round(float(self._returns[i]), 6),
-                    "l": int(self._lengths[i]),
-                    "t": round(time.time() - self._started, 6),
-                }
-                self._returns[i], self._lengths[i] = 0.0, 0
+            for info, ticks in zip(infos, found["elapsed_ticks"].tolist(), strict=True):
+                info["elapsed_ticks"] = ticks
+        for i in np.flatnonzero(dones):
+            info = infos[i]
+            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i] and not self._sees_limits)
+            info["terminal_observation"] = self._ended(found["final_obs"][i], int(i))
+            if found["experiment_over"][i]:
+                info["score"] = float(found["score"][i])
+            info["episode"] = {
+                "r": round(float(self._returns[i]), 6),
+                "l": int(self._lengths[i]),
+                "t": round(time.time() - self._started, 6),
+            }
+            self._returns[i], self._lengths[i] = 0.0, 0
         return self._kept(observations), rewards.astype(np.float32), dones, infos
 
     def _ended(self, observation: npt.NDArray[np.float32], member: int) -> npt.NDArray[np.float32]:

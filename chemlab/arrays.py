@@ -133,4 +133,13 @@ def merged(*declarations: type) -> Any:
     make: Any = typing.NamedTuple
     made = make(name, list(hints.items()))
     made.MERGED = declarations
+    made.__reduce__ = _parts  # the class is made at run time, so copies and pickles name what it is made of
     return made
+
+
+def _parts(values: Any) -> tuple[Any, ...]:
+    return _made, (values.MERGED, tuple(values))
+
+
+def _made(declarations: tuple[type, ...], values: tuple[Any, ...]) -> Any:
+    return merged(*declarations)(*values)

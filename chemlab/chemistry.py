@@ -340,7 +340,8 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
     for i, material in enumerate(table):
         for peak in material.absorption:
             offset = (WAVELENGTHS_NM - peak.center_nm) / peak.width_nm
-            basis[i] += peak.height_l_mol * np.exp(-0.5 * offset**2)
+            with np.errstate(under="ignore"):  # far from a peak, its absorption is 0
+                basis[i] += peak.height_l_mol * np.exp(-0.5 * offset**2)
     basis[basis < np.finfo(np.float64).tiny] = 0.0  # a sum with such numbers takes many times as long
     values = Chemistry(
         **_network(scenario),

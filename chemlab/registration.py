@@ -1,19 +1,20 @@
 """Environments by their names in Gymnasium's and PettingZoo's registries.
 
-A registry is filled when its library is imported, by whoever does: ``import chemlab`` alone imports neither, so
-commands that play nothing start at once.
+A registry is filled as soon as its library is imported, before or after chemlab. ``import chemlab`` alone imports
+neither, which takes several times as long as all else that a command such as ``chemlab --help`` needs. Gymnasium has
+loaded no plugins by entry points since its version 1.0, so an import hook does it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib.abc
-import importlib.machinery
-import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
 
 __all__ = ["register_environments"]
 
@@ -63,35 +64,56 @@ def _register_views() -> None:
             )
 
 
-class _Afterwards(importlib.abc.MetaPathFinder):
-    """Calls something once a module has been imported."""
+_REGISTRIES: dict[str, Callable[[], None]] = {"gymnasium": _register_views, "pettingzoo": _register_laboratory}
 
-    def __init__(self, calls: dict[str, Callable[[], None]]) -> None:
-        self.calls = calls
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        call = self.calls.pop(name, None)
-        if call is None:
+class _ThenRegister:
+    """Loader of a library that registers the environments once the library has been executed."""
+
+    def __init__(self, loader: Any, register: Callable[[], None]) -> None:
+        self._loader, self._register = loader, register
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self._loader, name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute the library, which keeps its own loader, and register."""
+        module.__loader__ = self._loader
+        if module.__spec__ is not None:
+            module.__spec__.loader = self._loader
+        self._loader.exec_module(module)
+        self._register()
+
+
+class _Registering:
+    """Finder of the libraries that have registries, as the finders after it find them.
+
+    To be asked for a library changes nothing here: it may be looked for and not imported
+    (``importlib.util.find_spec``), or be imported again.
+    """
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """The specification of a library with a registry; None of anything else."""
+        register = _REGISTRIES.get(name)
+        if register is None or self not in sys.meta_path:
             return None
-        spec = importlib.util.find_spec(name)  # as everyone else finds it: this one does not, any more
-        loader: Any = spec.loader if spec is not None else None
-        if loader is not None:
-            execute = loader.exec_module
-
-            def execute_and_call(module: ModuleType) -> None:
-                execute(module)
-                call()
-
-            loader.exec_module = execute_and_call
-        return spec
+        for finder in sys.meta_path[sys.meta_path.index(self) + 1 :]:
+            found = finder.find_spec(name, path, target) if hasattr(finder, "find_spec") else None
+            if found is not None:
+                loader: Any = found.loader
+                if hasattr(loader, "exec_module"):
+                    loader = _ThenRegister(loader, register)
+                    found.loader = loader
+                return found
+        return None
 
 
 def register_environments() -> None:
     """Fill the registries: at once where a library has been imported, else when it is."""
-    calls = {"pettingzoo": _register_laboratory, "gymnasium": _register_views}
-    for name in [name for name in calls if name in sys.modules]:
-        calls.pop(name)()
-    if calls:
-        sys.meta_path.insert(0, _Afterwards(calls))
+    for name, register in _REGISTRIES.items():
+        if name in sys.modules:
+            register()
+    if not any(isinstance(finder, _Registering) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Registering())

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from .arrays import FloatArray, StreamArray
 from .jit import helper, kernel
 
-__all__ = ["normal", "random_bits", "seed_streams", "uniform", "uniforms"]
+__all__ = ["checked_seed", "normal", "random_bits", "seed_streams", "uniform", "uniforms"]
 
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -54,6 +55,23 @@ def normal(stream: StreamArray) -> float:
     """Next standard normal number (Box-Muller) of the stream; takes two uniform ones."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(stream)))
     return radius * math.cos(2.0 * math.pi * uniform(stream))
+
+
+def checked_seed(seed: Any, name: str = "seed") -> int | None:
+    """Return a seed as a Python integer, or None.
+
+    Args:
+        seed: as a user gave it.
+        name: of the argument, for the error message.
+
+    Raises:
+        ValueError: it is neither an integer of at least 0 nor None.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+        return int(seed)
+    raise ValueError(f"{name}: must be an integer of at least 0, or None, given {seed!r:.200}")
 
 
 def seed_streams(seed: np.random.SeedSequence, streams: Sequence[StreamArray], member: int) -> None:

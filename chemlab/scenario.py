@@ -6,6 +6,7 @@ the file; types and bounds live here. A bench's own settings are checked by that
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import re
 import shlex
@@ -75,6 +76,7 @@ __all__ = [
     "WearSpec",
     "dump_scenario",
     "load_scenario",
+    "plain_scenario",
     "restore_scenario",
     "scenario_names",
     "shipped_file",
@@ -855,7 +857,7 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
 
     Args:
         scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
-            parsed content of one as a mapping, or a loaded scenario (returned as it is).
+            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario (returned as it is).
 
     Raises:
         DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
@@ -865,6 +867,8 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
         return scenario
     if isinstance(scenario, Mapping):
         where = "(scenario given as a mapping)"
+        if isinstance(scenario.get("scenario"), Mapping):
+            return restore_scenario(scenario, where)
         return _resolve(bounded(scenario, where), where, Path.cwd())
     if isinstance(scenario, str) and (file := shipped_file(scenario)):
         return _load_file(file)
@@ -965,6 +969,17 @@ def dump_scenario(scenario: Scenario) -> dict[str, Any]:
         "reactions": scenario.family.model_dump(mode="json"),
         **({"pairs": [pair.model_dump(mode="json") for pair in scenario.pairs.values()]} if scenario.pairs else {}),
     }
+
+
+def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
+    """Return what :func:`load_scenario` takes for a loaded scenario: its name or its file, as long as these give the
+    same scenario, else a :func:`dump_scenario`."""
+    content = dump_scenario(scenario)
+    for known in (scenario.name, scenario.origin):
+        with contextlib.suppress(DataError):
+            if dump_scenario(load_scenario(known)) == content:
+                return known
+    return content
 
 
 def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:

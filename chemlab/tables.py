@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import SLOT, Declared, Field, Handle, IntArray, addresses, declared, merged
+from .arrays import SLOT, Declared, Field, Handle, IntArray, addresses, declared
 from .jit import COMPILED, kernel, opened
 
 __all__ = ["Table", "put_back"]
@@ -106,16 +106,10 @@ class Table(Generic[T]):
         return Table(type(self.arrays)(*(np.array(v) if isinstance(v, np.ndarray) else v for v in values)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Addresses are another process's; a merged declaration is made anew from its parts.
-        values: tuple[Any, ...] = self.arrays  # type: ignore[assignment]
-        return _restored, (getattr(type(values), "MERGED", (type(values),)), tuple(values))
+        return Table, (self.arrays,)  # addresses are another process's
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Table[T]:
         return self.copy()
-
-
-def _restored(declarations: tuple[type, ...], values: tuple[Any, ...]) -> Table[Any]:
-    return Table(merged(*declarations)(*values))
 
 
 def put_back(arrays: Sequence[npt.NDArray[Any]], saved: Sequence[npt.NDArray[Any]]) -> None:

@@ -41,7 +41,30 @@ def test_what_plays_nothing_imports_nothing_heavy(module: str) -> None:
         "import pettingzoo, chemlab; import gymnasium",
         "import chemlab; from gymnasium.envs.registration import registry; import gymnasium",
         "import chemlab, importlib, gymnasium; importlib.reload(chemlab)",
+        # Libraries that only look for others, as TorchRL does, import nothing.
+        "import chemlab; from importlib.util import find_spec; find_spec('gymnasium'), find_spec('pettingzoo')\n"
+        "import gymnasium, pettingzoo",
+        # Imported twice, the second time with registries of its own.
+        "import chemlab, sys, gymnasium; [sys.modules.pop(name) for name in [*sys.modules] if 'gymnasium' in name]\n"
+        "import gymnasium",
     ],
 )
 def test_either_may_come_first(first: str) -> None:
     run(first + AFTERWARDS)
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "import chemlab; from importlib.util import find_spec; find_spec('gymnasium'); import gymnasium",
+        "import gymnasium",  # as in a process that another one has spawned
+    ],
+)
+def test_ids_that_name_the_module_need_nothing_else(before: str) -> None:
+    run(f"{before}\ngymnasium.make('chemlab:chemlab/Bench-v0', scenario='fictitious', bench='rxn')")
+
+
+def test_a_registered_library_keeps_its_own_loader() -> None:
+    """Tools that read a library's source or files by its loader find what they find without chemlab."""
+    show = "import gymnasium; print(type(gymnasium.__loader__).__name__, type(gymnasium.__spec__.loader).__name__)"
+    assert run(f"import chemlab; {show}") == run(show)

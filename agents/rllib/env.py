@@ -26,10 +26,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 
 from chemlab.arrays import IntArray
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.state import RUNNING
+from chemlab.rng import checked_seed
 
 from ..background import background_players
 from ..roles import chosen_roles, role_of
@@ -70,15 +72,16 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         learning = chosen_roles(labs, roles)
         self.possible_agents = [agent for agent in labs.agents if role_of(agent) in learning]
         self.agents = list(self.possible_agents)
-        # AEC's own step keeps account of rewards and infos, whoever has the turn.
-        self._players = background_players(
-            labs, learning, background, lambda number, members, actions: self.laboratory.step(actions[0])
-        )
+        self._players = background_players(labs, learning, background, self._play)
         self.observation_spaces = {agent: self._seen_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: self.laboratory.action_space(agent) for agent in self.possible_agents}
         self._had_turn: set[str] = set()
         # RLlib seeds runners one apart and a runner's laboratories one apart: some would play with the same dice.
         self._seed_offset = 1000 * int(getattr(config, "worker_index", 0))
+
+    def _play(self, number: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        """Play a background policy's turn by AEC's own step, which keeps account of rewards and infos."""
+        self.laboratory.step(actions[0])
 
     def _seen_space(self, agent: str) -> gymnasium.Space[Any]:
         seen, actions = self.laboratory.observation_space(agent), self.laboratory.action_space(agent)
@@ -101,17 +104,18 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
 
         Raises:
-            ValueError: unknown goal.
+            ValueError: unknown goal, or a seed that is not an integer of at least 0; nothing has changed.
             RuntimeError: the background policies never start these agents.
         """
+        seed = checked_seed(seed)
         super().reset(seed=seed, options=options)
-        if seed is not None:
-            seed += self._seed_offset
-            self._players.seed(0, seed)
-        seeds = iter([seed])
+        seeds = iter([] if seed is None else [seed + self._seed_offset])
 
         def begin(members: IntArray) -> None:
-            self.laboratory.reset(seed=next(seeds, None), options=options or None)
+            own = next(seeds, None)
+            self.laboratory.reset(seed=own, options=options or None)
+            if own is not None:
+                self._players.seed(0, own)
 
         self._players.begin(self.laboratory.laboratories.members, begin)
         self._had_turn = set()

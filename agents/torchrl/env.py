@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.rng import checked_seed
 from chemlab.scenario import RewardSpec, Scenario
 
 from ..background import background_players
@@ -160,7 +161,7 @@ class TorchLaboratory(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        self._first_seed = seed
+        self._first_seed = checked_seed(seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         """Begin episodes where ``_reset`` says so, everywhere without it or after a seed."""

@@ -123,7 +123,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal, or a world that there is not.
+            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+                has changed.
         """
         self._begin(seed, options)
         self.rewards = dict.fromkeys(self.agents, 0.0)

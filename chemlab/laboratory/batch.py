@@ -129,7 +129,8 @@ class BatchedLaboratory:
             Observations [N, size] and infos by agent, as from :meth:`step`.
 
         Raises:
-            ValueError: unknown option, goal or world, or a mask or seeds of the wrong length.
+            ValueError: unknown option, goal or world, a mask or seeds of the wrong length, or a seed that is not an
+                integer of at least 0; nothing has changed.
         """
         mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random

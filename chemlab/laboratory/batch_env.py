@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -15,6 +16,8 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray, IntArray
 from ..jit import kernel
+from ..rng import checked_seed
+from ..scenario import RewardSpec, Scenario, plain_scenario
 from ..tables import put_back
 from .worlds import World, Worlds
 
@@ -93,7 +96,8 @@ def parsed_reset(
         random: source of seeds.
 
     Raises:
-        ValueError: unknown option or goal, or a mask or seeds of the wrong length.
+        ValueError: unknown option or goal, a mask or seeds of the wrong length, or a seed that is not an integer of at
+            least 0.
     """
     options = options or {}
     if set(options) - {"reset_mask", "goal", "world"} or options.get("goal", goals[0]) not in goals:
@@ -103,22 +107,37 @@ def parsed_reset(
         raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")
     if not (begun or mask.all()):
         raise ValueError("reset_mask: the first reset must be of all members")
-    if seed is None and not begun:
-        seeds: list[int | None] = [int(s) for s in random.integers(2**63, size=count)]
-    elif seed is None or isinstance(seed, (int, np.integer)):
-        seeds = [None if seed is None else int(seed) + i for i in range(count)]
+    seeds: list[int | None]
+    if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+        seeds = [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
+        if len(seeds) != count:
+            raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
+    elif seed is None and not begun:
+        seeds = [int(s) for s in random.integers(2**63, size=count)]
     else:
-        seeds = [None if s is None else int(s) for s in seed]
-    if len(seeds) != count:
-        raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
+        first = checked_seed(seed)
+        seeds = [None if first is None else first + i for i in range(count)]
     return mask, seeds, options.get("goal"), options.get("world")
 
 
-class BoundedSpec:
-    """Fills in ``spec.max_episode_steps`` of an environment whose episodes have a bound of their own.
+def _plain(argument: Any) -> Any:
+    """Return an argument of an environment as plain data that means the same, where there is such."""
+    if isinstance(argument, Scenario):
+        return plain_scenario(argument)
+    if isinstance(argument, Path):
+        return str(argument)
+    if isinstance(argument, RewardSpec):
+        return argument.model_dump()
+    return argument.value if isinstance(argument, AutoresetMode) else argument
 
-    The bound follows from the scenario, so it cannot stand in Gymnasium's registry. It is one more than an episode can
-    have: where clients put a time limit there, or ``gymnasium.make`` one by the spec, no end becomes a truncation.
+
+class BoundedSpec:
+    """Completes the ``spec`` of an environment: ``max_episode_steps``, and arguments as plain data.
+
+    The bound on episodes follows from the scenario, so it cannot stand in Gymnasium's registry. It is one more than an
+    episode can have: where clients put a time limit there, or ``gymnasium.make`` one by the spec, no end becomes a
+    truncation. With plain arguments ``spec.to_json()`` works, which Minari keeps a dataset's environment as: a path
+    becomes text; a loaded scenario its name or path, or, where neither gives the same scenario, its content.
     """
 
     max_episode_steps: int
@@ -132,9 +151,11 @@ class BoundedSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
+        if spec is not None:
             spec = copy.copy(spec)
-            spec.max_episode_steps = self.max_episode_steps
+            spec.kwargs = {name: _plain(argument) for name, argument in spec.kwargs.items()}
+            if spec.max_episode_steps is None:
+                spec.max_episode_steps = self.max_episode_steps
         self._spec = spec
 
 
@@ -152,12 +173,12 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         copy: whether returned arrays are copies; without, the next step overwrites them.
-        render_mode: accepted for Gymnasium's sake; batches do not render.
+        render_mode: accepted for Gymnasium's sake; batches do not render, so it must be None.
         max_episode_steps: accepted for Gymnasium's sake; batches do not cut episodes short, so it must be more than
             ``longest``.
 
     Raises:
-        ValueError: a number is out of bounds.
+        ValueError: a number is out of bounds, or a render mode is given.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -180,6 +201,11 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
             raise ValueError(
                 f"max_episode_steps: a batch's episodes take up to {longest} steps and are not cut short, given "
                 f"{max_episode_steps}; leave it out, or make single environments (vectorization_mode='sync')"
+            )
+        if render_mode is not None:
+            raise ValueError(
+                f"render_mode: must be None, as batches do not render, given {render_mode!r}; leave it out, or make "
+                "single environments (vectorization_mode='sync')"
             )
         self.max_episode_steps = longest + 1
         self.num_envs = num_envs
@@ -247,14 +273,15 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Raises:
-            ValueError: unknown option, goal or world, or a mask or seeds of the wrong length.
+            ValueError: unknown option, goal or world, a mask or seeds of the wrong length, or a seed that is not an
+                integer of at least 0; nothing has changed.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
         mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self._goal_names, self._begun, self.np_random
         )
         if world is not None:
             self._worlds.check(world)
+        super().reset(seed=int(seed) if isinstance(seed, (int, np.integer)) else None)
         for member in np.flatnonzero(mask):
             member_seed = seeds[member]
             if member_seed is not None:
@@ -305,7 +332,6 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         return array.copy() if self.copy else array
 
     def _infos(self) -> dict[str, Any]:
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
         scored = np.isfinite(self._scores)
         infos: dict[str, Any] = {
             "cost": self._costs.copy(),
@@ -317,7 +343,8 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         }
         if self.action_count:
             infos["action_mask"] = self._returned(self._masks)
-        infos.update({f"_{name}": everyone for name in infos})  # Gymnasium: who has it
+        # Gymnasium: who has it.
+        infos.update({f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in infos})
         return infos
 
     def action_masks(self) -> npt.NDArray[np.bool_]:

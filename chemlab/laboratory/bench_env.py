@@ -25,7 +25,7 @@ One experiment. Its end, by the agent's `end` or the step limit, is `terminated`
 truncated here; `spec.max_episode_steps` is one more than the step limit. Infos, in every step: `action_mask` (discrete
 actions), `cost` (weighted safety events of the step), `events` (the same by kind, [kinds, as in the scenario's
 `safety_events`]), `illegal_action` (the step played a masked action: a lost turn), `experiment_over`, and `score` (0
-until then).
+until then). In single environments single values are of NumPy's types, too.
 
 ### Seeds
 Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
@@ -38,6 +38,7 @@ with its own seed from a list), whatever the batch size and the number of thread
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -50,6 +51,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
+from ..rng import checked_seed
 from ..scenario import Scenario, load_scenario
 from ..tables import put_back
 from .batch_env import BatchEnv, BoundedSpec, State
@@ -116,9 +118,10 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
                 (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal, or a world that there is not.
+            ValueError: unknown option or goal, a world that there is not, or a seed that is not an integer of at least
+                0; nothing has changed.
         """
-        super().reset(seed=seed)
+        seed = checked_seed(seed)
         options = options or {}
         goals = self.batch.scenario.goals
         if set(options) - {"goal", "world"} or options.get("goal", goals[0]) not in goals:
@@ -126,6 +129,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         goal, world = options.get("goal"), options.get("world")
         if world is not None:
             self.batch.worlds.check(world)
+        super().reset(seed=seed)
         if seed is not None or not self._seeded:
             self.batch.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
             self._seeded = True
@@ -154,7 +158,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         observation, info = self._observe(), self._info(float(cost[0]))
         if batch.experiments.ended[0]:
             score = float(batch.finish(batch.members)[0])
-            info["experiment_over"], info["score"] = True, score
+            info["experiment_over"], info["score"] = np.array(True), np.float64(score)
             total += score
             self._over = True
         self._show()
@@ -167,11 +171,13 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     def _info(self, cost: float = 0.0, stepped: bool = True) -> dict[str, Any]:
         experiments = self.batch.experiments
         info: dict[str, Any] = {
-            "cost": cost,
+            # Of NumPy's types, as TorchRL's reader of infos wants them; its booleans are arrays without an axis, as
+            # Gymnasium's vector environments take them for objects otherwise.
+            "cost": np.float64(cost),
             "events": experiments.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
-            "illegal_action": bool(experiments.illegal[0]),
-            "experiment_over": False,
-            "score": 0.0,
+            "illegal_action": np.array(experiments.illegal[0]),
+            "experiment_over": np.array(False),
+            "score": np.float64(0.0),
         }
         if self.bench.action_count:
             info["action_mask"] = self.batch.mask()[0]
@@ -233,16 +239,18 @@ class BenchVectorEnv(BatchEnv):
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         threads: threads to step with; results do not depend on it.
         copy: whether returned arrays are copies; without, the next step overwrites them.
-        render_mode: accepted for Gymnasium's sake; batches do not render.
+        render_mode: accepted for Gymnasium's sake; batches do not render, so it must be None.
         max_episode_steps: accepted for Gymnasium's sake; it must be more than the bench's step limit.
 
     Raises:
         DataError: unknown scenario, bench, goal or starting states.
-        ValueError: a number is out of bounds.
+        ValueError: a number is out of bounds, or a render mode is given.
     """
 
     # Of the class: Gymnasium closes even an environment whose arguments were refused before it was made.
     _pool: ThreadPoolExecutor | None = None
+    _pool_process = 0
+    """Number of the process whose threads those are: a forked child has none of them."""
 
     def __init__(
         self,
@@ -303,8 +311,9 @@ class BenchVectorEnv(BatchEnv):
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
         if self.threads == 1:
             return [self._step_chunk(*self._chunks[0], actions)]
-        if self._pool is None:
+        if self._pool is None or self._pool_process != os.getpid():
             self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="chemlab")
+            self._pool_process = os.getpid()
         waiting = [self._pool.submit(self._step_chunk, *chunk, actions) for chunk in self._chunks[1:]]
         own = self._step_chunk(*self._chunks[0], actions)
         return [own, *(future.result() for future in waiting)]
@@ -373,9 +382,9 @@ class BenchVectorEnv(BatchEnv):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
-        if self._pool is not None:
+        if self._pool is not None and self._pool_process == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}  # threads cannot be pickled or copied; they are started again when needed

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ..bench.base import Channel
 from ..bench.models import ReactionModel, SeparationModel
+from ..rng import checked_seed
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .core import Laboratories
 from .global_state import GlobalState
@@ -109,6 +110,7 @@ class OneLaboratory(Rendered):
         return self._whole.channels
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        seed = checked_seed(seed)
         options = options or {}
         unknown = set(options) - {"goal", "world"}
         if unknown:

@@ -43,6 +43,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import IntArray
 from ..bench.models import ReactionModel, SeparationModel
+from ..rng import checked_seed
 from ..scenario import RewardSpec, Scenario, load_scenario
 from .batch_env import BatchEnv, BoundedSpec, State
 from .common import manager_accounts
@@ -82,7 +83,7 @@ class FocalVectorEnv(BatchEnv):
 
     Raises:
         DataError: the scenario is wrong or unknown.
-        ValueError: unknown agent, or an agent without a policy.
+        ValueError: unknown agent, an agent without a policy, or a render mode (batches do not render).
         TypeError: a policy is none.
     """
 
@@ -313,13 +314,15 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal, or a world that there is not.
+            ValueError: unknown option or goal, a world that there is not, or a seed that is not an integer of at least
+                0; nothing has changed.
         """
-        super().reset(seed=seed)
+        seed = checked_seed(seed)
         unknown = set(options or {}) - {"goal", "world"}
         if unknown:
             raise ValueError(f"reset options: known: goal, world; given {', '.join(sorted(map(str, unknown)))}")
         observations, infos = self.batch.reset(seed=seed, options=options)
+        super().reset(seed=seed)
         self._show()
         return observations[0], self._info(infos)
 
@@ -337,7 +340,8 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
     def _info(self, infos: dict[str, Any]) -> dict[str, Any]:
         own = {name: values for name, values in infos.items() if not name.startswith("_")}
-        info = {name: values.item() if values.ndim == 1 else values[0] for name, values in own.items()}
+        # Booleans as arrays without an axis: Gymnasium's vector environments take NumPy's single ones for objects.
+        info = {name: np.array(values[0]) if values.dtype == np.bool_ else values[0] for name, values in own.items()}
         if self.batch.focal == 0:
             info.update(manager_accounts(self.laboratories))
         return info

@@ -64,11 +64,12 @@ class GlobalState:
         """[B, size] the state of the laboratories ``members``."""
         out = np.empty((len(members), *self.space.shape), dtype=np.float32)
         at = 0
-        for part in self._parts(members):  # one by one: small enough for the processor's cache
-            values = part.values.reshape(len(members), -1)
-            scaled = (values - part.low) * (1.0 / (part.high - part.low))
-            out[:, at : at + values.shape[1]] = scaled
-            at += values.shape[1]
+        with np.errstate(under="ignore"):  # traces are 0
+            for part in self._parts(members):  # one by one: small enough for the processor's cache
+                values = part.values.reshape(len(members), -1)
+                scaled = (values - part.low) * (1.0 / (part.high - part.low))
+                out[:, at : at + values.shape[1]] = scaled
+                at += values.shape[1]
         return np.clip(out, 0.0, 1.0, out=out)
 
     def _parts(self, members: IntArray) -> list[_Part]:

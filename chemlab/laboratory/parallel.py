@@ -78,7 +78,8 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal, or a world that there is not.
+            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+                has changed.
         """
         self._begin(seed, options)
         self._last_turn = [0] * len(self.agents)

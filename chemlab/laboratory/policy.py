@@ -220,7 +220,8 @@ class Players:
         labs, policy = self._labs, self._policies[number]
         assert policy is not None, "whom somebody else moves decides nothing here"
         seen, mask = labs.observe(number, members), labs.mask(number, members)
-        actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
+        with np.errstate(under="ignore"):  # what is next to impossible to a policy is 0
+            actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
         return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
 
     def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:

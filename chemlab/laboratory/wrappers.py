@@ -24,6 +24,7 @@ from gymnasium.vector import AutoresetMode
 
 from ..arrays import FloatArray
 from ..bench.base import Bench, channel_slices
+from ..rng import checked_seed
 from .bench_env import BenchEnv, BenchVectorEnv
 
 __all__ = [
@@ -246,11 +247,12 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordC
     def _view(self, observation: Any, achieved: FloatArray) -> GoalObservation:
         desired = np.zeros(self._goals, dtype=np.float32)
         desired[self._bench_env.batch.experiments.goal[0]] = 1.0
-        return {
-            "observation": observation[self._shown],
-            "achieved_goal": achieved.astype(np.float32),
-            "desired_goal": desired,
-        }
+        with np.errstate(under="ignore"):  # traces are 0
+            return {
+                "observation": observation[self._shown],
+                "achieved_goal": achieved.astype(np.float32),
+                "desired_goal": desired,
+            }
 
 
 class ObservationNoise(gymnasium.Wrapper[ObservationArray, Any, Any, Any], RecordConstructorArgs):
@@ -431,6 +433,7 @@ class RandomStartCurriculum(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstru
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode and play its random part; the info is that of the last action played."""
+        seed = checked_seed(seed)
         if seed is not None or self._rng is None:
             self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
         share = self.schedule(self.episodes_ended)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from helpers import Careless
@@ -20,6 +22,7 @@ from chemlab.laboratory.bench_env import BenchEnv
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.record import Play, Recorder, read_record
 from chemlab.render.history import RecordReplay
+from chemlab.scenario import load_scenario
 
 runner = CliRunner()
 
@@ -221,6 +224,52 @@ def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Pat
             assert episode.rewards[i] == reward
             assert (episode.terminations[i], episode.truncations[i]) == (terminated, truncated)
             assert episode.infos["elapsed_ticks"][i + 1] == info["elapsed_ticks"]
+
+
+def mine(folder: Path) -> Path:
+    """A scenario file of one's own."""
+    path = folder / "mine.toml"
+    path.write_text('name = "mine"\nbase = "wurtz_dodecane"\nambient_pressure_kpa = 95.0\n')
+    return path
+
+
+@pytest.mark.parametrize("how", ["path", "loaded"])
+def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: Any, tmp_path: Path, how: str) -> None:
+    path = mine(tmp_path)
+    scenario = path if how == "path" else load_scenario(path)
+    env = gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench="ext")
+    steps: dict[str, list[Any]] = {key: [] for key in ("actions", "rewards", "terminations", "truncations")}
+    observations = [env.reset(seed=1)[0]]
+    while not any(steps["terminations"]):
+        action = env.action_space.sample()
+        seen, *values, _ = env.step(action)
+        observations.append(seen)
+        for kept, value in zip(steps.values(), (action, *values), strict=True):
+            kept.append(value)
+    buffer = minari.data_collector.EpisodeBuffer(
+        observations=np.array(observations), **{key: np.array(values) for key, values in steps.items()}
+    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* is set to None")
+        dataset = minari.create_dataset_from_buffers("tests/collected-v0", [buffer], env=env)
+    again = dataset.recover_environment()
+    assert again.unwrapped.bench.scenario.ambient_pressure_kpa == 95.0
+    episode = next(dataset.iterate_episodes())
+    np.testing.assert_array_equal(again.reset(seed=1)[0], episode.observations[0])
+    for i, action in enumerate(episode.actions):
+        np.testing.assert_array_equal(again.step(action)[0], episode.observations[i + 1])
+
+
+def test_datasets_of_records_of_scenarios_of_ones_own_name_their_environment(minari: Any, tmp_path: Path) -> None:
+    path = record(tmp_path / "mine.jsonl", scenario=mine(tmp_path))
+    mine(tmp_path).unlink()  # the record has all of it
+    write_datasets([path], "tests/mine", agents=["manager_0"])
+    dataset = minari.load_dataset("tests/mine/manager_0-v0")
+    env = dataset.recover_environment()
+    episode = next(dataset.iterate_episodes())
+    np.testing.assert_array_equal(episode.observations[0], env.reset(seed=3)[0])
+    for i, action in enumerate(episode.actions):
+        np.testing.assert_array_equal(episode.observations[i + 1], env.step(action)[0])
 
 
 def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.record import scenario_hash
 from chemlab.scenario import load_scenario, scenario_names
 
 MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"
@@ -205,3 +208,72 @@ def test_batches_are_not_cut_short() -> None:
     assert batch.spec.max_episode_steps == single.spec.max_episode_steps == 21
     with pytest.raises(ValueError, match=r"max_episode_steps.*up to 20 steps.*given 7"):
         gymnasium.make_vec("chemlab/WurtzReaction-v0", num_envs=2, max_episode_steps=7)
+
+
+def _given(how: str, folder: Path) -> Any:
+    """A scenario as an environment may be given it."""
+    mine = folder / "mine.toml"
+    mine.write_text('name = "mine"\nbase = "wurtz_dodecane"\n')
+    return {
+        "path": mine,
+        "text": str(mine),
+        "loaded by name": load_scenario("wurtz_dodecane"),
+        "loaded from a file": load_scenario(mine),
+        "changed": load_scenario(mine).model_copy(update={"ambient_pressure_kpa": 95.0}),
+        "another tier": load_scenario("wurtz_real").model_copy(update={"ambient_pressure_kpa": 95.0}),
+    }[how]
+
+
+@pytest.mark.parametrize("how", ["path", "text", "loaded by name", "loaded from a file", "changed", "another tier"])
+def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path) -> None:
+    scenario = _given(how, tmp_path)
+    made = {
+        "chemlab/Bench-v0": {"bench": "ext"},
+        MANAGER: {"rewards": load_scenario("wurtz_dodecane").rewards.model_copy(update={"manager_local": 0.5})},
+    }
+    for name, arguments in made.items():
+        env = gymnasium.make(name, scenario=scenario, **arguments)
+        assert env.spec is not None
+        again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+        np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
+        one, other = (each.unwrapped.batch.scenario for each in (env, again))  # type: ignore[attr-defined]
+        assert scenario_hash(one) == scenario_hash(other)
+        batch = gymnasium.make_vec(name, num_envs=2, scenario=scenario, autoreset_mode=AutoresetMode.SAME_STEP)
+        assert batch.spec is not None
+        repeated = gymnasium.make_vec(EnvSpec.from_json(batch.spec.to_json()))
+        assert repeated.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+        np.testing.assert_array_equal(batch.reset(seed=5)[0], repeated.reset(seed=5)[0])
+
+
+def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None:
+    def kept(scenario: Any) -> Any:
+        spec = gymnasium.make("chemlab/Bench-v0", scenario=scenario).spec
+        assert spec is not None
+        return spec.kwargs["scenario"]
+
+    assert kept(_given("path", tmp_path)) == kept(_given("loaded from a file", tmp_path)) == str(tmp_path / "mine.toml")
+    assert kept(load_scenario("fictitious")) == "fictitious"
+    assert isinstance(kept(_given("changed", tmp_path)), dict)
+
+
+@pytest.mark.parametrize(("name", "arguments"), [(MANAGER, {}), (AGENT, {"agent": "ext_0"}), ("chemlab/Bench-v0", {})])
+def test_infos_have_types_of_numpys_and_stay_arrays_in_vector_environments(name: str, arguments: Any) -> None:
+    env = gymnasium.make(name, **arguments)
+    rng = np.random.default_rng(0)
+    for info in (env.reset(seed=0)[1], env.step(legal(env, rng))[4]):
+        for key, value in info.items():
+            assert isinstance(value, (np.ndarray, np.number)), key
+    several = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make(name, **arguments)] * 2)
+    native = gymnasium.make_vec(name, num_envs=2, **arguments)
+    infos, expected = several.reset(seed=0)[1], native.reset(seed=0)[1]
+    for key, values in expected.items():
+        assert infos[key].dtype == values.dtype, key
+        np.testing.assert_array_equal(infos[key], values)
+
+
+def test_what_a_wrapper_writes_into_a_batchs_infos_stays_where_it_is() -> None:
+    env = gymnasium.make_vec("chemlab/WurtzExtraction-v0", num_envs=2)
+    _, infos = env.reset(seed=0)
+    arrays = [value for value in infos.values() if isinstance(value, np.ndarray)]
+    for i, one in enumerate(arrays):
+        assert not any(np.shares_memory(one, other) for other in arrays[:i])

@@ -12,6 +12,7 @@ pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install tor
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequential
+from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 from torchrl.envs.utils import MarlGroupMapType, check_env_specs
 from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, ValueOperator
@@ -202,3 +203,16 @@ def test_an_actor_for_each_role_learns(api: str, name: str) -> None:
         after = torch.nn.utils.parameters_to_vector(one.parameters())
         assert torch.isfinite(after).all()
         assert not torch.equal(before, after)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [("chemlab/LabManager-v0", {}), ("chemlab/LabAgent-v0", {"agent": "rxn_0"}), ("chemlab/WurtzExtraction-v0", {})],
+)
+def test_the_default_reader_takes_infos_of_single_views(name: str, arguments: dict[str, Any]) -> None:
+    env = GymEnv(name, **arguments).auto_register_info_dict()
+    env.set_seed(0)
+    rollout = env.rollout(5)["next"]
+    assert rollout["cost"].dtype == rollout["score"].dtype == torch.float64
+    assert rollout["experiment_over"].dtype == rollout["illegal_action"].dtype == torch.bool
+    assert len(rollout["cost"]) == len(rollout["reward"])

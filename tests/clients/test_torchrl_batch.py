@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +121,25 @@ def test_seeds_begin_the_same_episodes_again() -> None:
         first.append(env.reset()["state"].clone())
     assert torch.equal(*first)
     assert not torch.equal(first[0], env.reset()["state"])
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "2"])
+def test_a_bad_seed_is_refused_when_it_is_given(seed: Any) -> None:
+    env = TorchLaboratory(2, "unlabelled", seed=3)
+    with pytest.raises(ValueError, match="seed: must be an integer of at least 0"):
+        env._set_seed(seed)
+    assert torch.equal(env.reset()["state"], TorchLaboratory(2, "unlabelled", seed=3).reset()["state"])
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_real"])
+def test_copies_play_on_alike(name: str, how: Any) -> None:
+    env = TorchLaboratory(2, name, roles=["manager"], seed=3)
+    env.rollout(4, break_when_any_done=False)
+    other = how(env)
+    actions = [env.rand_action(env.reset().clone())]
+    other.reset()
+    assert torch.equal(env.step(actions[0].clone())["next", "state"], other.step(actions[0].clone())["next", "state"])
 
 
 def test_without_autoreset_a_batch_waits_for_whoever_steps_it() -> None:

@@ -24,6 +24,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.laboratory.parallel import parallel_env
 from chemlab.laboratory.text import named_costs
@@ -809,3 +810,17 @@ def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
     assert "env of fictitious: manager_0, rxn_0, dit_0>" in shown
     assert len(shown) < 120
     assert "\n" not in shown
+
+
+@pytest.mark.parametrize("seed", [-1, 1.9, "2", True, [5, 1], [5, -1], [1.9, "2"], np.array([1.0, 2.0])])
+def test_a_bad_seed_changes_nothing(seed: Any) -> None:
+    envs: list[Any] = [raw_env(WURTZ), parallel_env(WURTZ)]
+    if not (isinstance(seed, list) and seed == [5, 1]):  # one for each of a batch
+        envs.append(BatchedLaboratory(2, WURTZ))
+    for env in envs:
+        env.reset(seed=7)
+        before = env.laboratories.snapshot()
+        with pytest.raises(ValueError, match=r"seed.*integer of at least 0"):
+            env.reset(seed=seed)
+        for one, other in zip(env.laboratories.snapshot(), before, strict=True):
+            np.testing.assert_array_equal(one, other)

@@ -451,6 +451,63 @@ def test_bad_reset_options(options: dict[str, Any]) -> None:
     assert_same_arrays(env.get_state(), before)
 
 
+BAD_SEEDS = [-1, 1.9, "2", True, [5, -1, 3], [1.9, "2", 3], [True, 1, 2], np.array([1.0, 2.0, 3.0])]
+
+
+@pytest.mark.parametrize("seed", BAD_SEEDS)
+def test_a_bad_seed_changes_nothing(seed: Any) -> None:
+    env, one = batch("chemlab/WurtzExtraction-v0", 3), single("chemlab/WurtzExtraction-v0")
+    for each in (env, one):
+        each.reset(seed=7)
+        before, random = each.get_state(), each.np_random.bit_generator.state
+        with pytest.raises(ValueError, match=r"seed.*integer of at least 0"):
+            each.reset(seed=seed)
+        assert_same_arrays(each.get_state(), before)
+        assert each.np_random.bit_generator.state == random
+
+
+def test_bad_options_leave_generators_as_they_are() -> None:
+    for each in (batch("chemlab/WurtzExtraction-v0", 3), single("chemlab/WurtzExtraction-v0")):
+        each.reset(seed=7)
+        random = each.np_random.bit_generator.state
+        with pytest.raises(ValueError, match="reset options"):
+            each.reset(seed=1, options={"gaol": 1})
+        assert each.np_random.bit_generator.state == random
+
+
+FORK = """
+import os, sys
+import numpy as np
+from chemlab.laboratory.bench_env import BenchVectorEnv
+env, alone = BenchVectorEnv(4, threads=2), BenchVectorEnv(4)
+actions = np.random.default_rng(0).random((6, 4, 6))
+for one in (env, alone):
+    one.reset(seed=0)
+    for action in actions[:3]:
+        one.step(action)
+child = os.fork()
+for action in actions[3:]:
+    np.testing.assert_array_equal(env.step(action)[0], alone.step(action)[0])
+env.close()
+if not child:
+    sys.stdout.flush()
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_child_has_threads_of_its_own() -> None:
+    subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=300)
+
+
+@pytest.mark.parametrize("mode", ["ansi", "rgb_array", "human", "hologram"])
+def test_batches_refuse_render_modes_when_they_are_made(mode: str) -> None:
+    for name in ("chemlab/WurtzReaction-v0", "chemlab/LabManager-v0"):
+        with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
+            gymnasium.make_vec(name, num_envs=2, render_mode=mode)
+
+
 def test_bad_numbers_of_seeds_members_and_threads() -> None:
     with pytest.raises(ValueError, match="3 members, given 2"):
         batch("chemlab/WurtzReaction-v0", 3).reset(seed=[1, 2])

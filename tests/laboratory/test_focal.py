@@ -149,7 +149,7 @@ def check_step(found: dict[str, Any], step: Any) -> None:
     assert reward == pytest.approx(found["rewards"], rel=1e-12, abs=1e-15)
     assert (terminated, truncated) == (found["terminated"], found["truncated"])
     assert info["elapsed_ticks"] == found["elapsed"]
-    assert info["experiment_over"] is found["experiment_over"]
+    assert info["experiment_over"] == found["experiment_over"]
     assert info["score"] == found.get("score", 0.0)
     assert info["illegal_action"] == found["illegal"]
     assert info["cost"] == pytest.approx(found["cost"], rel=1e-12)

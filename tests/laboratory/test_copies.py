@@ -1,0 +1,157 @@
+"""Copies and pickles of every environment class, in the middle of an episode, in every scenario; NumPy set to raise."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from helpers import EVERY_SCENARIO
+
+from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.laboratory import env as ordered_env
+from chemlab.laboratory import parallel_env, raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.scenario import load_scenario
+
+HOW = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
+
+
+def chosen(space: gymnasium.Space[Any], mask: Any, rng: np.random.Generator) -> Any:
+    """A random legal action."""
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return int(rng.choice(np.flatnonzero(mask)))
+    return rng.random(space.shape)
+
+
+def flat(found: Any) -> list[Any]:
+    """All numbers in nested dictionaries, sequences and arrays, as arrays in order."""
+    if isinstance(found, dict):
+        return [leaf for key in sorted(found) for leaf in flat(found[key])]
+    if isinstance(found, (tuple, list)):
+        return [leaf for one in found for leaf in flat(one)]
+    return [np.asarray(found)]
+
+
+def turns(env: Any, steps: int, rng: np.random.Generator) -> list[Any]:
+    """Play an AEC environment; what agents saw, earned and were told."""
+    found = []
+    for _ in range(steps):
+        if not env.agents:
+            env.reset()
+        seen, reward, terminated, truncated, info = env.last()
+        agent = env.agent_selection
+        over = terminated or truncated
+        env.step(None if over else chosen(env.action_space(agent), info.get("action_mask"), rng))
+        found.append((seen, reward, terminated, truncated, info, env.state()))
+    return flat(found)
+
+
+def rounds(env: Any, steps: int, rng: np.random.Generator) -> list[Any]:
+    """Play a parallel environment, one laboratory or several."""
+    found, several = [], isinstance(env, BatchedLaboratory)
+    infos = env.reset(seed=3)[1] if not hasattr(env, "told") else env.told
+    for _ in range(steps):
+        if not several and not env.agents:
+            infos = env.reset()[1]
+        actions = {}
+        for agent, info in infos.items():
+            space, mask = env.action_space(agent), info.get("action_mask")
+            if several:
+                members = range(env.num_envs)
+                actions[agent] = np.array([chosen(space, None if mask is None else mask[i], rng) for i in members])
+            else:
+                actions[agent] = chosen(space, mask, rng)
+        results = env.step(actions)
+        infos = env.told = results[-1]
+        found.append((*results, env.state()))
+    return flat(found)
+
+
+def singly(env: Any, steps: int, rng: np.random.Generator) -> list[Any]:
+    """Play a Gymnasium environment."""
+    found, over = [], getattr(env, "over", True)
+    for _ in range(steps):
+        if over:
+            found.append(env.reset(seed=None if hasattr(env, "over") else 3))
+        mask = env.action_masks() if isinstance(env.action_space, gymnasium.spaces.Discrete) else None
+        results = env.step(chosen(env.action_space, mask, rng))
+        found.append(results)
+        over = env.over = results[2] or results[3]
+    return flat(found)
+
+
+def together(env: Any, steps: int, rng: np.random.Generator) -> list[Any]:
+    """Play a batch of Gymnasium's."""
+    found: list[Any] = []
+    if not env._begun:
+        env.reset(seed=3)
+    space = env.single_action_space
+    for _ in range(steps):
+        masks = env.action_masks() if env.action_count else [None] * env.num_envs
+        found.append(env.step(np.array([chosen(space, mask, rng) for mask in masks])))
+    return flat(found)
+
+
+def benches(make: Callable[..., Any], scenario: str, **arguments: Any) -> list[Any]:
+    """An environment of every bench of a scenario."""
+    return [make(scenario=scenario, bench=key, **arguments) for key in load_scenario(scenario).benches]
+
+
+CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] = {
+    "raw_env": (lambda name: [raw_env(name)], turns),
+    "env": (lambda name: [ordered_env(name)], turns),
+    "parallel_env": (lambda name: [parallel_env(name)], rounds),
+    "BatchedLaboratory": (lambda name: [BatchedLaboratory(2, name)], rounds),
+    "BenchEnv": (lambda name: benches(BenchEnv, name), singly),
+    "BenchVectorEnv": (lambda name: benches(BenchVectorEnv, name, num_envs=3, threads=2), together),
+    "FocalEnv": (lambda name: [focal_env(name), focal_env(name, load_scenario(name).bench_agents()[0])], singly),
+    "FocalVectorEnv": (lambda name: [focal_vector_env(2, name)], together),
+}
+
+
+def begun(kind: str, scenario: str) -> tuple[list[Any], Callable[..., list[Any]]]:
+    """Environments of a class in the middle of an episode, and what plays them."""
+    make, play = CLASSES[kind]
+    envs = make(scenario)
+    for env in envs:
+        if play is turns:
+            env.reset(seed=3)
+        play(env, 12, np.random.default_rng(1))
+    return envs, play
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
+def test_copies_play_on_alike(scenario: str, kind: str) -> None:
+    envs, play = begun(kind, scenario)
+    for env in envs:
+        copies = {name: how(env) for name, how in HOW.items()}
+        state = env.get_state() if hasattr(env, "get_state") else None
+        expected = play(env, 12, np.random.default_rng(2))
+        for name, other in copies.items():
+            again = play(other, 12, np.random.default_rng(2))
+            for one, two in zip(expected, again, strict=True):
+                np.testing.assert_array_equal(one, two, err_msg=name)
+        if state is not None and hasattr(env, "_begun"):  # single environments' players remember where an episode ended
+            env.set_state(state)
+            for one, two in zip(expected, play(env, 12, np.random.default_rng(2)), strict=True):
+                np.testing.assert_array_equal(one, two, err_msg="state")
+        for each in (env, *copies.values()):
+            getattr(each, "close", lambda: None)()
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
+def test_numpy_may_be_set_to_raise(scenario: str, kind: str) -> None:
+    """``np.seterr(all="raise")`` is a common way to find a learner's NaN; nothing here may fail by it."""
+    with np.errstate(all="raise"):
+        envs, play = begun(kind, scenario)
+        for env in envs:
+            play(env, 40, np.random.default_rng(4))
+            getattr(env, "close", lambda: None)()
