@@ -29,6 +29,7 @@ import numpy as np
 
 from chemlab.arrays import IntArray
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.episodes import INTERRUPTED, Guarded
 from chemlab.laboratory.state import RUNNING
 
 from ..background import background_players
@@ -44,7 +45,7 @@ __all__ = ["LaboratoryMultiAgentEnv"]
 _SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model", "split")
 
 
-class LaboratoryMultiAgentEnv(MultiAgentEnv):
+class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     """One laboratory for RLlib; see this module's documentation.
 
     Args:
@@ -105,6 +106,12 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
             RuntimeError: the background policies never start these agents.
         """
         super().reset(seed=seed, options=options)
+        labs, asked = self.laboratory.laboratories, options or {}
+        if asked.get("goal") is not None:
+            labs.goal_index(asked["goal"])
+        if asked.get("world") is not None:
+            labs.worlds.check(asked["world"])
+        self._unfinished = True
         if seed is not None:
             seed += self._seed_offset
             self._players.seed(0, seed)
@@ -113,9 +120,10 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         def begin(members: IntArray) -> None:
             self.laboratory.reset(seed=next(seeds, None), options=options or None)
 
-        self._players.begin(self.laboratory.laboratories.members, begin)
+        self._players.begin(labs.members, begin)
         self._had_turn = set()
         observations, _, infos = self._at_turn()
+        self._unfinished = False
         return observations, infos
 
     def _running(self) -> bool:
@@ -132,19 +140,21 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         Raises:
             ValueError: the episode is over, the action is missing or of an agent that does not have the turn, or it is
                 outside the agent's space; nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
         if not self._had_turn or not self._running():
             raise ValueError("step: the episode is over (or has not begun): call reset()")
         agent = self.laboratory.agent_selection
         if set(action_dict) != {agent}:
             raise ValueError(f"{agent}: has the turn, so step() needs its action alone; given {list(action_dict)}")
-        self.laboratory.step(action_dict[agent])
+        self._guarded(self.laboratory.step, action_dict[agent])
         self._players.play_on(self.laboratory.laboratories.members)
         running = self._running()
         observations, rewards, infos = self._at_turn() if running else self._at_end()
-        terminated = not running and self.laboratory.terminations[agent]
-        truncated = not running and self.laboratory.truncations[agent]
-        return observations, rewards, {"__all__": terminated}, {"__all__": truncated}, infos
+        self._unfinished = False
+        return observations, rewards, {"__all__": not running}, {"__all__": False}, infos
 
     def _at_turn(self) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
         agent = self.laboratory.agent_selection

@@ -6,8 +6,8 @@
 | `chemlab/LabAgent-v0` | any `agent` | one turn of that agent, run to its next one |
 
 ### Episodes
-An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
-an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
+An episode is the laboratory's: it ends for every agent, with `terminated`, when the manager has submitted its last order
+or a limit is reached; nothing is truncated here. For a bench's agent it spans all of its experiments; where one has ended,
 `info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the manager
 where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the
 agent's first turn (episodes in which it never has one are played over).
@@ -49,7 +49,7 @@ from .common import manager_accounts
 from .core import MANAGER_AGENT, Laboratories
 from .policy import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
-from .state import RUNNING, TERMINATED
+from .state import RUNNING
 from .text import describe_laboratory
 from .worlds import World, Worlds
 
@@ -170,7 +170,7 @@ class FocalVectorEnv(BatchEnv):
 
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
         labs, members = self.laboratories, self.laboratories.members
-        self._terminated[:], self._truncated[:] = False, False
+        self._terminated[:] = False
         acting = members[~self._pending]
         if len(acting) < len(members):
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -193,8 +193,7 @@ class FocalVectorEnv(BatchEnv):
         if not len(ended):
             self._look()
             return []
-        self._terminated[ended] = status[ended] == TERMINATED
-        self._truncated[ended] = status[ended] != TERMINATED
+        self._terminated[ended] = True
         if self.focal == 0:
             self._scores[ended] = labs.result(ended)
         last = labs.observe(self.focal, ended)
