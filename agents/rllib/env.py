@@ -97,8 +97,8 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         their bench.
 
         Args:
-            seed: starts the random streams afresh, background policies' too; without one they go on. In RLlib's env
-                runner i, 1000 i is added.
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins. In
+                RLlib's env runner i, 1000 i is added.
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
 
         Raises:

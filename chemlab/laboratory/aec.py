@@ -120,7 +120,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         """Begin an episode.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first episode without a seed draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 

@@ -122,7 +122,7 @@ class BatchedLaboratory:
         """Begin episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Returns:

@@ -84,7 +84,7 @@ def parsed_reset(
     or None).
 
     Args:
-        seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on); without
+        seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins); without
             one, members that have never been seeded get one from ``random``.
         options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
         count: N.
@@ -242,7 +242,7 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         """Begin episodes in every member, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Raises:

@@ -111,7 +111,8 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         """Begin an experiment.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for a goal instead of drawing it, ``{"world": seed or values}`` for a world
                 (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
@@ -395,4 +396,8 @@ class BenchVectorEnv(BatchEnv):
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_pool": None, "_waiting": []}  # threads cannot be pickled or copied; they are started again when needed
+        return {
+            **vars(self),
+            "_pool": None,
+            "_waiting": [],
+        }  # threads cannot be pickled or copied; they are started again when needed

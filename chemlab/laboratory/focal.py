@@ -307,7 +307,8 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         """Begin an episode, played on to the agent's first turn.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 

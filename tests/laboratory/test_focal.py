@@ -81,18 +81,27 @@ class ByHand:
         self.number = self.env.possible_agents.index(agent)
         self.policies = make_policies(background, self.labs)
         self.last_turn = 0
+        self.series, self.episode = np.uint64(0), 0
+
+    def seed(self, sequence: np.random.SeedSequence) -> None:
+        """Policies with randomness have a stream of their own each."""
+        for policy, own in zip(self.policies.values(), sequence.spawn(len(self.policies)), strict=True):
+            if hasattr(policy, "seed"):
+                policy.seed(0, own)
 
     def reset(self, seed: int | None = None) -> npt.NDArray[np.float32]:
-        """Begin an episode in which the agent has a turn; policies with randomness have a stream of their own each."""
+        """Begin an episode in which the agent has a turn, the first one of a seed or the next."""
+        self.episode += 1
         if seed is not None:
-            for policy, own in zip(
-                self.policies.values(), np.random.SeedSequence(seed).spawn(len(self.policies)), strict=True
-            ):
-                if hasattr(policy, "seed"):
-                    policy.seed(0, own)
+            self.seed(np.random.SeedSequence(seed))
+            self.series = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+            self.episode = 1
+        else:
+            self.seed(np.random.SeedSequence([int(self.series), self.episode]))
         self.env.reset(seed=seed)
         self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
         while self.labs.state.status[0] != 0:
+            self.labs.episodes.again[:] = True  # stands in for the same episode
             self.env.reset()
             self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
         self.last_turn = int(self.labs.state.ticks[0])
@@ -131,7 +140,7 @@ class ByHand:
         self.others(found)
         ticks, status = int(self.labs.state.ticks[0]), int(self.labs.state.status[0])
         found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
-        found["terminated"], found["truncated"] = status == 1, status == 2
+        found["terminated"], found["truncated"] = status != 0, False
         if status != 0 and self.number == 0:
             found["score"] = float(self.labs.result(self.labs.members)[0])
         found["experiment_over"] = "score" in found
