@@ -48,10 +48,9 @@ class ChemlabVecEnv(Guarded, VecEnv):
         advisor: whose advice observations are to show (before the masks), for discrete actions.
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (False but under wrappers that truncate: nothing follows the end of
-    an experiment, a submission or a laboratory's limit),
-    ``cost`` (weighted safety events of the step) and ``illegal_action``, in views of the laboratory
-    ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
+    Infos: a member's info has ``TimeLimit.truncated`` (True only under wrappers that truncate: nothing follows the end
+    of an experiment, a submission or a laboratory's limit), ``cost`` (weighted safety events of the step) and
+    ``illegal_action``, in views of the laboratory ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
     ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
     without one. Where nothing happened, a member's info is the same dictionary at every step: copy before changing it.
 
@@ -122,7 +121,8 @@ class ChemlabVecEnv(Guarded, VecEnv):
             for i, options in enumerate(self._options):
                 if options:
                     only = np.arange(self.num_envs) == i
-                    observations, infos = self.env.reset(seed=seeds, options={**options, "reset_mask": only})  # type: ignore[arg-type]
+                    own: Any = {**options, "reset_mask": only}
+                    observations, infos = self.env.reset(seed=seeds, options=own)  # type: ignore[arg-type]
         self.reset_infos = [self._info(float(cost)) for cost in infos["cost"]]
         self._reset_seeds()
         self._reset_options()

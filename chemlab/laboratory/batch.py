@@ -170,14 +170,14 @@ class BatchedLaboratory:
 
         Returns:
             Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
-            and been truncated [N] (none is: a limit terminates it); infos by agent, those of :class:`~chemlab.laboratory.parallel.parallel_env` with an
-            axis of N in front: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions] (discrete actions),
-            ``elapsed_ticks`` [N] (since the agent last had the turn, or its episode began; where an episode has ended,
-            until then), ``cost`` [N], ``events`` [N, kinds], ``illegal_action`` [N], ``experiment_over`` [N] and
-            ``score`` [N] (of its experiment, for the manager of the episode; 0 where none has ended), and for the
-            manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and ``purity`` [N, orders] (of an episode that
-            has ended, not of the one that follows). Where episodes have ended also ``final_obs`` [K, size] of the K
-            laboratories, in order.
+            and been truncated [N] (none is: a limit terminates it); infos by agent, those of
+            :class:`~chemlab.laboratory.parallel.parallel_env` with an axis of N in front: ``has_turn`` [N] (in the next
+            step), ``action_mask`` [N, actions] (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the
+            turn, or its episode began; where an episode has ended, until then), ``cost`` [N], ``events`` [N, kinds],
+            ``illegal_action`` [N], ``experiment_over`` [N] and ``score`` [N] (of its experiment, for the manager of the
+            episode; 0 where none has ended), and for the manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and
+            ``purity`` [N, orders] (of an episode that has ended, not of the one that follows). Where episodes have
+            ended also ``final_obs`` [K, size] of the K laboratories, in order.
 
         Raises:
             ValueError: actions are missing or outside their space (nothing has changed), :meth:`reset` was never
@@ -216,9 +216,9 @@ class BatchedLaboratory:
         infos = self._infos(told)
         for agent, final in zip(self.possible_agents, finals, strict=False):
             infos[agent]["final_obs"] = final
-        seen = self._seen()
+        found = self._seen(), rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
         self._begun = True
-        return seen, rewards, ended, np.zeros_like(ended), infos
+        return found
 
     def _look(self) -> None:
         """Bring turns, observations and masks up to date."""

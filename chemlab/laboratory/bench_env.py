@@ -396,8 +396,5 @@ class BenchVectorEnv(BatchEnv):
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            **vars(self),
-            "_pool": None,
-            "_waiting": [],
-        }  # threads cannot be pickled or copied; they are started again when needed
+        # Threads cannot be pickled or copied; they are started again when needed.
+        return {**vars(self), "_pool": None, "_waiting": []}

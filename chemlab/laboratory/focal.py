@@ -6,11 +6,11 @@
 | `chemlab/LabAgent-v0` | any `agent` | one turn of that agent, run to its next one |
 
 ### Episodes
-An episode is the laboratory's: it ends for every agent, with `terminated`, when the manager has submitted its last order
-or a limit is reached; nothing is truncated here. For a bench's agent it spans all of its experiments; where one has ended,
-`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the manager
-where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the
-agent's first turn (episodes in which it never has one are played over).
+An episode is the laboratory's. It ends for every agent, with `terminated`, when the manager has submitted its last
+order or a limit is reached; nothing is truncated here. For a bench's agent it spans all of its experiments; where one
+has ended, `info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the
+manager where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to
+the agent's first turn (episodes in which it never has one are played over).
 
 ### Semi-Markov steps
 `info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to

@@ -22,8 +22,8 @@ _MOST_TRIES = 1000
 class Policy(Protocol):
     """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario.
 
-    It may also have ``seed(member, seed)``, which starts a member's random stream afresh: an environment that it plays in
-    calls it for every episode, so that none depends on those before. It may have ``get_memory()`` and
+    It may also have ``seed(member, seed)``, which starts a member's random stream afresh; an environment that it plays
+    in calls it for every episode, so that none depends on those before. It may have ``get_memory()`` and
     ``set_memory(memory)``, with a copy of what it remembers, so that an environment it plays in can be put back.
     """
 

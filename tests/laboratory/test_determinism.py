@@ -247,7 +247,7 @@ def hasty_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Gen
 
 
 def busy_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Generator) -> int:
-    """Measures, which draws instrument noise, and starts experiments, which draw the camera's, until a limit is reached."""
+    """Measures, which draws instrument noise, and starts experiments, which draw the camera's, up to a limit."""
     legal = [int(a) for a in np.flatnonzero(mask) if labs.actions.decode(int(a))[0] != "submit"]
     return int(rng.choice(legal))
 
@@ -354,7 +354,7 @@ def _round(manager: str, labs: Laboratories, rng: np.random.Generator, single: b
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("bench", ["rxn", "ext"])
 def test_later_experiments_are_the_same_whatever_was_played_before(bench: str, mode: AutoresetMode) -> None:
-    """On single benches, too: goal, starting vessel and first picture, for one that ends at once and one that does not."""
+    """On single benches, too: goal, starting vessel and first picture, for who ends at once and who does not."""
     spec, found = drawn_scenario("alike"), []
     for short in (True, False):
         rng = np.random.default_rng(2)
