@@ -21,6 +21,7 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install "chemlab-m
 
 import ray
 import torch
+from helpers import mapping
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
@@ -118,6 +119,18 @@ def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> N
         for name in acted:
             assert earned[name] == pytest.approx(paid[name], rel=1e-12, abs=1e-15), "nothing is lost between turns"
         assert ours.score == theirs.laboratories.result(theirs.laboratories.members)[0]
+
+
+def test_a_limit_terminates() -> None:
+    """As in every other interface: nothing follows it, so that value estimates must not go past it."""
+    values = mapping("wurtz_dodecane")
+    values["limits"]["manager_actions"] = 2
+    env = LaboratoryMultiAgentEnv({"scenario": load_scenario(values)})
+    env.reset(seed=1)
+    measure = env.laboratory.laboratories.actions.encode("measure", 0, "balance")
+    for ends in (False, True):
+        _, _, terminated, truncated, _ = env.step({"manager_0": measure})
+        assert (terminated, truncated) == ({"__all__": ends}, {"__all__": False})
 
 
 @pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])
