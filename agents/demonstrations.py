@@ -36,7 +36,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
 from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.state import TERMINATED
+from chemlab.laboratory.state import RUNNING
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
 from chemlab.scenario import Scenario, plain_scenario
@@ -97,7 +97,7 @@ class _Teller:
         state = self._labs.state
         for agent, demonstration in list(self._open.items()):
             self._close(agent, self._replay.look(self._labs.agents.index(agent)))
-            over = agent == MANAGER_AGENT and state.status[0] == TERMINATED
+            over = agent == MANAGER_AGENT and state.status[0] != RUNNING
             demonstration.terminated, demonstration.truncated = over, not over
         return self.found
 

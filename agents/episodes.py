@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.state import COST_ITEMS
+from chemlab.laboratory.state import COST_ITEMS, LIMIT, RUNNING, STATUS_WORDS
 from chemlab.laboratory.text import action_words
 from chemlab.record import Play, Recorder
 
@@ -35,7 +35,8 @@ class PlayedTurn:
 class EpisodeResult:
     """What an episode came to; :meth:`as_dict` is what ``chemlab run --json`` prints.
 
-    ``score`` is the manager's result: product by amount and purity, minus costs.
+    ``score`` is the manager's result: product by amount and purity, minus costs. ``status`` says how the episode ended
+    (:data:`~chemlab.laboratory.state.STATUS_WORDS`).
     """
 
     scenario: str
@@ -50,8 +51,7 @@ class EpisodeResult:
     rewards: dict[str, float] = field(default_factory=dict)
     costs: dict[str, float] = field(default_factory=dict)
     safety_events: dict[str, float] = field(default_factory=dict)
-    terminated: bool = False
-    truncated: bool = False
+    status: str = STATUS_WORDS[RUNNING]
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as plain Python values."""
@@ -61,7 +61,7 @@ class EpisodeResult:
         """The outcome, the costs and the score as a line."""
         costs = ", ".join(f"{item} {value:.4f}" for item, value in self.costs.items() if value > 0.0)
         end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
-        if not self.terminated:
+        if self.status == STATUS_WORDS[LIMIT]:
             end = f"ran out of actions or ticks; {end if self.submitted_mol > 0.0 else 'nothing submitted'}"
         return f"{end}; costs: {costs or 'none'}; score {self.score:.3f}"
 
@@ -95,7 +95,7 @@ def play_episode(
     labs, members = env.laboratories, env.laboratories.members
     result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
     result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.state.goal[0])
-    while labs.state.status[0] == 0:
+    while labs.state.status[0] == RUNNING:
         agent = env.agent_selection
         number = env.possible_agents.index(agent)
         observation, _, _, _, info = env.last()
@@ -121,6 +121,5 @@ def play_episode(
     result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.state.charges[0], strict=True)}
     totals = zip(labs.scenario.safety_events, labs.safety_totals[0], strict=True)
     result.safety_events = {kind: float(value) for kind, value in totals if value > 0.0}
-    result.terminated = bool(env.terminations[env.possible_agents[0]])
-    result.truncated = bool(env.truncations[env.possible_agents[0]])
+    result.status = STATUS_WORDS[labs.state.status[0]]
     return result

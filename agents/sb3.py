@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode
 
 from chemlab.laboratory.batch_env import BatchEnv
 from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.laboratory.focal import FocalVectorEnv
+from chemlab.laboratory.episodes import Guarded
 
 from .advice import Advisor
 
@@ -36,7 +36,7 @@ Indices = int | Iterable[int] | None
 Infos = list[dict[str, Any]]
 
 
-class ChemlabVecEnv(VecEnv):
+class ChemlabVecEnv(Guarded, VecEnv):
     """A batch as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
 
     Args:
@@ -48,11 +48,9 @@ class ChemlabVecEnv(VecEnv):
         advisor: whose advice observations are to show (before the masks), for discrete actions.
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (False on a bench, where an experiment's end is a terminal state,
-    and for a laboratory's manager, who sees what is left of the limits: nothing comes after them, and learners that add
-    what an episode cut short would still have been worth learn to have it cut short),
-    ``cost`` (weighted safety events of the step) and ``illegal_action``, in views of the laboratory
-    ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
+    Infos: a member's info has ``TimeLimit.truncated`` (True only under wrappers that truncate: nothing follows the end
+    of an experiment, a submission or a laboratory's limit), ``cost`` (weighted safety events of the step) and
+    ``illegal_action``, in views of the laboratory ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
     ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
     without one.
 
@@ -90,7 +88,6 @@ class ChemlabVecEnv(VecEnv):
         self.env = env
         self.batch = batch
         self._advisor, self._show_masks = advisor, show_masks
-        self._sees_limits = isinstance(batch, FocalVectorEnv) and batch.focal == 0
         self._legal = np.ones((batch.action_count or 0) * show_masks, dtype=np.float32)
         advice = (batch.num_envs, (batch.action_count or 0) * (advisor is not None))
         self._advice = np.zeros(advice, dtype=np.float32)
@@ -117,18 +114,22 @@ class ChemlabVecEnv(VecEnv):
         """
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
         same = all(options == self._options[0] for options in self._options)
-        observations, infos = self.env.reset(seed=seeds, options=self._options[0] if same else None)  # type: ignore[arg-type]
+        first = self._options[0] if same else None
+        observations, infos = self._entered(self.env.reset, seed=seeds, options=first)  # type: ignore[arg-type]
         if not same:
             for i, options in enumerate(self._options):
                 if options:
                     only = np.arange(self.num_envs) == i
-                    observations, infos = self.env.reset(seed=seeds, options={**options, "reset_mask": only})  # type: ignore[arg-type]
+                    own: Any = {**options, "reset_mask": only}
+                    observations, infos = self.env.reset(seed=seeds, options=own)  # type: ignore[arg-type]
         self.reset_infos = [self._info(float(cost)) for cost in infos["cost"]]
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return self._kept(observations)
+        kept = self._kept(observations)
+        self._unfinished = False
+        return kept
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions [N] or [N, n] that :meth:`step_wait` will play."""
@@ -141,8 +142,9 @@ class ChemlabVecEnv(VecEnv):
 
         Raises:
             ValueError: an action is outside the action space (nothing has changed).
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
-        observations, rewards, terminated, truncated, found = self.env.step(self._actions)
+        observations, rewards, terminated, truncated, found = self._guarded(self.env.step, self._actions)
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
@@ -153,7 +155,7 @@ class ChemlabVecEnv(VecEnv):
                 info["elapsed_ticks"] = ticks
         for i in np.flatnonzero(dones):
             info = infos[i]
-            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i] and not self._sees_limits)
+            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             info["terminal_observation"] = self._ended(found["final_obs"][i], int(i))
             if found["experiment_over"][i]:
                 info["score"] = float(found["score"][i])
@@ -163,7 +165,9 @@ class ChemlabVecEnv(VecEnv):
                 "t": round(time.time() - self._started, 6),
             }
             self._returns[i], self._lengths[i] = 0.0, 0
-        return self._kept(observations), rewards.astype(np.float32), dones, infos
+        kept = self._kept(observations)
+        self._unfinished = False
+        return kept, rewards.astype(np.float32), dones, infos
 
     def _ended(self, observation: npt.NDArray[np.float32], member: int) -> npt.NDArray[np.float32]:
         # At the end nothing is chosen any more, and nobody advises anything; but whoever asks what this is worth has

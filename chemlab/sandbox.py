@@ -19,10 +19,10 @@ import html
 import io
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -180,6 +180,34 @@ def _number(name: str, value: Any, low: float, high: float = math.inf) -> float:
     return number
 
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class _Saved(NamedTuple):
+    """All that an operation changes of a flask."""
+
+    attributes: dict[str, Any]
+    arrays: list[FloatArray]
+
+
+def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[Concatenate[Flask, P], R]:
+    """Leave the flasks as they were where an operation is interrupted or fails: no matter is lost or counted twice."""
+
+    @functools.wraps(operation)
+    def whole(self: Flask, *args: P.args, **kwargs: P.kwargs) -> R:
+        flasks = [self, *(other for other in (*args, *kwargs.values()) if isinstance(other, Flask))]
+        saved = [flask._saved() for flask in flasks]
+        try:
+            return operation(self, *args, **kwargs)
+        except BaseException:
+            for flask, before in zip(flasks, saved, strict=True):
+                flask._put_back(before)
+            raise
+
+    return whole
+
+
 class Flask:
     """An open flask in a room.
 
@@ -241,7 +269,7 @@ class Flask:
         self._names = frozenset(contents)
         self._known = _chemistry(setting, self._names)
         self._shelf = Shelf(self._known.table, 1, 1)
-        self._events = np.zeros(len(SAFETY_EVENTS))
+        self._events, self._spilled = np.zeros(len(SAFETY_EVENTS)), 0.0
         self._make_scratch()
         self._shelf.fill(0, 0, capacity_l, contents)
         if temperature_k is not None:
@@ -332,9 +360,10 @@ class Flask:
         other._learn(self._names)
         other._row[:] = self._row
         other._shelf.waste[:] = self._shelf.waste
-        other._events[:] = self._events
+        other._events[:], other._spilled = self._events, self._spilled
         return other
 
+    @_all_or_nothing
     def add(self, name: str, mol: float, temperature_k: float | None = None) -> None:
         """Add ``mol`` of a pure material, as warm as the room or as ``temperature_k``; what does not fit spills.
 
@@ -354,6 +383,7 @@ class Flask:
         transfer.add(self._row, material, mol, warm, self._chem, self._shelf.waste[0], self._events)
         self._after()
 
+    @_all_or_nothing
     def heat(
         self,
         joules: float,
@@ -390,6 +420,7 @@ class Flask:
         self._after()
         return Heated(float(taken), float(condensed))
 
+    @_all_or_nothing
     def cool(self, joules: float, coolest_k: float = 273.15) -> float:
         """Take up to ``joules`` from it, by a coolant of ``coolest_k``.
 
@@ -402,6 +433,7 @@ class Flask:
         self._after()
         return abs(float(taken))
 
+    @_all_or_nothing
     def react(
         self,
         seconds: float,
@@ -431,7 +463,6 @@ class Flask:
                 raise ValueError("jacket_w_k: a jacket has a temperature; give temperature_k, too")
         jacket = self.temperature_k if temperature_k is None else _number("temperature_k", temperature_k, 150.0, 900.0)
         closed = temperature_k is not None and jacket_w_k is None
-        before, lost, counted = self._row.copy(), self._shelf.waste.copy(), self._events.copy()
         if closed:
             self._row[TEMPERATURE] = jacket
         elif temperature_k is None:
@@ -439,14 +470,13 @@ class Flask:
         around = Surroundings(jacket, through, -1.0 if closed else condenser, _RTOL, _ATOL)
         waste = self._shelf.waste[0]
         if laws.react(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
-            hottest = self.temperature_k
-            self._row[:], self._shelf.waste[:], self._events[:] = before, lost, counted
             raise ArithmeticError(
-                f"react: too stiff for {seconds:g} s at {hottest:.1f} K, and nothing has happened; "
+                f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has happened; "
                 "take a shorter time, a jacket, or smaller rate constants"
             )
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
+    @_all_or_nothing
     def wait(self, seconds: float) -> None:
         """Let it stand in the room: layers separate, heat goes to the room, crystals grow or dissolve, what reacts by
         itself does so. In the tier ``paper`` only the layers separate."""
@@ -460,14 +490,17 @@ class Flask:
                 laws.partition(self._row, self._chem, self._work)
         self._after(clock=CLOCK_SETTLED - T_MIX)
 
+    @_all_or_nothing
     def settle(self) -> None:
         """Let the layers separate; it takes no time."""
         self._after(clock=CLOCK_SETTLED - T_MIX)
 
+    @_all_or_nothing
     def mix(self) -> None:
         """Shake it: the layers are at equilibrium with each other, and stirred."""
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
+    @_all_or_nothing
     def drain(self, receiver: Flask, share: float) -> None:
         """Let the lowest ``share`` (0 to 1) of the volume run into another flask, solids first.
 
@@ -488,6 +521,7 @@ class Flask:
         self._after()
         receiver._after()
 
+    @_all_or_nothing
     def filter(self, receiver: Flask, cake_liquid: float = 0.0) -> None:
         """Let the liquids run through a filter into another flask; solids and crystals stay.
 
@@ -509,12 +543,14 @@ class Flask:
         self._after()
         receiver._after()
 
+    @_all_or_nothing
     def dry(self, litres: float) -> None:
         """Draw ``litres`` of air over it, which leave saturated with the vapour of its liquids; that is lost. The
         temperature stays, and so do solids."""
         laws.dry(self._row, _number("litres", litres, 0.0, 1e6), self._chem, self._shelf.waste[0])
         self._after()
 
+    @_all_or_nothing
     def pour(self, other: Flask, share: float) -> None:
         """Pour ``share`` (0 to 1) of everything in it into another flask; what does not fit there spills.
 
@@ -639,6 +675,18 @@ class Flask:
         self._names, self._known, self._shelf = names, known, new
         self._make_scratch()
 
+    def _changing(self) -> list[FloatArray]:
+        return [self._shelf.rows, self._shelf.waste, self._events]
+
+    def _saved(self) -> _Saved:
+        """The state for :meth:`_put_back`."""
+        return _Saved(dict(vars(self)), [array.copy() for array in self._changing()])
+
+    def _put_back(self, saved: _Saved) -> None:
+        vars(self).update(saved.attributes)
+        for array, before in zip(self._changing(), saved.arrays, strict=True):
+            array[:] = before
+
     def _join(self, other: Flask) -> None:
         """Make sure that matter can pass to another flask."""
         if other is self:
@@ -659,9 +707,9 @@ class Flask:
         laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
         laws.partition(self._row, self._chem, self._work)
         spilled = float(self._events[SPILL])
-        if spilled > getattr(self, "_spilled", 0.0):
-            more = spilled - getattr(self, "_spilled", 0.0)
-            warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=3)
+        if spilled > self._spilled:
+            more = spilled - self._spilled
+            warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=4)
             self._spilled = spilled
 
 

@@ -277,7 +277,7 @@ class InstrumentSpec(Grown):
 
 
 class LimitSpec(BaseModel):
-    """Outer limits; reaching one truncates the episode."""
+    """Limits of an episode; it terminates when it reaches one."""
 
     model_config = _FROZEN
 
@@ -488,7 +488,7 @@ class Scenario(Grown):
     instruments: dict[Key, InstrumentSpec] = Field(default={}, max_length=32)
     """The characterization bench, by name."""
     limits: LimitSpec
-    """When an episode is truncated."""
+    """When an episode ends without the last submission."""
     costs: CostSpec = CostSpec()
     """What is taken off the score."""
     safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))

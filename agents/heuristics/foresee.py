@@ -459,6 +459,7 @@ def _draw(labs: Laboratories, goal: str, common: int, own: int) -> None:
         labs.seed(member, np.random.SeedSequence(_SEED + member))
     labs.reset(labs.members, goal)
     drawn = [labs.worlds.values(member) for member in members]
+    labs.episodes.again[:] = True  # the same episodes, in other worlds
     for member in members:
         world = {
             name: drawn[member % own if _is_own(labs.scenario, name) else member // own][name]

@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from chemlab.arrays import IntArray
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.episodes import INTERRUPTED, Guarded
 from chemlab.laboratory.state import RUNNING
 from chemlab.rng import checked_seed
 
@@ -46,7 +47,7 @@ __all__ = ["LaboratoryMultiAgentEnv"]
 _SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model", "split")
 
 
-class LaboratoryMultiAgentEnv(MultiAgentEnv):
+class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     """One laboratory for RLlib; see this module's documentation.
 
     Args:
@@ -99,8 +100,8 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         their bench.
 
         Args:
-            seed: starts the random streams afresh, background policies' too; without one they go on. In RLlib's env
-                runner i, 1000 i is added.
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins. In
+                RLlib's env runner i, 1000 i is added.
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
 
         Raises:
@@ -109,6 +110,12 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         """
         seed = checked_seed(seed)
         super().reset(seed=seed, options=options)
+        labs, asked = self.laboratory.laboratories, options or {}
+        if asked.get("goal") is not None:
+            labs.goal_index(asked["goal"])
+        if asked.get("world") is not None:
+            labs.worlds.check(asked["world"])
+        self._unfinished = True
         seeds = iter([] if seed is None else [seed + self._seed_offset])
 
         def begin(members: IntArray) -> None:
@@ -117,9 +124,10 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
             if own is not None:
                 self._players.seed(0, own)
 
-        self._players.begin(self.laboratory.laboratories.members, begin)
+        self._players.begin(labs.members, begin)
         self._had_turn = set()
         observations, _, infos = self._at_turn()
+        self._unfinished = False
         return observations, infos
 
     def _running(self) -> bool:
@@ -136,19 +144,21 @@ class LaboratoryMultiAgentEnv(MultiAgentEnv):
         Raises:
             ValueError: the episode is over, the action is missing or of an agent that does not have the turn, or it is
                 outside the agent's space; nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
         if not self._had_turn or not self._running():
             raise ValueError("step: the episode is over (or has not begun): call reset()")
         agent = self.laboratory.agent_selection
         if set(action_dict) != {agent}:
             raise ValueError(f"{agent}: has the turn, so step() needs its action alone; given {list(action_dict)}")
-        self.laboratory.step(action_dict[agent])
+        self._guarded(self.laboratory.step, action_dict[agent])
         self._players.play_on(self.laboratory.laboratories.members)
         running = self._running()
         observations, rewards, infos = self._at_turn() if running else self._at_end()
-        terminated = not running and self.laboratory.terminations[agent]
-        truncated = not running and self.laboratory.truncations[agent]
-        return observations, rewards, {"__all__": terminated}, {"__all__": truncated}, infos
+        self._unfinished = False
+        return observations, rewards, {"__all__": not running}, {"__all__": False}, infos
 
     def _at_turn(self) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
         agent = self.laboratory.agent_selection

@@ -174,6 +174,7 @@ class TorchLaboratory(EnvBase):
                 self._players.seed(member, self._first_seed + member)
         self._first_seed = None
         begun = np.flatnonzero(options["reset_mask"]) if options else Ellipsis
+        self._players.renew(self._batch.laboratories.members[begun])
         told = {**self._told(observations, infos, begun), **self._ended()}
         return TensorDict(told, batch_size=self.batch_size, device=self.device)
 

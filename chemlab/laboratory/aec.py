@@ -16,7 +16,7 @@ one experiment ends. Idle benches have no turn.
 ### Rewards
 A bench earns the score of its experiment when it ends (see its class for the formula). The manager earns, at
 `submit`, mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum,
-minus all costs; without a submission, minus all costs when the episode is truncated. The scenario mixes the two
+minus all costs; without a submission, minus all costs when the episode reaches a limit. The scenario mixes the two
 (`[rewards]`).
 
 ### Infos
@@ -52,6 +52,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pettingzoo import AECEnv
@@ -60,8 +61,9 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import RewardSpec, Scenario
 from .common import OneLaboratory
+from .episodes import INTERRUPTED
 from .rendering import RENDER_MODES
-from .state import RUNNING, TERMINATED
+from .state import RUNNING
 
 __all__ = ["env", "raw_env"]
 
@@ -118,7 +120,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         """Begin an episode.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first episode without a seed draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
@@ -135,6 +138,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._last_turn = dict.fromkeys(self.agents, 0)
         self._skip_agent_selection = None
         self._give_turn()
+        self._unfinished = False
         self._show()
 
     def _give_turn(self) -> None:
@@ -155,10 +159,15 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         Raises:
             ValueError: the action is outside the agent's space; the message names agent, expected and given, and
                 nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
         agent = self.agent_selection
-        if self.terminations[agent] or self.truncations[agent]:
+        if self.terminations[agent]:
+            self._unfinished = True
             self._was_dead_step(action)
+            self._unfinished = False
             return
         number, labs = self._number[agent], self.laboratories
         if type(action) is int and 0 <= action < labs.action_counts[number]:
@@ -166,6 +175,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             checked[0] = action
         else:
             checked = labs.checked(number, action)
+        self._unfinished = True
         self._cumulative_rewards[agent] = 0.0
         labs.act(number, self._members, checked)
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
@@ -181,14 +191,14 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         if status == RUNNING:
             self._give_turn()
         else:
-            over = self.terminations if status == TERMINATED else self.truncations
-            for name in self.agents:
-                over[name] = True
+            for name in self.agents:  # a limit is an end as well: see chemlab.laboratory.state
+                self.terminations[name] = True
                 infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
             self.agent_selection = self.possible_agents[0]
         if number and self.agent_selection == self.possible_agents[0]:
             infos[self.agent_selection]["costs"] = labs.charges(self._members)[0]
         self._accumulate_rewards()
+        self._unfinished = False
         self._show()
 
     def action_masks(self) -> npt.NDArray[np.bool_]:

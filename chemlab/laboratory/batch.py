@@ -18,7 +18,7 @@ from .batch_env import checked_actions, parsed_reset
 from .common import manager_accounts
 from .core import Laboratories
 from .global_state import GlobalState
-from .state import RUNNING, TERMINATED
+from .state import RUNNING
 from .worlds import World
 
 __all__ = ["BatchedLaboratory"]
@@ -122,7 +122,7 @@ class BatchedLaboratory:
         """Begin episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Returns:
@@ -138,14 +138,17 @@ class BatchedLaboratory:
         labs, members = self.laboratories, np.flatnonzero(mask)
         if world is not None:
             labs.worlds.check(world)
+        self._begun = False  # until it is done: after an interruption only a reset of all helps
         for member in members.tolist():
             member_seed = seeds[member]
             if member_seed is not None:
                 labs.seed(member, member_seed)
         self._restart(members, goal, world)
-        self._begun = True
+        self._turns[:, members] = True  # rows of masks may be an interrupted step's: all are written
         self._look()
-        return self._seen(), self._infos(self._told(members[:0], begun=True))
+        found = self._seen(), self._infos(self._told(members[:0], begun=True))
+        self._begun = True
+        return found
 
     def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         self.laboratories.reset(members, goal, world)
@@ -168,21 +171,21 @@ class BatchedLaboratory:
 
         Returns:
             Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
-            and been truncated [N]; infos by agent, those of :class:`~chemlab.laboratory.parallel.parallel_env` with an
-            axis of N in front: ``has_turn`` [N] (in the next step), ``action_mask`` [N, actions] (discrete actions),
-            ``elapsed_ticks`` [N] (since the agent last had the turn, or its episode began; where an episode has ended,
-            until then), ``cost`` [N], ``events`` [N, kinds], ``illegal_action`` [N], ``experiment_over`` [N] and
-            ``score`` [N] (of its experiment, for the manager of the episode; 0 where none has ended), and for the
-            manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and ``purity`` [N, orders] (of an episode that
-            has ended, not of the one that follows). Where episodes have ended also ``final_obs`` [K, size] of the K
-            laboratories, in order.
+            and been truncated [N] (none is: a limit terminates it); infos by agent, those of
+            :class:`~chemlab.laboratory.parallel.parallel_env` with an axis of N in front: ``has_turn`` [N] (in the next
+            step), ``action_mask`` [N, actions] (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the
+            turn, or its episode began; where an episode has ended, until then), ``cost`` [N], ``events`` [N, kinds],
+            ``illegal_action`` [N], ``experiment_over`` [N] and ``score`` [N] (of its experiment, for the manager of the
+            episode; 0 where none has ended), and for the manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and
+            ``purity`` [N, orders] (of an episode that has ended, not of the one that follows). Where episodes have
+            ended also ``final_obs`` [K, size] of the K laboratories, in order.
 
         Raises:
-            ValueError: actions are missing or outside their space (nothing has changed), or :meth:`reset` was never
-                called.
+            ValueError: actions are missing or outside their space (nothing has changed), :meth:`reset` was never
+                called, or an earlier step was interrupted or failed.
         """
         if not self._begun:
-            raise ValueError("step: the episodes have not begun: call reset()")
+            raise ValueError("step: the episodes have not begun, or a step was interrupted or failed: call reset()")
         labs, members = self.laboratories, self.laboratories.members
         if not self.autoreset and (labs.state.status != RUNNING).any():
             raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')
@@ -196,10 +199,11 @@ class BatchedLaboratory:
                 checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
             else:
                 raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+        self._begun = False  # until it is done, as in reset
         labs.act_round(members, checked)
         rewards = dict(zip(self.possible_agents, labs.state.rewards.copy(), strict=True))
-        status = labs.state.status.copy()
-        over = members[status != RUNNING]
+        ended = labs.state.status != RUNNING
+        over = members[ended]
         told = self._told(over)
         finals: list[ObservationArray] = []
         if len(over):
@@ -213,7 +217,9 @@ class BatchedLaboratory:
         infos = self._infos(told)
         for agent, final in zip(self.possible_agents, finals, strict=False):
             infos[agent]["final_obs"] = final
-        return self._seen(), rewards, status == TERMINATED, (status != RUNNING) & (status != TERMINATED), infos
+        found = self._seen(), rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
+        self._begun = True
+        return found
 
     def _look(self) -> None:
         """Bring turns, observations and masks up to date."""

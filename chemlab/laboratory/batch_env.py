@@ -87,7 +87,7 @@ def parsed_reset(
     or None).
 
     Args:
-        seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on); without
+        seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins); without
             one, members that have never been seeded get one from ``random``.
         options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
         count: N.
@@ -229,7 +229,6 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         self._events = np.zeros((num_envs, kinds))
         self._illegal = np.zeros(num_envs, dtype=np.bool_)
         self._terminated = np.zeros(num_envs, dtype=np.bool_)
-        self._truncated = np.zeros(num_envs, dtype=np.bool_)
         self._pending = np.zeros(num_envs, dtype=np.bool_)
         self._begun = False
 
@@ -269,7 +268,7 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         """Begin episodes in every member, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its streams go on).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Raises:
@@ -281,6 +280,7 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         )
         if world is not None:
             self._worlds.check(world)
+        self._begun = False  # until it is done: after an interruption, or where a policy or model fails, a reset helps
         super().reset(seed=int(seed) if isinstance(seed, (int, np.integer)) else None)
         for member in np.flatnonzero(mask):
             member_seed = seeds[member]
@@ -289,10 +289,10 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         self._pending[mask] = False
         self._costs[mask], self._events[mask], self._illegal[mask] = 0.0, 0.0, False
         self._scores[mask] = np.nan
-        self._begun = False  # until it is done: where a policy or model fails halfway, only a reset helps
         self._begin(np.flatnonzero(mask), None if goal is None else self._goal_names.index(goal), world)
+        found = self._returned(self._observations), self._infos()
         self._begun = True
-        return self._returned(self._observations), self._infos()
+        return found
 
     def step(
         self, actions: Any
@@ -304,29 +304,27 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
 
         Raises:
             ValueError: an action is outside the action space (nothing has changed).
-            gymnasium.error.ResetNeeded: the episodes have not begun, or some are over and autoreset is disabled.
+            gymnasium.error.ResetNeeded: the episodes have not begun, some are over and autoreset is disabled, or an
+                earlier step was interrupted or failed.
         """
         checked = checked_actions(self.agent, actions, self.num_envs, self.single_action_space)
         if not self._begun or (self.autoreset_mode is AutoresetMode.DISABLED and self._pending.any()):
-            raise gymnasium.error.ResetNeeded(f"{self.agent}: episodes are over (or have not begun): call reset()")
+            raise gymnasium.error.ResetNeeded(
+                f"{self.agent}: episodes are over, have not begun, or a step was interrupted or failed: call reset()"
+            )
         self._begun = False  # until it is done, as in reset
         finals = self._play(checked)
-        self._begun = True
         infos = self._infos()
-        ended = self._terminated | self._truncated
+        ended = self._terminated.copy()
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             # Not zeros_like(), which writes all of it: most rows may stay as they are.
             final = np.zeros(self._observations.shape, dtype=self._observations.dtype)
             for members, observations in finals:
                 final[members] = observations
             infos["final_obs"], infos["_final_obs"] = final, ended
-        return (
-            self._returned(self._observations),
-            self._returned(self._rewards),
-            self._terminated.copy(),
-            self._truncated.copy(),
-            infos,
-        )
+        seen, rewards = self._returned(self._observations), self._returned(self._rewards)
+        self._begun = True
+        return seen, rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
 
     def _returned(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return array.copy() if self.copy else array
@@ -367,7 +365,6 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
             self._scores,
             self._illegal,
             self._terminated,
-            self._truncated,
             self._pending,
         ]
         return [*self._more_arrays(), *extra]

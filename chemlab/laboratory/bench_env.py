@@ -40,7 +40,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,7 +113,8 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         """Begin an experiment.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for a goal instead of drawing it, ``{"world": seed or values}`` for a world
                 (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
@@ -130,25 +131,31 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         if world is not None:
             self.batch.worlds.check(world)
         super().reset(seed=seed)
+        self._over = True  # until it is done: after an interruption only a reset helps
         if seed is not None or not self._seeded:
             self.batch.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
             self._seeded = True
         self.batch.reset(self.batch.members, None if goal is None else goals.index(goal), world=world)
+        found = self._observe(), self._info(stepped=False)
         self._over = False
         self._show()
-        return self._observe(), self._info(stepped=False)
+        return found
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One action of the experiment.
 
         Raises:
             ValueError: the action is outside the action space (nothing has changed).
-            gymnasium.error.ResetNeeded: the experiment is over or has not begun.
+            gymnasium.error.ResetNeeded: the experiment is over or has not begun, or an earlier step was interrupted or
+                failed.
         """
         batch = self.batch
         checked = self.bench.checked(batch.experiments.agent, action)
         if self._over:
-            raise gymnasium.error.ResetNeeded("the experiment is over (or has not begun): call reset()")
+            raise gymnasium.error.ResetNeeded(
+                "the experiment is over, has not begun, or a step was interrupted or failed: call reset()"
+            )
+        self._over = True  # until it is done, as in reset
         batch.act(checked)
         cost, reward = self._consequences
         cost[0], reward[0] = 0.0, 0.0
@@ -156,13 +163,14 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         total = float(reward[0])
         # The last observation and mask are still of the running experiment: look first.
         observation, info = self._observe(), self._info(float(cost[0]))
-        if batch.experiments.ended[0]:
+        over = bool(batch.experiments.ended[0])
+        if over:
             score = float(batch.finish(batch.members)[0])
             info["experiment_over"], info["score"] = np.array(True), np.float64(score)
             total += score
-            self._over = True
+        self._over = over
         self._show()
-        return observation, total, self._over, False, info
+        return observation, total, over, False, info
 
     def _observe(self) -> npt.NDArray[np.float32]:
         self.batch.observe(self._observation)
@@ -289,6 +297,7 @@ class BenchVectorEnv(BatchEnv):
             max_episode_steps,
         )
         self.threads = min(threads, num_envs)
+        self._waiting: list[Future[Any]] = []
         bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)
         # Each thread has its own members and its own scratch; everything else is rows that only it touches.
         self._chunks = [
@@ -304,6 +313,7 @@ class BenchVectorEnv(BatchEnv):
         return self.batch.worlds
 
     def _begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
+        self._join()
         self.batch.reset(members, goal, world=world)
         for chunk, bench in self._chunks:
             self._look(chunk, bench)
@@ -314,9 +324,16 @@ class BenchVectorEnv(BatchEnv):
         if self._pool is None or self._pool_process != os.getpid():
             self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="chemlab")
             self._pool_process = os.getpid()
-        waiting = [self._pool.submit(self._step_chunk, *chunk, actions) for chunk in self._chunks[1:]]
+        for chunk in self._chunks[1:]:
+            self._waiting.append(self._pool.submit(self._step_chunk, *chunk, actions))
         own = self._step_chunk(*self._chunks[0], actions)
-        return [own, *(future.result() for future in waiting)]
+        return [own, *(future.result() for future in self._join())]
+
+    def _join(self) -> list[Future[Any]]:
+        """Wait for the other threads' part of a step, also of one that was interrupted."""
+        wait(self._waiting)
+        done, self._waiting = self._waiting, []
+        return done
 
     def _step_chunk(
         self, members: npt.NDArray[np.int64], bench: Any, actions: npt.NDArray[Any]
@@ -378,6 +395,7 @@ class BenchVectorEnv(BatchEnv):
         return self.bench.action_meanings
 
     def _more_arrays(self) -> State:
+        self._join()
         return self.batch.arrays()
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -387,4 +405,5 @@ class BenchVectorEnv(BatchEnv):
         self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_pool": None}  # threads cannot be pickled or copied; they are started again when needed
+        # Threads cannot be pickled or copied; they are started again when needed.
+        return {**vars(self), "_pool": None, "_waiting": []}

@@ -74,6 +74,7 @@ class OneLaboratory(Rendered):
         self.state_space = self._whole.space
         self._members = self.laboratories.members
         self._seeded = False
+        self._unfinished = False
         pairs = zip(self.laboratories.resting_actions, self.laboratories.action_counts, strict=True)
         self._resting = [(np.arange(count) == action).astype(np.int8) if count else None for action, count in pairs]
         self._no_events = np.zeros(len(self.scenario.safety_events))
@@ -121,8 +122,10 @@ class OneLaboratory(Rendered):
             self.laboratories.goal_index(goal)
         if world is not None:
             self.laboratories.worlds.check(world)
-        if seed is not None or not self._seeded:
-            self.laboratories.seed(0, np.random.SeedSequence(seed))
+        sequence = np.random.SeedSequence(seed) if seed is not None or not self._seeded else None
+        self._unfinished = True
+        if sequence is not None:
+            self.laboratories.seed(0, sequence)
             self._seeded = True
         self.laboratories.reset(self._members, goal, world)
         self.agents = self.possible_agents[:]

@@ -37,6 +37,7 @@ from ..scenario import OrderSpec, Scenario, load_scenario
 from ..shelf import Shelf
 from ..tables import Table, put_back
 from .actions import REPAIR, ManagerActions
+from .episodes import EpisodeStreams
 from .manager import (
     BEGUN,
     MEASURED,
@@ -204,6 +205,7 @@ class Laboratories:
         self._rehearsed = False
         self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
         self.members: IntArray = np.arange(n)
+        self.episodes = EpisodeStreams(n, len(self._streams()))
 
     def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
         """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
@@ -348,10 +350,16 @@ class Laboratories:
     # -- episodes ---------------------------------------------------------------------------------------------
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Start the random streams of one laboratory afresh."""
+        """Begin a new series of episodes of one laboratory: the same seed is the same series, whatever is played."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
         self.worlds.seed(member, sequence)
+        self.episodes.seed(member, self._streams())
+
+    def _streams(self) -> list[StreamArray]:
+        """Every random stream that an episode begins with; what wears or drifts has its own from the world's number."""
+        own = [self.state.stream, *(experiments.stream for experiments in self.experiments)]
+        return [*own, self.worlds.table.arrays.stream]
 
     def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         """Begin new episodes.
@@ -368,6 +376,7 @@ class Laboratories:
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         if not self._rehearsed:
             self._compile()
+        self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start
         self.shelf.stock[members] = self._first_stock
@@ -768,7 +777,7 @@ class Laboratories:
         state = self.shelf.arrays()
         for experiments in self.experiments:
             state += experiments.arrays()
-        return [*state, *self.table.changing(), *self.worlds.arrays()]
+        return [*state, *self.table.changing(), *self.worlds.arrays(), *self.episodes.arrays()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
         """Copies of every array that changes, for :meth:`restore`."""

@@ -251,7 +251,7 @@ def wear_words(spec: Scenario) -> list[str]:
 
 
 def limit_words(spec: Scenario) -> str:
-    """When an episode is truncated, and what time, waste and lost turns cost."""
+    """Limits of an episode, and what time, waste and lost turns cost."""
     limits, costs = spec.limits, spec.costs
     return (
         f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "

@@ -26,6 +26,7 @@ from ..parts import strangers_code
 from ..rng import seed_streams, uniform
 from ..scenario import Scenario, load_scenario
 from ..shelf import Shelf, ShelfArrays
+from .episodes import EpisodeStreams
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 from .upkeep import equip
 from .worlds import World, Worlds, world_chemistry
@@ -116,6 +117,7 @@ class ExperimentBatch:
         self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
+        self.episodes = EpisodeStreams(members, len(self._streams()))
         self._rehearsed = False
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
@@ -171,10 +173,15 @@ class ExperimentBatch:
         return vessels
 
     def seed(self, member: int, seed: int) -> None:
-        """Start the member's random streams afresh."""
+        """Begin a new series of the member's experiments: the same seed is the same series, whatever is played."""
         sequence = np.random.SeedSequence(seed)
         seed_streams(sequence, (self.experiments.stream, self.start_stream), member)
         self.worlds.seed(member, sequence)
+        self.episodes.seed(member, self._streams())
+
+    def _streams(self) -> list[StreamArray]:
+        """Every random stream that an experiment begins with."""
+        return [self.experiments.stream, self.start_stream, self.worlds.table.arrays.stream]
 
     def reset(
         self, members: IntArray, goal: int | None = None, bench: Bench | None = None, world: World | None = None
@@ -189,6 +196,7 @@ class ExperimentBatch:
         """
         if not self._rehearsed:
             self._compile()
+        self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments
@@ -227,4 +235,5 @@ class ExperimentBatch:
 
     def arrays(self) -> list[npt.NDArray[Any]]:
         """Every array that changes, for snapshots."""
-        return [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream, *self.worlds.arrays()]
+        own = [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream]
+        return [*own, *self.worlds.arrays(), *self.episodes.arrays()]

@@ -6,11 +6,11 @@
 | `chemlab/LabAgent-v0` | any `agent` | one turn of that agent, run to its next one |
 
 ### Episodes
-An episode is the laboratory's: it ends for every agent when the manager has submitted its last order (`terminated`) or
-an outer limit is reached (`truncated`). For a bench's agent it spans all of its experiments; where one has ended,
-`info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the manager
-where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to the
-agent's first turn (episodes in which it never has one are played over).
+An episode is the laboratory's. It ends for every agent, with `terminated`, when the manager has submitted its last
+order or a limit is reached; nothing is truncated here. For a bench's agent it spans all of its experiments; where one
+has ended, `info["experiment_over"]` is True and `info["score"]` its score (the sum, should several have ended); for the
+manager where the episode has. The reward is everything the agent has earned since its last turn. `reset` plays on to
+the agent's first turn (episodes in which it never has one are played over).
 
 ### Semi-Markov steps
 `info["elapsed_ticks"]` says how many ticks have passed since the agent's last turn: discount what follows by gamma to
@@ -50,7 +50,7 @@ from .common import manager_accounts
 from .core import MANAGER_AGENT, Laboratories
 from .policy import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
-from .state import RUNNING, TERMINATED
+from .state import RUNNING
 from .text import describe_laboratory
 from .worlds import World, Worlds
 
@@ -171,7 +171,7 @@ class FocalVectorEnv(BatchEnv):
 
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
         labs, members = self.laboratories, self.laboratories.members
-        self._terminated[:], self._truncated[:] = False, False
+        self._terminated[:] = False
         acting = members[~self._pending]
         if len(acting) < len(members):
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -194,8 +194,7 @@ class FocalVectorEnv(BatchEnv):
         if not len(ended):
             self._look()
             return []
-        self._terminated[ended] = status[ended] == TERMINATED
-        self._truncated[ended] = status[ended] != TERMINATED
+        self._terminated[ended] = True
         if self.focal == 0:
             self._scores[ended] = labs.result(ended)
         last = labs.observe(self.focal, ended)
@@ -309,7 +308,8 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         """Begin an episode, played on to the agent's first turn.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first reset draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 

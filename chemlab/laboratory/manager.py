@@ -15,18 +15,18 @@ from ..shelf import CLOCK_SETTLED, ShelfArrays
 from .actions import CALIBRATE, DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT
 from .state import (
     ARRIVES,
+    CLOSED,
     ILLEGAL,
     INSTRUMENTS,
     LEAST_AMOUNT,
     LEAST_PURITY,
+    LIMIT,
     MANAGER,
     PRICE,
     RUNNING,
     SAFETY,
     STOCK,
-    TERMINATED,
     TIME,
-    TRUNCATED,
     WASTE,
     WITHIN,
     ManagerState,
@@ -240,7 +240,7 @@ def _submit(
     elif amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
         state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
     if last or _is_closed(n, state, rules):
-        state.status[n] = TERMINATED
+        state.status[n] = CLOSED
     else:
         _remove(n, x, state, chem, row, state.delivered[n])
 
@@ -273,9 +273,9 @@ def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
         arrives = state.terms[n, o, ARRIVES]
         news = news or state.ticks[n] - 1 < arrives <= state.ticks[n]
     if state.ticks[n] >= rules.tick_limit:
-        state.status[n] = TRUNCATED
+        state.status[n] = LIMIT
     elif state.terms.shape[1] > 0 and _is_closed(n, state, rules):
-        state.status[n] = TERMINATED
+        state.status[n] = CLOSED
     return news
 
 
@@ -343,7 +343,7 @@ def manager_act(
             state.cursor[n] = first
             state.finished[n] = False
         if state.status[n] == RUNNING and state.actions[n] >= rules.action_limit:
-            state.status[n] = TRUNCATED
+            state.status[n] = LIMIT
         if state.status[n] != RUNNING:
             flags |= OVER
     return flags

@@ -26,13 +26,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from pettingzoo import ParallelEnv
 
 from .common import OneLaboratory
+from .episodes import INTERRUPTED
 from .rendering import RENDER_MODES
-from .state import RUNNING, TERMINATED
+from .state import RUNNING
 
 __all__ = ["parallel_env"]
 
@@ -73,7 +75,8 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         """Begin an episode.
 
         Args:
-            seed: starts the random streams afresh; without one they go on (a first episode without a seed draws one).
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
             options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
                 ``{"world": seed or values}`` for a world (see :meth:`chemlab.laboratory.worlds.Worlds.begin`).
 
@@ -83,8 +86,10 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         """
         self._begin(seed, options)
         self._last_turn = [0] * len(self.agents)
+        found = self._seen([self._info(number) for number in range(len(self.agents))])
+        self._unfinished = False
         self._show()
-        return self._seen([self._info(number) for number in range(len(self.agents))])
+        return found
 
     def step(
         self, actions: Mapping[str, Any]
@@ -103,7 +108,10 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         Raises:
             ValueError: an action is missing or outside its space (the message names the agent, what was expected and
                 what was given), or the episode is over; nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
         if not self.agents:
             raise ValueError("step: the episode is over (or has not begun): call reset()")
         labs, names = self.laboratories, self.possible_agents
@@ -115,22 +123,24 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
             checked.append(labs.checked(number, actions[names[number]])[0])
         for number, action in zip(acting, checked, strict=True):
             self._actions[number][0] = action
+        self._unfinished = True
         labs.act_round(self._members, self._actions)
         infos = [
             self._info(number, number in acting or cost > 0.0) for number, cost in enumerate(labs.cost[0].tolist())
         ]
         self._add_scores(infos)
         rewards = dict(zip(names, labs.rewards[0].tolist(), strict=True))
-        status = labs.state.status.item(0)
+        over = labs.state.status.item(0) != RUNNING
         observations, found = self._seen(infos)
-        if status != RUNNING:
+        if over:
             self.agents = []
+        self._unfinished = False
         self._show()
         return (
             observations,
             rewards,
-            dict.fromkeys(names, status == TERMINATED),
-            dict.fromkeys(names, status not in (RUNNING, TERMINATED)),
+            dict.fromkeys(names, over),  # a limit is an end as well: see chemlab.laboratory.state
+            dict.fromkeys(names, False),
             found,
         )
 

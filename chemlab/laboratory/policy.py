@@ -22,7 +22,8 @@ _MOST_TRIES = 1000
 class Policy(Protocol):
     """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario.
 
-    It may also have ``seed(member, seed)``, which starts a member's random stream afresh, and ``get_memory()`` and
+    It may also have ``seed(member, seed)``, which starts a member's random stream afresh; an environment that it plays
+    in calls it for every episode, so that none depends on those before. It may have ``get_memory()`` and
     ``set_memory(memory)``, with a copy of what it remembers, so that an environment it plays in can be put back.
     """
 
@@ -192,13 +193,22 @@ class Players:
         self._labs, self._policies, self._act = laboratories, list(policies), act or laboratories.act
         self._played = np.array([policy is not None for policy in policies])
 
-    def seed(self, member: int, seed: int) -> None:
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Start one laboratory's random streams of the policies that have any afresh."""
-        sequences = np.random.SeedSequence(seed).spawn(len(self._policies))
-        for policy, sequence in zip(self._policies, sequences, strict=True):
+        whole = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        for policy, sequence in zip(self._policies, whole.spawn(len(self._policies)), strict=True):
             start = getattr(policy, "seed", None)
             if start is not None:
                 start(member, sequence)
+
+    def renew(self, members: IntArray) -> None:
+        """Start the random streams afresh in laboratories [B] whose episodes have just begun, but for the first ones
+        after a seed: those begin as :meth:`seed` says."""
+        if not any(hasattr(policy, "seed") for policy in self._policies):
+            return
+        episodes = self._labs.episodes
+        for member in members[episodes.begun[members] > 1].tolist():
+            self.seed(member, episodes.sequence(member))
 
     def get_memory(self) -> list[Any]:
         """What every policy remembers, for :meth:`set_memory`."""
@@ -273,8 +283,11 @@ class Players:
             RuntimeError: the policies never start the others.
         """
         waiting = members
-        for _ in range(_MOST_TRIES):
+        for tries in range(_MOST_TRIES):
+            self._labs.episodes.again[waiting] = tries > 0
             reset(waiting)
+            if not tries:
+                self.renew(waiting)
             self.play_on(waiting, after)
             waiting = waiting[self._labs.state.status[waiting] != RUNNING]
             if not len(waiting):

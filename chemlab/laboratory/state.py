@@ -8,19 +8,20 @@ from ..arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 
 __all__ = [
     "ARRIVES",
+    "CLOSED",
     "COST_ITEMS",
     "ILLEGAL",
     "INSTRUMENTS",
     "LEAST_AMOUNT",
     "LEAST_PURITY",
+    "LIMIT",
     "MANAGER",
     "PRICE",
     "RUNNING",
     "SAFETY",
+    "STATUS_WORDS",
     "STOCK",
-    "TERMINATED",
     "TIME",
-    "TRUNCATED",
     "WASTE",
     "WITHIN",
     "ManagerState",
@@ -32,7 +33,15 @@ COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal
 under time."""
 INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))
 
-RUNNING, TERMINATED, TRUNCATED = range(3)
+RUNNING, CLOSED, LIMIT = range(3)
+"""Status of an episode: running; no order can be met any more; a limit on manager actions or ticks has been reached.
+
+Environments say ``terminated`` of both ends. The limits are the scenario's, the manager observes what is left of them,
+and nothing follows them: a learner that adds the value of a state after a limit counts rewards that nobody can earn.
+"""
+STATUS_WORDS = ("running", "submitted", "limit reached")
+"""The same for people, records and pictures."""
+
 MANAGER = -1
 """Cursor value while the manager has the turn."""
 
@@ -77,7 +86,7 @@ class ManagerState(NamedTuple):
     finished: Annotated[BoolArray, Field("N")]
     """[N] whether an experiment has ended in this tick"""
     status: Annotated[IntArray, Field("N", first=RUNNING)]
-    """[N] RUNNING, TERMINATED or TRUNCATED"""
+    """[N] RUNNING, CLOSED or LIMIT"""
     charges: Annotated[FloatArray, Field("N items")]
     """[N, items] costs so far (stock and waste, which follow from amounts, at the end: see itemize)"""
     submitted: Annotated[FloatArray, Field("N O 2")]

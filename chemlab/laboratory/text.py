@@ -7,7 +7,7 @@ from typing import Any
 
 from ..scenario import Scenario
 from .core import Laboratories
-from .state import COST_ITEMS, RUNNING
+from .state import COST_ITEMS, RUNNING, STATUS_WORDS
 
 __all__ = ["action_words", "describe_laboratory", "measured_words", "named_costs", "named_events", "reading_words"]
 
@@ -80,7 +80,7 @@ def describe_laboratory(laboratories: Laboratories, member: int) -> str:
         member: which one.
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
-    status = ("running", "submitted", "truncated")[int(state.status[member])]
+    status = STATUS_WORDS[int(state.status[member])]
     turn = labs.agents[labs.turn(member)] if state.status[member] == RUNNING else "nobody"
     lines = [
         f"{scenario.title} - goal {scenario.goals[state.goal[member, 0]]} - {status}",

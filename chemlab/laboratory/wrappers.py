@@ -26,6 +26,7 @@ from ..arrays import FloatArray
 from ..bench.base import Bench, channel_slices
 from ..rng import checked_seed
 from .bench_env import BenchEnv, BenchVectorEnv
+from .episodes import Guarded
 
 __all__ = [
     "GoalConditioned",
@@ -49,6 +50,7 @@ def _checked_discount(gamma: float) -> float:
 
 
 class PotentialShaping(
+    Guarded,
     gymnasium.Wrapper[Any, Any, Any, Any],
     RecordConstructorArgs,
 ):
@@ -76,19 +78,21 @@ class PotentialShaping(
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; its first observation's potential is what the returns are lower by."""
-        observation, info = self.env.reset(seed=seed, options=options)
+        observation, info = self._entered(self.env.reset, seed=seed, options=options)
         self._phi = float(self.potential(observation))
+        self._unfinished = False
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One step, with the shaped reward."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
+        observation, reward, terminated, truncated, info = self._guarded(self.env.step, action)
         before, self._phi = self._phi, 0.0 if terminated else float(self.potential(observation))
         shaped = float(reward) + self.gamma * self._phi - before
+        self._unfinished = False
         return observation, shaped, terminated, truncated, {**info, "unshaped_reward": float(reward)}
 
 
-class VectorPotentialShaping(gymnasium.vector.VectorWrapper, RecordConstructorArgs):
+class VectorPotentialShaping(Guarded, gymnasium.vector.VectorWrapper, RecordConstructorArgs):
     """:class:`PotentialShaping` for batches, in every autoreset mode.
 
     With ``NEXT_STEP`` the step that only resets a member has no shaping; with ``SAME_STEP`` the potential of a
@@ -121,15 +125,16 @@ class VectorPotentialShaping(gymnasium.vector.VectorWrapper, RecordConstructorAr
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes in every member, or in those of ``options["reset_mask"]``."""
-        observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        observations, infos = self._entered(self.env.reset, seed=seed, options=options)  # type: ignore[arg-type]
         begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_)))
         self._phi = np.where(begun, self._potentials(observations), self._phi)
         self._over[begun] = False
+        self._unfinished = False
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """One step, with the shaped rewards; the environment's own are ``infos["unshaped_reward"]``."""
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        observations, rewards, terminated, truncated, infos = self._guarded(self.env.step, actions)
         begun = self._over if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=np.bool_)
         ended = terminated | truncated
         phi = self._potentials(observations)
@@ -142,6 +147,7 @@ class VectorPotentialShaping(gymnasium.vector.VectorWrapper, RecordConstructorAr
         gain = self.gamma * np.where(terminated, 0.0, last) - self._phi
         shaped = rewards + np.where(begun, 0.0, gain)
         self._phi, self._over = phi, ended
+        self._unfinished = False
         everyone = np.ones(self.num_envs, dtype=np.bool_)
         infos = {**infos, "unshaped_reward": np.array(rewards), "_unshaped_reward": everyone}
         return observations, shaped, terminated, truncated, infos
@@ -153,7 +159,7 @@ class VectorPotentialShaping(gymnasium.vector.VectorWrapper, RecordConstructorAr
         return phi
 
 
-class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordConstructorArgs):
+class GoalConditioned(Guarded, gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordConstructorArgs):
     """A bench as a goal-conditioned environment, for hindsight experience replay (HER).
 
     | Key | Shape | Meaning |
@@ -204,17 +210,20 @@ class GoalConditioned(gymnasium.Wrapper[GoalObservation, Any, Any, Any], RecordC
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
         """Begin an experiment."""
-        observation, info = self.env.reset(seed=seed, options=options)
+        observation, info = self._entered(self.env.reset, seed=seed, options=options)
         self._baseline = self._measures()
-        return self._view(observation, np.zeros(self._goals)), info
+        view = self._view(observation, np.zeros(self._goals))
+        self._unfinished = False
+        return view, info
 
     def step(self, action: Any) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
         """One action of the experiment."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
+        observation, reward, terminated, truncated, info = self._guarded(self.env.step, action)
         achieved = self._measures() - self._baseline if info["experiment_over"] else np.zeros(self._goals)
         info = {**info, "penalty": info["score"] - float(reward)}
         view = self._view(observation, achieved)
         paid = float(self.compute_reward(view["achieved_goal"], view["desired_goal"], info))
+        self._unfinished = False
         return view, paid, terminated, truncated, info
 
     def compute_reward(self, achieved_goal: npt.NDArray[Any], desired_goal: npt.NDArray[Any], info: Any) -> Any:
@@ -389,7 +398,7 @@ class LinearSchedule:
         return min(ended / self.episodes, 1.0) if self.episodes > 0 else 1.0
 
 
-class RandomStartCurriculum(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+class RandomStartCurriculum(Guarded, gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Episodes that begin after some random legal actions, ever more of them as training goes on.
 
     At each reset their number is drawn uniformly from 0 to n, where n = ``steps`` x ``schedule(episodes ended)``,
@@ -441,21 +450,23 @@ class RandomStartCurriculum(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstru
             raise ValueError(f"schedule({self.episodes_ended}) must be from 0 to 1, given {share}")
         wanted = int(self._rng.integers(round(share * self.steps) + 1))
         while True:
-            observation, info = self.env.reset(seed=seed, options=options)
+            observation, info = self._entered(self.env.reset, seed=seed, options=options)
             played, over = 0, False
             while played < wanted and not over:
                 observation, _, terminated, truncated, info = self.env.step(self._random_action(self._rng))
                 over = terminated or truncated
                 played += 1
             if not over:
+                self._unfinished = False
                 return observation, {**info, "random_steps": played}
             # The next try is shorter than what was just too long, so this comes to an end: at 0 none is played.
             wanted, seed = int(self._rng.integers(played)), None
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One step of the agent's own."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
+        observation, reward, terminated, truncated, info = self._guarded(self.env.step, action)
         self.episodes_ended += terminated or truncated
+        self._unfinished = False
         return observation, float(reward), terminated, truncated, info
 
     def _random_action(self, rng: np.random.Generator) -> Any:

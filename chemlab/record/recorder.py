@@ -20,7 +20,7 @@ from ..chemistry import AMOUNTS, PRESENT, TEMPERATURE
 from ..files import sync_folder
 from ..laboratory.actions import MEASURE
 from ..laboratory.core import Laboratories
-from ..laboratory.state import RUNNING
+from ..laboratory.state import RUNNING, STATUS_WORDS
 from ..materials import validated
 from ..scenario import dump_scenario
 from .format import FORMAT, Header, digest, seen_hash, to_text
@@ -203,7 +203,7 @@ class Witness:
         labs, m = self._labs, self._m
         totals = zip(labs.scenario.safety_events, labs.safety_totals[m].tolist(), strict=True)
         result = {
-            "status": ("running", "submitted", "truncated")[int(labs.state.status[m])],
+            "status": STATUS_WORDS[int(labs.state.status[m])],
             "score": labs.result(self._member).item(),
             **labs.outcome(m),
             "rewards": self.rewards,

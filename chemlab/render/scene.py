@@ -25,7 +25,7 @@ from ..bench.base import CAMERA_PIXELS, Bench, Experiments
 from ..chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..laboratory.core import Laboratories
 from ..laboratory.experiments import ExperimentBatch
-from ..laboratory.state import COST_ITEMS, RUNNING
+from ..laboratory.state import COST_ITEMS, RUNNING, STATUS_WORDS
 from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.layers import profile
 from ..scenario import Scenario
@@ -54,7 +54,6 @@ _SEPARATED = 1e-3
 """A profile that is nowhere farther than this from the stacked layers is shown as these."""
 _SHOWN_MOL = 5e-6
 """Below this a material does not count as contents."""
-_STATUS = ("running", "submitted", "truncated")
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ class Scene:
     scenario: str
     title: str
     status: str
-    """``running``, ``submitted`` or ``truncated``; of a bench ``running`` or ``ended``"""
+    """``running``, ``submitted`` or ``limit reached``; of a bench ``running`` or ``ended``"""
     turn: str
     """agent that has the turn; empty when it is over"""
     manager_actions: int
@@ -463,7 +462,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         kind="laboratory",
         scenario=scenario.name,
         title=scenario.title,
-        status=_STATUS[status],
+        status=STATUS_WORDS[status],
         turn=labs.agents[turn] if running else "",
         manager_actions=int(state.actions[member]),
         manager_action_limit=scenario.limits.manager_actions,

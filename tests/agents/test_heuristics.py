@@ -50,7 +50,7 @@ def test_dodecane_is_made_purely(name: str) -> None:
     """LABORATORY.md: the heuristic manager submits at least 0.40 mol at a purity of at least 0.95."""
     found = results(name, "heuristic", 100)
     assert {result.goal for result in found} == {"dodecane"}
-    assert all(result.terminated and not result.truncated for result in found)
+    assert all(result.status == "submitted" for result in found)
     good = sum(result.submitted_mol >= 0.40 and result.purity >= 0.95 for result in found)
     assert good >= 95
     # No more than the sodium and the chlorohexane allow.

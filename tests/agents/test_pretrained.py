@@ -289,7 +289,7 @@ def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytes
         ship(made_up(bench), tmp_path, bench.key)
         policies[agent] = pretrained_for(bench)
     result = play_episode(env, policies, 0, "pretrained")
-    assert result.terminated or result.truncated
+    assert result.status != "running"
 
 
 def test_what_does_not_fit_is_named() -> None:

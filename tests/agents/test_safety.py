@@ -53,7 +53,7 @@ def test_the_careful_have_no_accident() -> None:
         assert all(turn.info["cost"] == 0.0 and not turn.info["events"].any() for turn in turns)
         assert result.costs["safety"] == 0.0
         # Not by doing nothing: the product is made.
-        assert result.terminated
+        assert result.status == "submitted"
         assert result.score > 0.5
 
 

@@ -27,6 +27,7 @@ from chemlab.chemistry import element_matrix
 from chemlab.jit import kernel
 from chemlab.laboratory.actions import SUBMIT
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.state import LIMIT
 from chemlab.laboratory.worlds import World
 from chemlab.scenario import SAFETY_EVENTS, scenario_names
 
@@ -62,14 +63,17 @@ class _Watched(BatchedLaboratory):
         self.atoms_in = element_matrix(self.scenario).T
         self.atoms: FloatArray = np.zeros((members, self.atoms_in.shape[1]))
         self.drift = self.charge = 0.0
-        self.negative = 0
+        self.negative = self.limits = 0
+        self.playing = False
         self.events = np.zeros(len(SAFETY_EVENTS))
 
     def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
-        if self._begun:
+        if self.playing:
             self.weigh(members)
+            self.limits += int((self.laboratories.state.status[members] == LIMIT).sum())
             self.events += self.laboratories.safety_totals[members].sum(axis=0)
         super()._restart(members, goal, world)
+        self.playing = True
         self.atoms[members] = self._weight(members)
 
     def _weight(self, members: IntArray) -> FloatArray:
@@ -103,10 +107,10 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
     submits = labs.actions.table[:, 0] == SUBMIT
     patient = rng.random(members) < PATIENT
     figures: dict[str, Any] = {"scenario": scenario, "members": members}
-    terminated = truncated = rounds = turns = outside = unsound = lost = 0
+    ended = rounds = turns = outside = unsound = lost = 0
     warm, begun = 0.0, time.perf_counter()
     seen, infos = batch.reset(seed=seed)
-    while terminated + truncated < episodes:
+    while ended < episodes:
         actions: dict[str, npt.NDArray[Any]] = {}
         for number, agent in enumerate(batch.possible_agents):
             turn = infos[agent]["has_turn"]
@@ -128,27 +132,25 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
             mask[np.flatnonzero(rare)[kept.any(axis=1)]] = kept[kept.any(axis=1)]
             mask[rng.random(members) < BOLD] = 1
             actions[agent] = policies[number].act(seen[agent], mask, everyone, everyone)
-        seen, rewards, over, cut, infos = batch.step(actions)
+        seen, rewards, over, _, infos = batch.step(actions)
         rounds += 1
-        terminated += int(over.sum())
-        truncated += int(cut.sum())
+        ended += int(over.sum())
         for number, agent in enumerate(batch.possible_agents):
             lost += int(labs.illegal(number).sum()) if number == 0 else 0
             unsound += int((~np.isfinite(rewards[agent])).sum() + (~np.isfinite(infos[agent]["cost"])).sum())
         if rounds % 64 == 0:
             batch.weigh(everyone)
-        if not warm and terminated + truncated >= 0.2 * episodes:
+        if not warm and ended >= 0.2 * episodes:
             warm = resident_mib()
     elapsed = time.perf_counter() - begun
     figures |= {
-        "episodes": terminated + truncated,
-        "terminated": terminated,
-        "truncated": truncated,
+        "episodes": ended,
+        "limits_reached": batch.limits,
         "rounds": rounds,
         "agent_steps": turns,
         "lost_manager_turns": lost,
         "seconds": round(elapsed, 2),
-        "episodes_per_s": round((terminated + truncated) / elapsed, 1),
+        "episodes_per_s": round(ended / elapsed, 1),
         "agent_steps_per_s": round(turns / elapsed),
         "atoms_drift": batch.drift,
         "charge": batch.charge,

@@ -70,7 +70,8 @@ def laboratory_episode(env: Any, policies: dict[str, Any], seed: int) -> str:
     members, steps = np.zeros(1, dtype=np.int64), dict.fromkeys(env.possible_agents, 0)
     for agent in env.agent_iter():
         observation, reward, terminated, truncated, info = env.last()
-        digest.add(agent, observation, float(reward), float(terminated), float(truncated), float(info["cost"]))
+        status = int(env.laboratories.state.status[0])  # environments of other commits tell a limit in another way
+        digest.add(agent, observation, float(reward), float(status == 1), float(status == 2), float(info["cost"]))
         if terminated or truncated:
             env.step(None)
             continue

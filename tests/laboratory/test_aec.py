@@ -27,6 +27,7 @@ from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.laboratory.parallel import parallel_env
+from chemlab.laboratory.state import CLOSED, LIMIT
 from chemlab.laboratory.text import named_costs
 from chemlab.materials import DataError
 from chemlab.scenario import load_scenario, scenario_names
@@ -620,17 +621,18 @@ def test_submitting_terminates_for_all() -> None:
     assert sorted(order) == sorted(env.possible_agents)
 
 
-def test_the_limit_on_the_managers_actions_truncates() -> None:
+def test_the_limit_on_the_managers_actions_terminates() -> None:
     values = mapping(WURTZ)
     values["limits"]["manager_actions"] = 3
     env = raw_env(load_scenario(values))
     env.reset(seed=0)
     manager(env, "measure", 0, "balance")
     manager(env, "measure", 1, "uv_vis")
-    assert not any(env.truncations.values())
-    manager(env, "measure", 1, "gas_chromatograph")
-    assert all(env.truncations.values())
     assert not any(env.terminations.values())
+    manager(env, "measure", 1, "gas_chromatograph")
+    assert all(env.terminations.values())
+    assert not any(env.truncations.values())
+    assert env.laboratories.state.status[0] == LIMIT
     prices = {key: spec["price"] for key, spec in values["instruments"].items()}
     instruments = prices["balance"] + prices["uv_vis"] + prices["gas_chromatograph"]
     ether = env.scenario.materials["diethyl_ether"]
@@ -649,9 +651,10 @@ def test_submitting_with_the_last_action_is_a_submission() -> None:
     manager(env, "submit", 0)
     assert all(env.terminations.values())
     assert not any(env.truncations.values())
+    assert env.laboratories.state.status[0] == CLOSED
 
 
-def test_the_limit_on_ticks_truncates() -> None:
+def test_the_limit_on_ticks_terminates() -> None:
     values = mapping(WURTZ)
     values["limits"]["ticks"] = 4
     env = raw_env(load_scenario(values))
@@ -660,10 +663,11 @@ def test_the_limit_on_ticks_truncates() -> None:
     manager(env, "start", "dit_0", 1, "dodecane")
     manager(env, "wait")
     for turn in range(8):
-        assert not any(env.truncations.values()), f"after {turn} turns"
+        assert not any(env.terminations.values()), f"after {turn} turns"
         env.step(idle(env))
-    assert all(env.truncations.values())
-    assert not any(env.terminations.values())
+    assert all(env.terminations.values())
+    assert not any(env.truncations.values())
+    assert env.laboratories.state.status[0] == LIMIT
     assert env.rewards["manager_0"] == pytest.approx(-4 * values["costs"]["tick"], rel=1e-12)
     assert env.agent_selection == "manager_0"
     while env.agents:
@@ -773,7 +777,7 @@ def test_rendering_as_text(name: str) -> None:
             assert re.search(rf"^\s*{agent}\b", text, re.MULTILINE)
         texts.append(text)
         env.step(random_legal(env, rng, submit=False))
-    assert "truncated" in str(env.render()) or env.scenario.demand.order
+    assert "limit reached" in str(env.render()) or env.scenario.demand.order
     assert any("step " in text for text in texts)
 
 

@@ -307,8 +307,8 @@ def test_a_short_soak(name: str) -> None:
     assert figures["broken"] == []
     assert figures["episodes"] >= 100
     # Where limits are generous, random agents submit everything before they are reached, and some worlds are harmless.
-    assert figures["truncated"] > 0 or world
-    assert figures["terminated"] > 0
+    assert figures["limits_reached"] > 0 or world
+    assert figures["episodes"] > figures["limits_reached"]
     assert figures["lost_manager_turns"] > (50 if world else 100)  # play was not only legal
     assert sum(figures["safety_events"].values()) > 0.0 or world
 

@@ -18,7 +18,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.bench.base import channel_slices
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.state import RUNNING, TERMINATED
+from chemlab.laboratory.state import CLOSED, RUNNING
 from chemlab.laboratory.view import terms_channels
 from chemlab.materials import DataError
 from chemlab.scenario import load_scenario
@@ -106,7 +106,7 @@ def test_an_episode_is_over_when_no_order_can_be_met() -> None:
     assert (labs.state.ticks[0], labs.state.status[0]) == (6, RUNNING)
     manager(env, "wait")  # the second comes
     manager(env, "wait")
-    assert (labs.state.ticks[0], labs.state.status[0]) == (16, TERMINATED)
+    assert (labs.state.ticks[0], labs.state.status[0]) == (16, CLOSED)
 
 
 def test_where_late_pays_the_episode_goes_on_and_nobody_waits_for_nothing() -> None:

@@ -5,9 +5,11 @@ Run as a script, this file prints the digests of its episodes, which is how the 
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
@@ -15,13 +17,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+from gymnasium.vector import AutoresetMode
 from helpers import EVERY_SCENARIO, FEATURED, slow_but
 
+from chemlab.agents.background import focal_vector_env
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import scenario_names
+from chemlab.laboratory.parallel import parallel_env
+from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 OTHERS = tuple(name for name in scenario_names() if name not in FEATURED)
 
@@ -195,6 +203,210 @@ def test_a_restored_laboratory_goes_on_as_it_did(name: str) -> None:
     other = Laboratories(name)
     other.restore(middle)
     assert replay(other, played) == once
+
+
+# -- series of episodes ---------------------------------------------------------------------------------------------
+
+EPISODES = 4
+WORLDLY = ("wurtz_any", "alike")
+"""Scenarios whose goals and, in the second, whose hidden parameters are drawn."""
+
+
+def drawn_scenario(name: str) -> Scenario:
+    """A scenario that draws goals, and worlds where asked to, and whose episodes are short."""
+    vessel = {"capacity_l": 1.2, "contents": {"diethyl_ether": 4.0, "1-chlorohexane": 1.0}}
+    draw = {
+        "what": "amount",
+        "of": ["slot_0"],
+        "material": "1-chlorohexane",
+        "distribution": {"kind": "uniform", "low": 0.5, "high": 1.0},
+    }
+    worldly = {"shelf": {"slots": 8, "vessel": [vessel] * 3}, "world": {"draws": {"feed": draw}}}
+    more = worldly if name == "alike" else {}
+    limits = {"limits": {"manager_actions": 12, "ticks": 40, "budget": 10.0}}
+    return load_scenario({"base": "wurtz_any", "name": name, "title": name, "summary": name, **limits, **more})
+
+
+def beginning(labs: Any, member: int, *shown: Any) -> str:
+    """Digest of all that an episode begins with: vessels, goals, orders, world, and every random stream."""
+    digest = Digest()
+    digest.add(*shown)
+    digest.add(labs.shelf.vessels[member], labs.worlds.table.arrays.values[member] if labs.worlds.active else None)
+    if isinstance(labs, Laboratories):
+        digest.add(labs.state.goal[member], labs.state.terms[member], labs.state.stream[member])
+        digest.add(*(experiments.stream[member] for experiments in labs.experiments))
+    else:
+        own = labs.experiments
+        digest.add(own.goal[member], own.stream[member], labs.start_stream[member])
+    return str(digest)
+
+
+def hasty_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Generator) -> int:
+    """Submits what stands in the first slot at once."""
+    return labs.actions.encode("submit", 0)
+
+
+def busy_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Generator) -> int:
+    """Measures, which draws instrument noise, and starts experiments, which draw the camera's, up to a limit."""
+    legal = [int(a) for a in np.flatnonzero(mask) if labs.actions.decode(int(a))[0] != "submit"]
+    return int(rng.choice(legal))
+
+
+MANAGERS = {"hasty": hasty_manager, "busy": busy_manager}
+
+
+def focal_beginnings(name: str, agent: str, style: str, mode: AutoresetMode, members: int) -> list[list[str]]:
+    """[members][EPISODES] beginnings of a batch's episodes for an agent, the others being random policies."""
+    env = focal_vector_env(members, drawn_scenario(name), agent, background="random", autoreset_mode=mode)
+    labs, rng = env.laboratories, np.random.default_rng(0)
+    seen, infos = env.reset(seed=5)
+    found = [[beginning(labs, m, seen[m])] for m in range(members)]
+    waiting = np.zeros(members, dtype=np.bool_)
+    while min(map(len, found)) < EPISODES:
+        if agent == "manager_0":
+            actions = np.array([MANAGERS[style](infos["action_mask"][m], labs, rng) for m in range(members)])
+        else:
+            shape = (members, *labs.action_space(env.focal).shape)  # type: ignore[misc]
+            actions = np.full(shape, 0.5) if style == "hasty" else rng.random(shape)
+        seen, _, terminated, truncated, infos = env.step(actions)
+        assert not truncated.any()
+        begun = {AutoresetMode.NEXT_STEP: waiting, AutoresetMode.SAME_STEP: terminated}.get(mode, terminated)
+        if mode is AutoresetMode.DISABLED and terminated.any():
+            seen, infos = env.reset(options={"reset_mask": terminated})
+        for m in np.flatnonzero(begun):
+            found[m].append(beginning(labs, m, seen[m]))
+        waiting = terminated
+    return [own[:EPISODES] for own in found]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize(("name", "agent"), [*((name, "manager_0") for name in WORLDLY), ("wurtz_any", "rxn_0")])
+def test_later_episodes_are_the_same_whatever_was_played_before(name: str, agent: str, mode: AutoresetMode) -> None:
+    """The k-th episode of a slot begins with the same vessels, goals, orders, world and noise for any two policies.
+
+    A bench's random manager plays whole episodes without it, which others stand in for.
+    """
+    hasty, busy = (focal_beginnings(name, agent, style, mode, 3) for style in MANAGERS)
+    assert hasty == busy
+    assert len({one for own in hasty for one in own}) == 3 * EPISODES  # and no two are the same
+    assert focal_beginnings(name, agent, "busy", mode, 1) == busy[:1]  # nor does it depend on the batch
+
+
+@pytest.mark.parametrize("name", WORLDLY)
+def test_single_laboratories_and_batches_go_through_the_same_series(name: str) -> None:
+    """AEC, parallel and batched laboratories without autoreset: reset() without a seed goes on to the next episode."""
+    spec = drawn_scenario(name)
+    found = []
+    for manager in MANAGERS:
+        rng = np.random.default_rng(1)
+        aec, rounds = raw_env(spec), parallel_env(spec)
+        batches = [BatchedLaboratory(1, spec, autoreset=autoreset) for autoreset in (True, False)]
+        for i in range(EPISODES):
+            aec.reset(seed=5 if i == 0 else None)
+            found.append([beginning(aec.laboratories, 0)])
+            while aec.agents and not aec.terminations["manager_0"]:
+                aec.step(_chosen(manager, aec.laboratories, aec.laboratories.turn(), rng))
+            rounds.reset(seed=5 if i == 0 else None)
+            found[-1].append(beginning(rounds.laboratories, 0))
+            while rounds.agents:
+                rounds.step(_round(manager, rounds.laboratories, rng, single=True))
+            for batch in batches:
+                if i == 0:
+                    batch.reset(seed=[5])
+                elif not batch.autoreset:
+                    batch.reset(options={"reset_mask": np.ones(1, dtype=np.bool_)})
+                found[-1].append(beginning(batch.laboratories, 0))
+                over = np.zeros(1, dtype=np.bool_)
+                while not over[0]:
+                    _, _, over, _, _ = batch.step(_round(manager, batch.laboratories, rng, single=False))
+    assert all(len(set(own)) == 1 for own in found)
+    assert found[:EPISODES] == found[EPISODES:]
+    assert len({own[0] for own in found}) == EPISODES
+    # A whole series can be put back in the middle of it, and goes on alike in a copy.
+    snapshot = aec.laboratories.snapshot()
+    other = Laboratories(spec)
+    other.restore(snapshot)
+    copied = pickle.loads(pickle.dumps(aec.laboratories)) if name == "wurtz_any" else copy.deepcopy(aec.laboratories)
+    nexts = []
+    for labs in (aec.laboratories, other, copied):
+        labs.reset(labs.members)
+        nexts.append(beginning(labs, 0))
+    assert len(set(nexts)) == 1
+
+
+def _chosen(manager: str, labs: Laboratories, number: int, rng: np.random.Generator) -> Any:
+    """An action of whoever has the turn."""
+    mask = labs.mask(number, labs.members)
+    if number == 0:
+        assert mask is not None
+        return MANAGERS[manager](mask[0], labs, rng)
+    return rng.random(labs.action_space(number).shape) if mask is None else int(rng.choice(np.flatnonzero(mask[0])))  # type: ignore[arg-type]
+
+
+def _round(manager: str, labs: Laboratories, rng: np.random.Generator, single: bool) -> dict[str, Any]:
+    """Actions of all who have the turn, of one laboratory."""
+    actions = {
+        labs.agents[n]: _chosen(manager, labs, int(n), rng) for n in np.flatnonzero(labs.turns(labs.members)[:, 0])
+    }
+    return actions if single else {agent: np.asarray(action)[None] for agent, action in actions.items()}
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("bench", ["rxn", "ext"])
+def test_later_experiments_are_the_same_whatever_was_played_before(bench: str, mode: AutoresetMode) -> None:
+    """On single benches, too: goal, starting vessel and first picture, for who ends at once and who does not."""
+    spec, found = drawn_scenario("alike"), []
+    for short in (True, False):
+        rng = np.random.default_rng(2)
+        env = BenchVectorEnv(2, spec, bench, autoreset_mode=mode, threads=2)
+        single = BenchEnv(spec, bench)
+        seen, _ = env.reset(seed=[7, 8])
+        own = [beginning(env.batch, 0, seen[0])]
+        alone = []
+        waiting = np.zeros(2, dtype=np.bool_)
+        while len(own) < EPISODES:
+            actions = [_step(single, short, rng) for _ in range(2)]
+            seen, _, terminated, _, _ = env.step(np.array(actions))
+            if mode is AutoresetMode.DISABLED and terminated.any():
+                seen, _ = env.reset(options={"reset_mask": terminated})
+            if (waiting if mode is AutoresetMode.NEXT_STEP else terminated)[0]:
+                own.append(beginning(env.batch, 0, seen[0]))
+            waiting = terminated
+        for i in range(EPISODES):
+            seen, _ = single.reset(seed=7 if i == 0 else None)
+            alone.append(beginning(single.batch, 0, seen))
+            for _ in range(3 if short else 6):
+                if single._over:
+                    break
+                single.step(_step(single, short, rng))
+        env.close()
+        found += [own, alone]
+    assert all(own == found[0] for own in found)
+    assert len(set(found[0])) == EPISODES
+
+
+def _step(env: BenchEnv, short: bool, rng: np.random.Generator) -> Any:
+    """An action that ends the experiment, where there is one and it is to be ``short``; else any that does not."""
+    if not env.bench.action_count:
+        return rng.random(env.action_space.shape)  # type: ignore[arg-type]
+    return env.bench.end_action if short else int(rng.integers(env.bench.end_action))
+
+
+def test_the_first_episode_of_a_seed_does_not_know_of_series() -> None:
+    """What is published was played in first episodes: their streams are the seed's own words."""
+    labs = Laboratories(drawn_scenario("alike"), 2)
+    for member, seed in enumerate((3, 4)):
+        labs.seed(member, seed)
+    words = [np.random.SeedSequence(seed).generate_state(1 + len(labs.experiments), np.uint64) for seed in (3, 4)]
+    for k, experiments in enumerate(labs.experiments):
+        assert experiments.stream[:, 0].tolist() == [int(own[1 + k]) for own in words]
+    labs.reset(labs.members)
+    for k, experiments in enumerate(labs.experiments):
+        assert experiments.stream[:, 0].tolist() == [int(own[1 + k]) for own in words]
+    # One number for each order's goal has been taken from the manager's stream: SplitMix64 counts in this step.
+    step = 0x9E3779B97F4A7C15
+    expected = [(int(own[0]) + labs.scenario.orders * step) % 2**64 for own in words]
+    assert labs.state.stream[:, 0].tolist() == expected
 
 
 if __name__ == "__main__":

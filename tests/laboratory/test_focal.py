@@ -18,15 +18,19 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from helpers import slow_but
+from helpers import mapping, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.actions import SUBMIT, WAIT
+from chemlab.laboratory.actions import SUBMIT, WAIT, ManagerActions
 from chemlab.laboratory.aec import raw_env
+from chemlab.laboratory.batch import BatchedLaboratory
 from chemlab.laboratory.core import Laboratories
 from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
+from chemlab.laboratory.parallel import parallel_env
+from chemlab.laboratory.state import LIMIT
 from chemlab.laboratory.text import named_costs, named_events
+from chemlab.scenario import load_scenario
 
 WURTZ = "wurtz_dodecane"
 CASES = [
@@ -81,18 +85,27 @@ class ByHand:
         self.number = self.env.possible_agents.index(agent)
         self.policies = make_policies(background, self.labs)
         self.last_turn = 0
+        self.series, self.episode = np.uint64(0), 0
+
+    def seed(self, sequence: np.random.SeedSequence) -> None:
+        """Policies with randomness have a stream of their own each."""
+        for policy, own in zip(self.policies.values(), sequence.spawn(len(self.policies)), strict=True):
+            if hasattr(policy, "seed"):
+                policy.seed(0, own)
 
     def reset(self, seed: int | None = None) -> npt.NDArray[np.float32]:
-        """Begin an episode in which the agent has a turn; policies with randomness have a stream of their own each."""
+        """Begin an episode in which the agent has a turn, the first one of a seed or the next."""
+        self.episode += 1
         if seed is not None:
-            for policy, own in zip(
-                self.policies.values(), np.random.SeedSequence(seed).spawn(len(self.policies)), strict=True
-            ):
-                if hasattr(policy, "seed"):
-                    policy.seed(0, own)
+            self.seed(np.random.SeedSequence(seed))
+            self.series = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+            self.episode = 1
+        else:
+            self.seed(np.random.SeedSequence([int(self.series), self.episode]))
         self.env.reset(seed=seed)
         self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
         while self.labs.state.status[0] != 0:
+            self.labs.episodes.again[:] = True  # stands in for the same episode
             self.env.reset()
             self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
         self.last_turn = int(self.labs.state.ticks[0])
@@ -131,7 +144,7 @@ class ByHand:
         self.others(found)
         ticks, status = int(self.labs.state.ticks[0]), int(self.labs.state.status[0])
         found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
-        found["terminated"], found["truncated"] = status == 1, status == 2
+        found["terminated"], found["truncated"] = status != 0, False
         if status != 0 and self.number == 0:
             found["score"] = float(self.labs.result(self.labs.members)[0])
         found["experiment_over"] = "score" in found
@@ -266,6 +279,76 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     assert sum(elapsed) == hand.labs.state.ticks[0] - first
     assert agent != "ext_0" or min(elapsed[:-1]) >= 1  # a bench has one turn a tick
     assert max(elapsed) > 1
+
+
+# -- ends -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit", ["manager_actions", "ticks"])
+def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
+    """A limit is observed and nothing follows it: a learner must not add the value of what would follow."""
+    values = mapping(WURTZ)
+    values["limits"][limit] = 3
+    spec = load_scenario(values)
+    actions = ManagerActions.of(spec)
+    moves = [actions.encode("measure", 0, "balance")] * 3
+    if limit == "ticks":
+        moves = [actions.encode("start", "ext_0", 0, "dodecane"), actions.encode("wait")]
+    idle = {"ext_0": 3}  # as long as it may
+    ends: list[tuple[bool, bool]] = []
+
+    aec = raw_env(spec)
+    aec.reset(seed=0)
+    for move in moves:
+        aec.step(move)
+    while limit == "ticks" and aec.agent_selection == "ext_0":
+        aec.step(3)
+    for agent in aec.possible_agents:
+        ends.append((aec.terminations[agent], aec.truncations[agent]))
+    assert aec.laboratories.state.status[0] == LIMIT
+
+    rounds = parallel_env(spec)
+    rounds.reset(seed=0)
+    batches = [BatchedLaboratory(2, spec, autoreset=autoreset) for autoreset in (True, False)]
+    for batch in batches:
+        batch.reset(seed=0)
+    steps: list[dict[str, int]] = [{"manager_0": move} for move in moves] + [idle] * (3 * (limit == "ticks"))
+    for step in steps:
+        _, _, over, cut, _ = rounds.step(step)
+        seen = [batch.step({agent: np.array([action] * 2) for agent, action in step.items()}) for batch in batches]
+    ends += [(over[agent], cut[agent]) for agent in rounds.possible_agents]
+    ends += [(bool(o), bool(c)) for _, _, overs, cuts, _ in seen for o, c in zip(overs, cuts, strict=True)]
+
+    background = {agent: (lambda seen, mask: np.full(len(seen), 3)) for agent in ("ext_0", "dit_0")}
+    background["rxn_0"] = lambda seen, mask: np.full((len(seen), 6), 0.5)
+    single = FocalEnv(spec, policies=background)
+    single.reset(seed=0)
+    for move in moves:
+        _, _, one_over, one_cut, _ = single.step(move)
+    ends.append((one_over, one_cut))
+    for mode in AutoresetMode:
+        several = FocalVectorEnv(2, spec, policies=background, autoreset_mode=mode)
+        several.reset(seed=0)
+        for move in moves:
+            _, _, overs, cuts, _ = several.step(np.full(2, move))
+        ends += [(bool(o), bool(c)) for o, c in zip(overs, cuts, strict=True)]
+
+    plan = iter([*moves, moves[-1]])
+    others = {**background, "manager_0": lambda seen, mask: np.full(len(seen), next(plan))}
+    if limit == "ticks":  # and for a bench's agent
+        bench = FocalEnv(spec, "ext_0", {name: policy for name, policy in others.items() if name != "ext_0"})
+        bench.reset(seed=0)
+        found = [bench.step(3) for _ in range(3)]
+        assert [step[2] for step in found] == [False, False, True]
+        ends.append((found[-1][2], found[-1][3]))
+
+    sb3 = pytest.importorskip("chemlab.agents.sb3")
+    venv = sb3.ChemlabVecEnv(FocalVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
+    venv.reset()
+    for move in moves:
+        _, _, dones, infos = venv.step(np.full(2, move))
+    ends += [(bool(done), info["TimeLimit.truncated"]) for done, info in zip(dones, infos, strict=True)]
+    assert set(ends) == {(True, False)}
 
 
 # -- batches --------------------------------------------------------------------------------------------------------

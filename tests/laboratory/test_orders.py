@@ -23,6 +23,7 @@ from chemlab.laboratory import parallel_env
 from chemlab.laboratory.actions import SUBMIT, ManagerActions
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.batch import BatchedLaboratory
+from chemlab.laboratory.state import LIMIT
 from chemlab.materials import DataError
 from chemlab.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
 
@@ -131,7 +132,7 @@ def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
     assert all(busy.terminations.values())
 
 
-def test_a_truncated_episode_pays_what_was_submitted() -> None:
+def test_an_episode_that_reaches_a_limit_pays_what_was_submitted() -> None:
     values = mapping(LINES)
     values["limits"]["manager_actions"] = 2
     env = laboratory(values)
@@ -141,7 +142,8 @@ def test_a_truncated_episode_pays_what_was_submitted() -> None:
     worth = 0.2 * 0.5 / env.scenario.theoretical_maximum_mol[goal] / 2
     assert env.rewards["manager_0"] == pytest.approx(worth, rel=1e-12)
     manager(env, "measure", 1, "balance")
-    assert all(env.truncations.values())
+    assert all(env.terminations.values())
+    assert env.laboratories.state.status[0] == LIMIT
     price = env.scenario.instruments["balance"].price
     assert env.rewards["manager_0"] == pytest.approx(-price, rel=1e-12)
     assert env.laboratories.result(env.laboratories.members)[0] == pytest.approx(worth - price, rel=1e-12)
@@ -300,7 +302,7 @@ def test_the_scripted_manager_keeps_both_lines_busy() -> None:
                 both[key] += bool(labs.busy[experiments, 0].all())
 
         result = play_episode(env, policies, seed, watch=watch)
-        assert result.terminated
+        assert result.status == "submitted"
         outcome = labs.outcome()
         assert labs.state.filled[0].all(), f"seed {seed}"
         for order in outcome["orders"]:
