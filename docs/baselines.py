@@ -24,7 +24,7 @@ from chemlab.agents.evaluation.statistics import (
     interquartile_mean,
     interval_text,
     mean,
-    probability_of_improvement,
+    paired_improvement,
 )
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
@@ -117,10 +117,11 @@ def table() -> list[str]:
 def overall() -> list[str]:
     """All scenarios together, each with the same weight, of whoever is there in every one; the best first.
 
-    Intervals are over runs, within scenarios. Interquartile means want equally many runs in each.
+    Intervals are over runs, within scenarios; where a scenario has a single line there are none. Interquartile means
+    need equally many runs in each.
     """
     runs, scenarios = _runs(), world_scenarios()
-    scripted = [[runs[scenario, "heuristic"][0]["value"]] for scenario in scenarios]
+    scripted = [runs[scenario, "heuristic"][0]["value"] for scenario in scenarios]
     found = []
     for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **_EVERYWHERE}.items():
         cells = [runs[scenario, name] for scenario in scenarios if (scenario, name) in runs]
@@ -128,9 +129,10 @@ def overall() -> list[str]:
             continue
         samples = [[line["value"] for line in cell] for cell in cells]
         counts = sorted({sum(line["runs"] for line in cell) for cell in cells if cell[0]["steps"]})
+        beside = [[value] * len(sample) for value, sample in zip(scripted, samples, strict=True)]
         even = len({len(sample) for sample in samples}) == 1
         average, middle = mean(samples), interquartile_mean(samples) if even else None
-        estimates = (average, middle, probability_of_improvement(samples, scripted))
+        estimates = (average, middle, paired_improvement(samples, beside))
         texts = [interval_text(one.as_dict(), 2) if one else "" for one in estimates]
         found.append((average.value, [called, "-".join(map(str, counts)), *texts]))
     found.sort(key=lambda one: -one[0])
@@ -166,7 +168,8 @@ def shipped() -> list[str]:
         scripted, *others = (lines.get((scenario, name)) for name in ("heuristic", *_SHIPPED))
         if scripted is None or not any(_cell(one) for one in others):
             continue
-        ratios = [f"{one['value'] / scripted['value']:.2f}" if one and _cell(one) else "" for one in others]
+        above = scripted["value"] is not None and scripted["value"] > 0.0
+        ratios = [f"{one['value'] / scripted['value']:.2f}" if above and one and _cell(one) else "" for one in others]
         rows.append([f"`{scenario}`", *map(_cell, (scripted, *others)), *ratios])
     return markdown(rows)
 

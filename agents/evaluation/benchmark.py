@@ -5,7 +5,8 @@ Every row (a policy) plays the same episodes of each scenario, in worlds of the 
 knows each episode's world. The episodes are dealt out to replications. A replication has worlds of its own, and a
 training run of its own where a row has several (a folder of runs that differ in their seeds); it is what the
 statistics are of: interquartile mean, performance profile and probability of improvement over the baseline, with
-intervals from resamples of replications within each scenario (Agarwal et al. 2021).
+95 % intervals (:mod:`~chemlab.agents.evaluation.statistics`). The interval of a cell is over its episodes; where
+several runs have dealt them out among themselves, it is over runs.
 
 | row | who |
 |---|---|
@@ -206,22 +207,8 @@ class _Block:
 
 
 def _normalised(scores: Any, random: float, best: float) -> FloatArray:
-    """Scores on the scale of episodes in which random play and who knows the world come to so much in the mean."""
-    return np.asarray((np.asarray(scores) - random) / max(best - random, 1e-9))
-
-
-def _interval(values: FloatArray, there: BoolArray) -> dict[str, Any]:
-    """Of what was played; a single episode says nothing of others, and has none."""
-    found = interval(values)
-    return found if there.sum() > 1 else {**found, "low": None, "high": None}
-
-
-def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
-    """The scores of each replication's episodes on its own scale."""
-    return [
-        _normalised(np.asarray(scores)[one["first"] : one["first"] + one["count"]], one["random"], one["clairvoyant"])
-        for one in scales
-    ]
+    """Scores on the scale of episodes of which these are the mean scores of random play and of the planner."""
+    return np.asarray((np.asarray(scores) - random) / (best - random))
 
 
 def _blocks(episodes: int, replications: int) -> list[_Block]:
@@ -430,11 +417,16 @@ def _cells(
             cells[name] = {"value": None, "low": None, "high": None, "reason": values}
             continue
         there = np.isfinite(values)
-        scale = Scale(random[there], best[there])
+        scale = Scale(random[there], best[there], _drawn(_row_named(rows, name), blocks, there))
+        if scale.span <= 0.0:
+            reason = "nobody scores above random play in these episodes: there is no scale"
+            cells[name] = {"value": None, "low": None, "high": None, "reason": reason}
+            continue
         blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
-        parts = [numbers for numbers in blockwise if len(numbers)]
+        # Where nobody is above random play there is no scale, and no replication.
+        parts = [own for own in blockwise if len(own) and best[own].mean() > random[own].mean()]
         cells[name] = {
-            **_interval(scale.mean(values[there]), there),
+            **interval(scale.mean(values[there])),
             "score": float(values[there].mean()),
             "episodes": int(there.sum()),
             "scale": {"random": float(random[there].mean()), "clairvoyant": float(best[there].mean())},
@@ -444,7 +436,7 @@ def _cells(
         other = scores[baseline]
         if name != baseline and not isinstance(other, str):
             more = scale.mean(values[there]) - scale.mean(other[there])
-            cells[name]["over_baseline"] = _interval(more, there)
+            cells[name]["over_baseline"] = interval(more)
             if not there.all():  # in the other episodes worlds are easier, or harder
                 cells[name]["baseline"] = _replications(other, random, best, parts)
         if name in gaps:
@@ -455,6 +447,13 @@ def _cells(
         "plans": played["plan"]["plans"],
         "cells": cells,
     }
+
+
+def _drawn(row: Row, blocks: Sequence[_Block], there: BoolArray) -> list[int] | None:
+    """The number of the training run that played each episode, where a row has several; None: one player."""
+    runs = len(row.policies)
+    numbers = [block.number % runs for block in blocks for _ in range(block.count)] if runs > 1 else []
+    return [number for number, played in zip(numbers, there, strict=True) if played] if numbers else None
 
 
 def _replications(
@@ -501,7 +500,6 @@ def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> di
         **{f"budget_{key}": value for key, value in vars(chosen).items()},
         "seed": AUDIT_SEED,
         "confidence": statistics.CONFIDENCE,
-        "resamples": statistics.RESAMPLES,
         "versions": versions(),
         "commit": _commit(),
         "hardware": _hardware(),
@@ -561,9 +559,11 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
-            for k, (scale, returns) in enumerate(
-                zip(one["replications"], _scaled(cell["scores"], one["replications"]), strict=True)
-            ):
+            for k, scale in enumerate(one["replications"]):
+                if scale["clairvoyant"] <= scale["random"]:
+                    continue
+                first, count = scale["first"], scale["count"]
+                returns = _normalised(cell["scores"][first : first + count], scale["random"], scale["clairvoyant"])
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
                 steps = {}
                 for i, (step, mean) in enumerate(curve):
@@ -709,10 +709,10 @@ def _end(line: Mapping[str, Any]) -> float:
 
 def _rescaled(line: dict[str, Any], end: float) -> dict[str, Any]:
     """A line on the scale that ends there; 0 stays where it is."""
-    if _end(line) in (end, -np.inf):
+    if _end(line) in (end, -np.inf) or _end(line) <= line["scale"]["random"]:
         return line
     zero = line["scale"]["random"]
-    factor = (_end(line) - zero) / max(end - zero, 1e-9)
+    factor = (_end(line) - zero) / (end - zero)
 
     def scaled(told: dict[str, Any]) -> dict[str, Any]:
         return told | {key: told[key] * factor for key in ("value", "low", "high") if told.get(key) is not None}
