@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Derandomized: a failure on one machine is a failure on every machine. HYPOTHESIS_PROFILE=explore looks further.
@@ -16,3 +19,22 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 # Seals of what tests train are made with a key of their own; processes that they start have it, too.
 _state = tempfile.TemporaryDirectory()
 os.environ.setdefault("CHEMLAB_STATE_DIR", _state.name)
+
+
+@pytest.fixture
+def in_time() -> Iterator[None]:
+    """Fail a test that waits for ever, which would stop all others (where the system has alarms)."""
+    if not hasattr(signal, "alarm"):
+        yield
+        return
+
+    def late(*_: object) -> None:
+        raise TimeoutError("waited for two minutes")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(120)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
