@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
+from chemlab.agents.evaluation.benchmark import world_scenarios
+from chemlab.agents.evaluation.leaderboard import leaderboard_lines
 from chemlab.record import scenario_hash, verify_record
 from chemlab.scenario import load_scenario, scenario_names
 

@@ -19,11 +19,11 @@ from chemlab.agents.evaluation.benchmark import (
     Row,
     benchmark,
     find_rows,
-    leaderboard_lines,
     part_count,
     write_benchmark,
 )
 from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.evaluation.leaderboard import leaderboard_lines
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run

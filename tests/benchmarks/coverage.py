@@ -1,9 +1,10 @@
-"""Measure how often the 95 % intervals of chemlab's tables contain the true value: ``python tests/benchmarks/coverage.py``.
+"""Measure how often the 95 % intervals of chemlab's tables contain the true value.
 
 Each line is a statistic of a number of samples in each of one or eight strata, drawn from a normal, a uniform and a
 lopsided (exponential) distribution, or from a five-valued one with ties. True values are closed forms, or, of the
-pooled interquartile mean, integrals by SciPy. The Markdown table is the one of docs/protocol.md; ``--write`` puts it
-there. ``--tries 4000`` gives a standard error of 0.003; the default takes some minutes on one core.
+pooled interquartile mean, integrals by SciPy. The Markdown table is the one of docs/protocol.md:
+``python tests/benchmarks/coverage.py --write`` puts it there. 4000 tries give a standard error of 0.003 and take some
+minutes on one core.
 """
 
 from __future__ import annotations
