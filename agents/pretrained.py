@@ -22,14 +22,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
 from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.bench.base import Bench
 from chemlab.bench.kinds import discretised_twin
 from chemlab.datafile import DataError, read_json
 from chemlab.datamodel import validated
-from chemlab.files import write_bytes, write_text
+from chemlab.files import read_bytes, write_bytes, write_text
 from chemlab.laboratory.core import ManagerRole
 from chemlab.laboratory.policy import Memory, Policy
 from chemlab.scenario import Scenario, shipped_file
@@ -438,9 +438,7 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     card = _read_card(path.with_name(f"{path.name}.json"))
     file = path.with_name(f"{path.name}.safetensors")
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise ValueError(f"larger than {_MOST_BYTES} bytes")
-        weights = load_file(file)
+        weights = load(read_bytes(file, _MOST_BYTES))
     except Exception as error:  # safetensors has an exception class of its own, which is not part of its interface
         raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {path.name}.json") from error
     try:

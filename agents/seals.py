@@ -21,12 +21,15 @@ import warnings
 from pathlib import Path
 
 from chemlab.datafile import DataError
-from chemlab.files import write_text
+from chemlab.files import read_bytes, write_text
 from chemlab.parts import may_run
 
 __all__ = ["read_sealed", "seal_file", "state_folder"]
 
 _KEY_BYTES = 32
+_SEAL_BYTES = 1_000
+_MOST_BYTES = 2_000_000_000
+"""Of a sealed file: a learner with all that it needs to go on."""
 
 
 def state_folder() -> Path:
@@ -54,7 +57,7 @@ def _key(folder: Path) -> bytes:
                     os.link(draft, file)
             finally:
                 draft.unlink()
-        key = file.read_bytes()
+        key = read_bytes(file, _SEAL_BYTES)
     except OSError as error:
         warnings.warn(
             f"{file}: no key for seals ({error.strerror}): another process loads what this one leaves only with "
@@ -77,7 +80,7 @@ def _seal_beside(path: Path) -> Path:
 
 def seal_file(path: Path) -> None:
     """Say of a file that is finished that this user wrote it."""
-    write_text(_seal_beside(path), _seal_of(path.read_bytes()) + "\n")
+    write_text(_seal_beside(path), _seal_of(read_bytes(path, _MOST_BYTES)) + "\n")
 
 
 def read_sealed(path: Path) -> bytes:
@@ -86,10 +89,11 @@ def read_sealed(path: Path) -> bytes:
     Raises:
         DataError: neither; the message names the flag.
         FileNotFoundError: no such file.
+        OSError: it is not a regular file, or too large.
     """
-    content = path.read_bytes()
+    content = read_bytes(path, _MOST_BYTES)
     try:
-        found = _seal_beside(path).read_text(encoding="utf-8", errors="replace").strip()
+        found = read_bytes(_seal_beside(path), _SEAL_BYTES).decode("utf-8", errors="replace").strip()
     except FileNotFoundError:
         found = ""
     # Not ASCII is an error to compare_digest, and no seal.

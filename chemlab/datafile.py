@@ -18,6 +18,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+from .files import read_bytes
+
 __all__ = [
     "DataError",
     "bounded",
@@ -59,16 +61,11 @@ def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
     if "\0" in str(path):
         raise DataError(f"{str(path)!r}: a path has no null character")
     try:
-        if path.exists() and not path.is_file():
-            raise DataError(f"{path}: is no file")
-        with path.open("rb") as handle:
-            content = handle.read(limit + 1)
+        content = read_bytes(path, limit)
     except FileNotFoundError as error:
         raise DataError(f"{path}: no such file") from error
     except OSError as error:
         raise DataError(f"{shown(str(path))}: {error.strerror or error}") from error
-    if len(content) > limit:
-        raise DataError(f"{path}: is larger than {limit} bytes")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""Writing files so that a crash loses nothing, and leaves nothing behind for good."""
+"""Reading files within bounds; writing them so that a crash loses nothing, and leaves nothing behind for good."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ import contextlib
 import errno
 import os
 import secrets
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 __all__ = [
     "check_folder",
     "check_marks",
     "check_target",
     "draft_of",
+    "open_regular",
+    "read_bytes",
     "replace_between",
     "sync_file",
     "sync_folder",
@@ -28,6 +32,41 @@ _DRAFT = ".draft-"
 """What names of drafts begin with, so that those left by a killed process can be told from anything of the user's."""
 _ABANDONED_S = 60.0
 """A draft that nobody has written to for so long has no writer any more."""
+
+
+def open_regular(path: Path, limit: int) -> BinaryIO:
+    """Open a regular file of at most ``limit`` bytes for reading.
+
+    Pipes, devices and folders, and links to them, are refused without waiting for anybody: reading them might never
+    end.
+
+    Raises:
+        OSError: it is no such file, or cannot be opened; the error names it.
+    """
+    name = os.fspath(path)
+    if not stat.S_ISREG(os.stat(name).st_mode):  # opening some devices has effects already
+        raise OSError(errno.EINVAL, "is not a regular file", name)
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+    handle = os.open(name, flags)
+    try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):  # somebody has replaced it in between
+            raise OSError(errno.EINVAL, "is not a regular file", name)
+        if found.st_size > limit:
+            raise OSError(errno.EFBIG, f"is larger than {limit} bytes", name)
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_bytes(path: Path, limit: int) -> bytes:
+    """The content of a regular file of at most ``limit`` bytes; errors as :func:`open_regular`."""
+    with open_regular(path, limit) as file:
+        content = file.read(limit + 1)
+    if len(content) > limit:  # it has grown, or is one of those that the system says no size of
+        raise OSError(errno.EFBIG, f"is larger than {limit} bytes", os.fspath(path))
+    return content
 
 
 @contextmanager

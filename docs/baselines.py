@@ -6,25 +6,33 @@ is finished, all episodes, as a row of its own. What has been played is kept in 
 which begins as the committed one, is copied to ``docs/results/leaderboard.json``, and its records of what comes along
 to ``docs/results/records``. So seeds that have been trained elsewhere, or earlier, stay: the table has a learner's runs
 together.
+
+With ``--scores [SCENARIO ...]`` it plays again what needs no training run and no search (random legal actions, the
+scripted agents, the policies in the package) and stores the score of each of their episodes in the committed lines,
+where their mean is what the line says. ``chemlab verify docs/results/leaderboard.json`` then computes these again.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
+import numpy as np
+
+from chemlab.agents.evaluation.benchmark import world_scenarios
+from chemlab.agents.evaluation.jobs import AUDIT_SEED, Crew, Job, budget_of
+from chemlab.agents.evaluation.leaderboard import leaderboard_lines, write_leaderboard
 from chemlab.agents.evaluation.statistics import (
     interquartile_mean,
     interval_text,
     mean,
-    probability_of_improvement,
+    paired_improvement,
 )
 from chemlab.agents.runs import find_runs
 from chemlab.files import replace_between, write_text
@@ -35,7 +43,9 @@ __all__ = [
     "LEARNERS",
     "PAGE",
     "README",
+    "REPLAYED",
     "ROOT",
+    "add_scores",
     "effort",
     "finished",
     "markdown",
@@ -78,6 +88,8 @@ _HIDDEN = {
     "arrives": "orders to come",
 }
 """Hidden parameters by their kind, in README's words; kinds that are drawn together with one of these have none."""
+REPLAYED = ("random", "heuristic", *_SHIPPED)
+"""Rows that anybody can play again without training or searching."""
 
 
 def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
@@ -160,10 +172,11 @@ def tasks() -> list[str]:
 def overall() -> list[str]:
     """All scenarios together, each with the same weight, of whoever is there in every one; the best first.
 
-    Intervals are over runs, within scenarios. Interquartile means want equally many runs in each.
+    Intervals are over runs, within scenarios; where a scenario has a single line there are none. Interquartile means
+    need equally many runs in each.
     """
     runs, scenarios = _runs(), world_scenarios()
-    scripted = [[runs[scenario, "heuristic"][0]["value"]] for scenario in scenarios]
+    scripted = [runs[scenario, "heuristic"][0]["value"] for scenario in scenarios]
     found = []
     for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **_EVERYWHERE}.items():
         cells = [runs[scenario, name] for scenario in scenarios if (scenario, name) in runs]
@@ -171,9 +184,10 @@ def overall() -> list[str]:
             continue
         samples = [[line["value"] for line in cell] for cell in cells]
         counts = sorted({sum(line["runs"] for line in cell) for cell in cells if cell[0]["steps"]})
+        beside = [[value] * len(sample) for value, sample in zip(scripted, samples, strict=True)]
         even = len({len(sample) for sample in samples}) == 1
         average, middle = mean(samples), interquartile_mean(samples) if even else None
-        estimates = (average, middle, probability_of_improvement(samples, scripted))
+        estimates = (average, middle, paired_improvement(samples, beside))
         texts = [interval_text(one.as_dict(), 2) if one else "" for one in estimates]
         found.append((average.value, [called, "-".join(map(str, counts)), *texts]))
     found.sort(key=lambda one: -one[0])
@@ -209,7 +223,8 @@ def shipped() -> list[str]:
         scripted, *others = (lines.get((scenario, name)) for name in ("heuristic", *_SHIPPED))
         if scripted is None or not any(_cell(one) for one in others):
             continue
-        ratios = [f"{one['value'] / scripted['value']:.2f}" if one and _cell(one) else "" for one in others]
+        above = scripted["value"] is not None and scripted["value"] > 0.0
+        ratios = [f"{one['value'] / scripted['value']:.2f}" if above and one and _cell(one) else "" for one in others]
         rows.append([f"`{scenario}`", *map(_cell, (scripted, *others)), *ratios])
     return markdown(rows)
 
@@ -245,18 +260,55 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         kept = Path("records") / scenario
         shutil.rmtree(LEADERBOARD.parent / kept, ignore_errors=True)
         shutil.copytree(own.parent / kept, LEADERBOARD.parent / kept)
-    written = json.loads(own.read_text(encoding="utf-8"))
-    write_text(LEADERBOARD, json.dumps(written, indent=1) + "\n")
+    write_text(LEADERBOARD, own.read_text(encoding="utf-8"))
+
+
+def add_scores(scenarios: list[str]) -> None:
+    """Store the scores of the episodes of those rows that anybody can play again; says which are not what they were."""
+    lines = leaderboard_lines(LEADERBOARD)
+    for line in lines:
+        if line["scenario"] not in scenarios or line["policy"] not in REPLAYED or line["value"] is None:
+            continue
+        begun = time.process_time()
+        played = {split: _replayed(line, split) for split in dict.fromkeys((line["split"], "train"))}
+        scores, train = played[line["split"]], played["train"]
+        same = abs(float(np.mean(scores)) - line["score"]) <= 1e-9
+        said = f"{line['scenario']}, {line['policy']}: {time.process_time() - begun:.0f} s of processor time, "
+        print(said + ("as stored" if same else f"comes to {np.mean(scores)}, stored is {line['score']}"), flush=True)
+        if same:
+            line["scores"] = scores
+            if line["generalization"] is not None:
+                line["train_scores"] = train
+    write_leaderboard(LEADERBOARD, lines)
+
+
+def _replayed(line: dict[str, Any], split: str) -> list[float]:
+    """A row's scores, in the parts in which the benchmark plays them."""
+    spec, budget = load_scenario(line["scenario"]), budget_of(line["budget"])
+    parts = np.array_split(np.arange(budget.episodes), 1 if line["policy"] == "random" else line["seeds"])
+    jobs = [
+        Job(
+            f"{part[0]}",
+            "play",
+            {"policy": line["policy"], "seed": AUDIT_SEED + int(part[0]), "episodes": len(part), "split": split},
+        )
+        for part in parts
+    ]
+    found = Crew(spec, budget).run(jobs)
+    return [score for job in jobs for score in found[job.name]["scores"]]
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--play", type=Path, metavar="RESULTS", help="play what has been trained there first")
+    parser.add_argument("--scores", action="store_true", help="store scores of what can be played again at once")
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="to play (default: all that draw worlds)")
     parser.add_argument("--budget", default="full", help="of chemlab benchmark (default: %(default)s)")
     asked = parser.parse_args()
     if asked.play is not None:
         _play(asked.play, asked.scenarios or world_scenarios(), asked.budget)
+    if asked.scores:
+        add_scores(asked.scenarios or world_scenarios())
     replace_between(PAGE, "baselines", table())
     replace_between(PAGE, "overall", overall())
     replace_between(PAGE, "effort", effort())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Iterator
 from typing import Any
@@ -38,3 +39,22 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         )
         yield context
         context.close()
+
+
+@pytest.fixture
+def in_time() -> Iterator[None]:
+    """Fail a test that waits for ever, which would stop all others (where the system has alarms)."""
+    if not hasattr(signal, "alarm"):
+        yield
+        return
+
+    def late(*_: object) -> None:
+        raise TimeoutError("waited for two minutes")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(120)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)

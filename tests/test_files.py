@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.files import draft_of, replace_between, write_bytes, write_text
+from chemlab.files import draft_of, open_regular, read_bytes, replace_between, write_bytes, write_text
 
 WRITER = """
 import sys
@@ -112,3 +112,32 @@ def test_something_else_is_in_the_way(tmp_path: Path) -> None:
     assert sorted(item.name for item in tmp_path.iterdir()) == ["file", "folder"]
     # A name as long as the system allows leaves no room for a longer one beside it.
     write_text(tmp_path / ("a" * 255), "x")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of POSIX")
+def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: None) -> None:
+    """Pipes that nobody writes to, endless devices, links to either; files larger than allowed, however they look."""
+    small, large, sparse = (tmp_path / name for name in ("small", "large", "sparse"))
+    small.write_bytes(b"0123456789")
+    large.write_bytes(b"0123456789a")
+    with sparse.open("wb") as file:
+        file.truncate(10**12)  # a terabyte of nothing takes no room on the disk
+    assert read_bytes(small, 10) == b"0123456789"
+    os.mkfifo(tmp_path / "pipe")
+    for name, target in (("device", "/dev/zero"), ("to_pipe", "pipe"), ("to_folder", "."), ("to_small", "small")):
+        (tmp_path / name).symlink_to(target)
+    assert read_bytes(tmp_path / "to_small", 10) == b"0123456789"
+    for name in ("pipe", "to_pipe", "device", "to_folder"):
+        with pytest.raises(OSError, match="is not a regular file") as caught:
+            open_regular(tmp_path / name, 10)
+        assert caught.value.filename == str(tmp_path / name)
+    for path in (large, sparse):
+        with pytest.raises(OSError, match="is larger than 10 bytes"):
+            read_bytes(path, 10)
+    with pytest.raises(FileNotFoundError):
+        read_bytes(tmp_path / "none", 10)
+    # What the system makes as it is read has no size beforehand.
+    if Path("/proc/self/maps").exists():
+        assert Path("/proc/self/maps").stat().st_size == 0
+        with pytest.raises(OSError, match="is larger than 10 bytes"):
+            read_bytes(Path("/proc/self/maps"), 10)

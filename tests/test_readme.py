@@ -9,9 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
-from chemlab.agents.evaluation.benchmark import leaderboard_lines, world_scenarios
-from chemlab.record import scenario_hash, verify_record
+from chemlab.agents.evaluation.benchmark import world_scenarios
+from chemlab.agents.evaluation.leaderboard import check_leaderboard, leaderboard_lines
+from chemlab.record import scenario_hash
 from chemlab.scenario import load_scenario, scenario_names
 
 README = Path(__file__).parent.parent / "README.md"
@@ -80,7 +82,8 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
     assert (managers["runs"], managers["hours"], managers["over_baseline"]) == (3, 1.5, None)
     assert managers["value"] == pytest.approx(0.5)
     assert managers["generalization"]["value"] == pytest.approx(0.25)
-    assert 0.19 < managers["low"] < 0.5 < managers["high"] < 0.91
+    ends = stats.ttest_1samp([0.2, 0.4, 0.9], 0.0).confidence_interval(0.95)
+    assert (managers["low"], managers["high"]) == pytest.approx((ends.low, ends.high))
     assert (benches["runs"], benches["value"]) == (2, 2)
     team = found["runaway", "joint/together (best)"]
     assert (team["runs"], team["hours"], team["value"]) == (3, 1.5, 0.25)
@@ -104,16 +107,15 @@ def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.Mo
     for rows in (table(), overall(), effort(), shipped()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
     assert "\n".join(tasks()) in TEXT, "run: python docs/baselines.py"
+    # Lines follow from their scores, as far as these are stored, and records come to what the lines say.
+    checks = check_leaderboard(LEADERBOARD)
+    assert {(check.scenario, check.policy): check.faults for check in checks if check.faults} == {}
     recorded = set()
     for line in leaderboard_lines(LEADERBOARD):
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])), "play it again: --play"
         assert line["value"] is None or line["value"] <= 1.0
-        for record in line["records"]:
+        if line["records"]:
             recorded.add((line["scenario"], line["policy"]))
-            proof = verify_record(LEADERBOARD.parent / record["file"])
-            # On another platform numbers may differ.
-            assert proof.status in ("ok", "other"), proof
-            assert proof.status == "other" or proof.score == pytest.approx(record["score"], abs=1e-9)
     along = ("plan", "heuristic", "pretrained", "trained")
     assert recorded == {(scenario, policy) for scenario in world_scenarios() for policy in along}
 

@@ -29,8 +29,8 @@ Orders that are all there from the beginning are run apart each in a laboratory 
 contend for one laboratory: apart means that each is worked on by itself, in the order in which they come, and none is
 let go for another. Who also hears from benches what they have made is told from who does not: ``worth_of_reports``.
 
-Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % bootstrap interval over episodes; what cannot be said
-is null, with a ``reason``.
+Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % interval over episodes (t, with the
+jackknife's variance); what cannot be computed is null, with a ``reason``.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def audit(
 
     Raises:
         DataError: no such scenario.
-        ValueError: unknown budget.
+        ValueError: unknown budget, or nothing that was played scores above random play.
         WorkerLost: a part lost its worker again and again.
     """
     spec = load_scenario(scenario)
@@ -202,6 +202,12 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
     others = [test, plan, best, *(scores for scores in unseeing.values() if scores is not None)]
     clairvoyant = np.maximum.reduce([foreseen(found), *others])
     scale = Scale(random, clairvoyant)
+    if scale.span <= 0.0:
+        raise ValueError(
+            f"{spec.name}: no policy and no plan that was tried scores above random legal play "
+            f"({random.mean():.3f} in the mean), so there is no scale and nothing to audit; check that the scenario "
+            "can be solved (stock, limits, prices), or give a budget that tries more plans"
+        )
     ways = {"replay": _scores(found, "replay"), "plan": plan, "everybody": np.array(found["plan"]["everybody"])}
     way, blind = _greatest(ways)
     blindfolded = {name: _scores(found, f"blindfold-{name}") for name in ("heuristic", "hasty")} | {"plan": plan}
@@ -262,9 +268,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """What was contended for in an episode of the reference: all kinds together, and by kind."""
     counts = np.array(found["test"]["contention"])
-    draw = np.random.default_rng(0).integers(len(counts), size=(statistics.RESAMPLES, len(counts)))
-    means = counts.sum(axis=1)[draw].mean(axis=1)
-    told = interval(np.concatenate([[counts.sum(axis=1).mean()], means]))
+    told = statistics.mean([counts.sum(axis=1)]).as_dict()
     return {**told, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
 
 
@@ -277,10 +281,10 @@ def _worth(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray 
 def _gates(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None]:
     """Which of :data:`GATES` are met; None where one does not apply."""
     measuring, noise = measures["worth_of_measuring"], measures["noise"]["value"]
-    coordination = measures["coordination"]["value"]
-    met = measuring["value"] is not None and measuring["value"] >= 0.1 and measuring["low"] > 0.0
+    coordination, reference = measures["coordination"]["value"], measures["reference"]["value"]
+    met = measuring["value"] is not None and measuring["value"] >= 0.1 and (measuring["low"] or 0.0) > 0.0
     return {
-        "blind": bool(measures["blind"]["value"] <= 0.5 * measures["reference"]["value"]),
+        "blind": bool(reference > 0.0 and measures["blind"]["value"] <= 0.5 * reference),
         "measuring": bool(met),
         "benches": all(worth["value"] >= 0.1 for worth in measures["worth_of_bench"].values()),
         "coordination": None if coordination is None else bool(coordination >= 0.1),

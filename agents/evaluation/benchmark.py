@@ -5,7 +5,8 @@ Every row (a policy) plays the same episodes of each scenario, in worlds of the 
 knows each episode's world. The episodes are dealt out to replications. A replication has worlds of its own, and a
 training run of its own where a row has several (a folder of runs that differ in their seeds); it is what the
 statistics are of: interquartile mean, performance profile and probability of improvement over the baseline, with
-intervals from resamples of replications within each scenario (Agarwal et al. 2021).
+95 % intervals (:mod:`~chemlab.agents.evaluation.statistics`). The interval of a cell is over its episodes; where
+several runs have dealt them out among themselves, it is over runs.
 
 | row | who |
 |---|---|
@@ -22,7 +23,8 @@ checkpoint; or records of these episodes that somebody has played (``chemlab pla
 | ``parts/SCENARIO/`` | what has been played: the same command goes on from there |
 | ``benchmark.json`` | :func:`benchmark`'s findings |
 | ``marl_eval.json`` | each run's scores on the scale, as marl-eval reads them |
-| ``leaderboard.json`` | a line for each row and scenario, with commit, versions, hardware, hours and records |
+| ``leaderboard.json`` | a line for each row and scenario, with the scores of its episodes, commit, versions, \
+hardware, hours and records (:mod:`~chemlab.agents.evaluation.leaderboard`) |
 | ``records/`` | episodes of each row that ``chemlab verify`` plays again |
 
 A line of the leaderboard that another command has written stays, unless it is of the same row and scenario. Where
@@ -43,11 +45,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
 
-from chemlab.arrays import BoolArray, FloatArray
-from chemlab.datafile import DataError, read_json
-from chemlab.datamodel import validated
+from chemlab.arrays import FloatArray
 from chemlab.files import write_text
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.core import MANAGER_AGENT
@@ -61,7 +60,7 @@ from ..policies import make_policies, policy_names
 from ..runs import Run, differences, find_runs, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
-from .scale import Scale, interval
+from .leaderboard import on_scale, runs_of, write_leaderboard
 
 __all__ = [
     "DEFAULT_ROWS",
@@ -69,7 +68,6 @@ __all__ = [
     "Row",
     "benchmark",
     "find_rows",
-    "leaderboard_lines",
     "part_count",
     "provenance",
     "reference_jobs",
@@ -81,9 +79,11 @@ DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
-_TOLD = ("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline")
+_TOLD = (
+    *("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline"),
+    *("scores", "train_scores"),
+)
 """Of a cell, what the leaderboard has, too."""
-_LEADERBOARD_BYTES = 50_000_000
 _RECORD = ".jsonl"
 """How files of records end."""
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
@@ -206,22 +206,8 @@ class _Block:
 
 
 def _normalised(scores: Any, random: float, best: float) -> FloatArray:
-    """Scores on the scale of episodes in which random play and who knows the world come to so much in the mean."""
-    return np.asarray((np.asarray(scores) - random) / max(best - random, 1e-9))
-
-
-def _interval(values: FloatArray, there: BoolArray) -> dict[str, Any]:
-    """Of what was played; a single episode says nothing of others, and has none."""
-    found = interval(values)
-    return found if there.sum() > 1 else {**found, "low": None, "high": None}
-
-
-def _scaled(scores: Any, scales: Sequence[Mapping[str, Any]]) -> list[FloatArray]:
-    """The scores of each replication's episodes on its own scale."""
-    return [
-        _normalised(np.asarray(scores)[one["first"] : one["first"] + one["count"]], one["random"], one["clairvoyant"])
-        for one in scales
-    ]
+    """Scores on the scale of episodes of which these are the mean scores of random play and of the planner."""
+    return np.asarray((np.asarray(scores) - random) / (best - random))
 
 
 def _blocks(episodes: int, replications: int) -> list[_Block]:
@@ -430,25 +416,25 @@ def _cells(
             cells[name] = {"value": None, "low": None, "high": None, "reason": values}
             continue
         there = np.isfinite(values)
-        scale = Scale(random[there], best[there])
+        other, runs = scores[baseline], len(_row_named(rows, name).policies)
+        beside = None if name == baseline or isinstance(other, str) else other
+        measured = on_scale(values, random, best, runs_of(runs, len(blocks), len(values)), beside, gaps.get(name))
+        if measured is None:
+            reason = "nobody scores above random play in these episodes: there is no scale"
+            cells[name] = {"value": None, "low": None, "high": None, "reason": reason}
+            continue
         blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
-        parts = [numbers for numbers in blockwise if len(numbers)]
+        # Where nobody is above random play there is no scale, and no replication.
+        parts = [own for own in blockwise if len(own) and best[own].mean() > random[own].mean()]
         cells[name] = {
-            **_interval(scale.mean(values[there]), there),
-            "score": float(values[there].mean()),
-            "episodes": int(there.sum()),
-            "scale": {"random": float(random[there].mean()), "clairvoyant": float(best[there].mean())},
+            **measured,
             "replications": _replications(values, random, best, parts),
             "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
         }
-        other = scores[baseline]
-        if name != baseline and not isinstance(other, str):
-            more = scale.mean(values[there]) - scale.mean(other[there])
-            cells[name]["over_baseline"] = _interval(more, there)
-            if not there.all():  # in the other episodes worlds are easier, or harder
-                cells[name]["baseline"] = _replications(other, random, best, parts)
         if name in gaps:
-            cells[name]["generalization"] = interval(scale.mean(values) - scale.mean(gaps[name]))
+            cells[name]["train_scores"] = gaps[name].tolist()
+        if beside is not None and not there.all():  # in the other episodes worlds are easier, or harder
+            cells[name]["baseline"] = _replications(beside, random, best, parts)
     return {
         "scenario_hash": scenario_hash(spec),
         "replications": scales,
@@ -501,7 +487,6 @@ def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> di
         **{f"budget_{key}": value for key, value in vars(chosen).items()},
         "seed": AUDIT_SEED,
         "confidence": statistics.CONFIDENCE,
-        "resamples": statistics.RESAMPLES,
         "versions": versions(),
         "commit": _commit(),
         "hardware": _hardware(),
@@ -545,7 +530,7 @@ def write_benchmark(
     write_text(folder / "benchmark.json", json.dumps(found, indent=1) + "\n")
     write_text(folder / "marl_eval.json", json.dumps(marl_eval(found, rows), indent=1) + "\n")
     written = _recorded(folder, found, scenarios, rows, records)
-    _write_leaderboard(folder / "leaderboard.json", found, written)
+    write_leaderboard(folder / "leaderboard.json", _lines(found, written))
 
 
 def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
@@ -561,9 +546,11 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
-            for k, (scale, returns) in enumerate(
-                zip(one["replications"], _scaled(cell["scores"], one["replications"]), strict=True)
-            ):
+            for k, scale in enumerate(one["replications"]):
+                if scale["clairvoyant"] <= scale["random"]:
+                    continue
+                first, count = scale["first"], scale["count"]
+                returns = _normalised(cell["scores"][first : first + count], scale["random"], scale["clairvoyant"])
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
                 steps = {}
                 for i, (step, mean) in enumerate(curve):
@@ -607,66 +594,8 @@ def _recorded(
     return written
 
 
-class _Open(BaseModel):
-    """What is read of something that may have more, which stays as it is."""
-
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
-
-
-class _Estimate(_Open):
-    """A number on the scale, and its interval."""
-
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-class _Ends(_Open):
-    """What 0 and 1 are: mean scores in a line's episodes, as far as its own command knew."""
-
-    random: float
-    clairvoyant: float
-
-
-class _Line(_Estimate):
-    """A line of a leaderboard."""
-
-    scenario: str
-    policy: str
-    split: str
-    value: float | None
-    scenario_hash: str | None = None
-    scale: _Ends | None = None
-    over_baseline: _Estimate | None = None
-    generalization: _Estimate | None = None
-
-
-class _Leaderboard(BaseModel):
-    """The file."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    lines: list[_Line]
-
-
-def leaderboard_lines(path: Path) -> list[dict[str, Any]]:
-    """The lines of a leaderboard; none where there is no file.
-
-    Raises:
-        DataError: it is no leaderboard.
-    """
-    if not path.exists():
-        return []
-    try:
-        found: _Leaderboard = validated(_Leaderboard, read_json(path, _LEADERBOARD_BYTES), str(path))
-    except DataError as error:
-        raise DataError(f"{error}; this is no leaderboard: move it away, or name another folder with --out") from error
-    return [line.model_dump(mode="json", exclude_unset=True) for line in found.lines]
-
-
-def _write_leaderboard(
-    path: Path, found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict[str, Any]]]
-) -> None:
+def _lines(found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The leaderboard's lines of a benchmark's findings, with the records that were written."""
     lines = []
     summaries = {row["policy"]: row for row in found["rows"]}
     common = {name: found[name] for name in ("split", "seeds", "budget", "baseline", "commit", "versions", "hardware")}
@@ -676,46 +605,4 @@ def _write_leaderboard(
             effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
-    everything = _together(leaderboard_lines(path), lines)
-    everything.sort(key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
-    write_text(path, json.dumps({"kind": "leaderboard", "format": 1, "lines": everything}, indent=1) + "\n")
-
-
-def _together(before: list[dict[str, Any]], new: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Lines of commands before and new ones, which replace those of the same row, on the longest scale among them.
-
-    A scale ends where who was best of those that one command has played came to, so commands differ in it.
-    """
-    lines = {(line["scenario"], line["policy"], line["split"]): line for line in before}
-    for key, line in (((line["scenario"], line["policy"], line["split"]), line) for line in new):
-        old = lines.get(key, line)
-        if line["policy"] != "clairvoyant" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
-            lines[key] = line
-    longest: dict[Any, float] = {}
-    for line in lines.values():
-        longest[_episodes(line)] = max(_end(line), longest.get(_episodes(line), -np.inf))
-    return [_rescaled(line, longest[_episodes(line)]) for line in lines.values()]
-
-
-def _episodes(line: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What is equal of lines of the same episodes: nobody has random play's mean score in others."""
-    return line["scenario"], line["split"], line.get("scenario_hash"), (line.get("scale") or {}).get("random")
-
-
-def _end(line: Mapping[str, Any]) -> float:
-    """What 1 is on a line's scale; of lines that do not say (an empty cell), nothing."""
-    return float(line["scale"]["clairvoyant"]) if line.get("scale") else -np.inf
-
-
-def _rescaled(line: dict[str, Any], end: float) -> dict[str, Any]:
-    """A line on the scale that ends there; 0 stays where it is."""
-    if _end(line) in (end, -np.inf):
-        return line
-    zero = line["scale"]["random"]
-    factor = (_end(line) - zero) / max(end - zero, 1e-9)
-
-    def scaled(told: dict[str, Any]) -> dict[str, Any]:
-        return told | {key: told[key] * factor for key in ("value", "low", "high") if told.get(key) is not None}
-
-    told = {key: scaled(line[key]) for key in ("over_baseline", "generalization") if line.get(key)}
-    return scaled(line) | told | {"scale": {"random": zero, "clairvoyant": end}}
+    return lines

@@ -232,7 +232,7 @@ def crossplay(
         ``drops`` (of everybody that has a partner and met others) and how it was made.
 
     Raises:
-        ValueError: unknown budget, or a policy that does not fit after all.
+        ValueError: unknown budget, a policy that does not fit after all, or nobody scores above random play.
     """
     chosen = budget_of(budget)
     crew = Crew(scenario, chosen, keep, executor, watch)
@@ -248,6 +248,8 @@ def crossplay(
     # Whoever knows the world can do what the others did there.
     clairvoyant = np.maximum.reduce([foreseen(planned), random, plan, *scores.values()])
     scale = Scale(random, clairvoyant)
+    if scale.span <= 0.0:
+        raise ValueError(f"{scenario.name}: nobody scores above random legal play ({random.mean():.3f}): no scale")
     scaled = {pair: scale.mean(values) for pair, values in scores.items()}
     return {
         "kind": "crossplay",

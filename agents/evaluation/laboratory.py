@@ -334,8 +334,8 @@ def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | 
         yield (
             f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
             f"seed {seed}, the same for everybody, which training has not seen. Means over episodes, goals "
-            f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % bootstrap intervals over the seeds of "
-            "training, where there are several (of a few they are too narrow: of two, they are the two values). "
+            f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % t intervals over the seeds of "
+            "training; a single seed has none. "
             "Minus scripted: the score less that of the scripted manager over the same benches. "
             "Last: score of the last checkpoint, as the evaluation that ended training has it. "
             "Safety: weighted safety events. Instruments: what measuring has cost, in units of the score. "

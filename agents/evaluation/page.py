@@ -16,9 +16,9 @@ __all__ = ["write_page"]
 
 _NOTE = (
     "Each run's best policy in the evaluation that ended training: mean over runs and interquartile mean with 95 % "
-    "bootstrap intervals over the seeds of training. Last: mean over runs of the last policy instead. P(better): "
-    "probability that a run's return for a goal is above the scripted policy's, ties counting one half, mean over "
-    "goals. Best after: steps to a run's best policy, median. Minutes are those of a run."
+    "t intervals over the seeds of training; a single run has none. Last: mean over runs of the last policy instead. "
+    "P(better): probability that a run's return for a goal is above the scripted policy's, ties counting one half, "
+    "mean over goals. Best after: steps to a run's best policy, median. Minutes are those of a run."
 )
 
 

@@ -624,14 +624,12 @@ class Replayed:
     Attributes:
         blind: the score of the best donor's actions, played again from every seed.
         seeing: the score of the policies that look.
-        ratio: blind over seeing.
         donors: seed of the best donor's episode, by context.
         scores: [episodes] of the blind ones.
     """
 
     blind: Estimate
     seeing: Estimate
-    ratio: float
     donors: dict[Context, int]
     scores: FloatArray
 
@@ -747,8 +745,7 @@ def replay_actions(
         blind[own] = _replay(final, [[tape[chosen] for tape in tapes]])[0]
         best[context] = SEARCH_SEED + chosen
         told(donors * (1 + SEEDS) + len(own))
-    score, reference = statistics.mean([blind]), statistics.mean([seeing])
-    return Replayed(score, reference, score.value / reference.value, best, blind)
+    return Replayed(statistics.mean([blind]), statistics.mean([seeing]), best, blind)
 
 
 def _players(policy: str | PlanSearch, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:

@@ -214,7 +214,6 @@ def evaluate(
         "seed": seed,
         "baseline": baseline,
         "confidence": statistics.CONFIDENCE,
-        "resamples": statistics.RESAMPLES,
         "versions": versions(),
         "policies": [_report(name, played, found[baseline]) for name, played in found.items()],
     }
@@ -238,12 +237,7 @@ def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -
             goal: {**_statistics([goal], played, baseline), "mean_length": float(episodes.lengths.mean())}
             for goal, episodes in played.items()
         },
-        "by_case": {
-            case: statistics.mean(
-                [some for goal in episodes if len(some := goal.returns[np.array(goal.cases) == case])]
-            ).as_dict()
-            for case in cases
-        },
+        "by_case": {case: _case_mean(case, episodes).as_dict() for case in cases},
         "mean_length": float(everything.lengths.mean()),
         "mean_cost": float(everything.cost.mean()),
         "illegal_actions_per_episode": float(everything.illegal.mean()),
@@ -254,15 +248,24 @@ def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -
     }
 
 
+def _case_mean(case: str, goals: Sequence[Played]) -> Estimate:
+    """Mean return of the episodes that began in a state of one kind."""
+    chosen = [np.array(goal.cases) == case for goal in goals]
+    together = all(np.array_equal(one, chosen[0]) for one in chosen)
+    returns = [goal.returns[one] for goal, one in zip(goals, chosen, strict=True) if one.any()]
+    return statistics.mean(returns, together=together)
+
+
 def _statistics(
     goals: Sequence[str], played: dict[str, Played], baseline: dict[str, Played]
 ) -> dict[str, dict[str, float]]:
+    """Statistics over goals, whose episodes have the same seeds and so belong together."""
     ours = [played[goal].returns for goal in goals]
     theirs = [baseline[goal].returns for goal in goals]
     estimates: dict[str, Estimate] = {
-        "mean": statistics.mean(ours),
-        "interquartile_mean": statistics.interquartile_mean(ours),
-        "difference": statistics.mean([x - y for x, y in zip(ours, theirs, strict=True)]),
-        "improvement": statistics.paired_improvement(ours, theirs),
+        "mean": statistics.mean(ours, together=True),
+        "interquartile_mean": statistics.interquartile_mean(ours, together=True),
+        "difference": statistics.mean([x - y for x, y in zip(ours, theirs, strict=True)], together=True),
+        "improvement": statistics.paired_improvement(ours, theirs, together=True),
     }
     return {key: estimate.as_dict() for key, estimate in estimates.items()}

@@ -326,7 +326,10 @@ def _cell_row(cell: Cell) -> list[str]:
     results, reference = [run.finished for run in cell.runs], cell.heuristic_mean()
     better = "-"
     if reference is not None:
-        improvement = statistics.probability_of_improvement(list(cell.by_goal().T), list(cell.heuristic_by_goal().T))
+        # Each run plays every goal.
+        improvement = statistics.probability_of_improvement(
+            list(cell.by_goal().T), list(cell.heuristic_by_goal().T), together=True
+        )
         better = interval_text(improvement.as_dict(), 2)
     return [
         *(cell.title, display_name(cell.label), str(len(results)), f"{cell.steps:,}"),

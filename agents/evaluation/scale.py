@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from chemlab.arrays import FloatArray
 
@@ -14,31 +16,47 @@ __all__ = ["Scale", "interval"]
 
 
 class Scale:
-    """Statistics of scores on the audit's scale, with intervals: every resample draws episodes anew, the same of
-    everybody, and scales by its own random and clairvoyant ones.
+    """Statistics of scores on the audit's scale, of all episodes and without each group of them (the jackknife).
+
+    Random play and the planner played the same episodes, so that their means are left out together with a score's.
 
     Args:
         random, clairvoyant: [E] scores of each episode.
+        groups: [E] what is drawn independently, such as the training run that played an episode; default: episodes.
+
+    Attributes:
+        span: the planner's mean score less random play's.
     """
 
-    def __init__(self, random: FloatArray, clairvoyant: FloatArray) -> None:
-        draw = np.random.default_rng(0)
-        n = len(random)
-        self._samples = np.concatenate([np.arange(n)[None], draw.integers(n, size=(statistics.RESAMPLES, n))])
-        self._zero = random[self._samples].mean(axis=1)
-        self._span = np.maximum(clairvoyant[self._samples].mean(axis=1) - self._zero, 1e-9)
+    def __init__(self, random: FloatArray, clairvoyant: FloatArray, groups: Sequence[int] | None = None) -> None:
+        own = np.arange(len(random)) if groups is None else np.asarray(groups)
+        kinds = np.unique(own)
+        # [1 + G, E]: all episodes, then those outside each group; a single group leaves none.
+        kept = [own != kind for kind in kinds] if len(kinds) > 1 else []
+        self._kept = np.array([np.ones(len(own), dtype=np.bool_), *kept])
+        self._zero = self._means(random)
+        self._ends = self._means(clairvoyant)
+        self.span = float(self._ends[0] - self._zero[0])
+
+    def _means(self, scores: FloatArray) -> FloatArray:
+        return np.asarray((self._kept @ np.asarray(scores, dtype=np.float64)) / self._kept.sum(axis=1))
+
+    def _scaled(self, values: FloatArray) -> FloatArray:
+        span = self._ends - self._zero
+        return np.divide(values, span, out=np.full(len(values), np.nan), where=span > 0.0)
 
     def mean(self, scores: FloatArray) -> FloatArray:
-        """[1 + R] normalised means: of the episodes themselves, then of every resample."""
-        return np.asarray((scores[self._samples].mean(axis=1) - self._zero) / self._span)
+        """[1 + G] normalized means: of all episodes, then without each group; NaN where nothing is above random."""
+        return self._scaled(self._means(scores) - self._zero)
 
     def deviation(self, scores: FloatArray) -> FloatArray:
-        """[1 + R] standard deviations on the scale."""
-        return np.asarray(scores[self._samples].std(axis=1) / self._span)
+        """[1 + G] standard deviations on the scale; NaN where a group left out leaves a single episode."""
+        kept = [scores[row] for row in self._kept]
+        spreads = [part.std() if k == 0 or len(part) > 1 else np.nan for k, part in enumerate(kept)]
+        return self._scaled(np.array(spreads))
 
 
-def interval(values: FloatArray) -> dict[str, Any]:
-    """The first of [1 + R] values, and the ends of the interval that the others, of resamples, say."""
-    tail = 50.0 * (1.0 - statistics.CONFIDENCE)
-    low, high = np.percentile(values[1:], [tail, 100.0 - tail])
-    return {"value": float(values[0]), "low": float(low), "high": float(high)}
+def interval(values: npt.ArrayLike) -> dict[str, Any]:
+    """The first of [1 + G] values, with the interval that the others, each without a group of episodes, give it."""
+    whole, *without = np.asarray(values, dtype=np.float64).tolist()
+    return statistics.jackknife(whole, without).as_dict()

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from chemlab.files import write_bytes
+from chemlab.files import read_bytes, write_bytes
 
 __all__ = ["markdown_table", "number", "read_table", "write_table"]
 
@@ -52,8 +52,10 @@ def read_table(
         ValueError: it is no table, is larger than one may be, or has other columns, or a cell that is no number.
     """
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            content = file.read(_TABLE_BYTES + 1)
+        content = read_bytes(path, _TABLE_BYTES)
+        if path.suffix == ".gz":
+            with gzip.open(io.BytesIO(content)) as file:
+                content = file.read(_TABLE_BYTES + 1)
         if len(content) > _TABLE_BYTES:
             raise ValueError(f"more than {_TABLE_BYTES} bytes")
         reader = csv.DictReader(io.StringIO(content.decode()))

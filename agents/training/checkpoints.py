@@ -18,7 +18,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from chemlab.files import draft_of, sync_file, sync_folder
+from chemlab.files import draft_of, open_regular, sync_file, sync_folder
 
 from ..learners import load_learner, save_learner
 from ..runs import Run
@@ -172,7 +172,8 @@ def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
             file.unlink()
             continue
         if stop > rows - size:
-            with np.load(file) as saved:
+            most = 2 * sum(getattr(buffer, name).nbytes for name in _ARRAYS)
+            with open_regular(file, most) as opened, np.load(opened) as saved:
                 at = np.arange(start, stop) % size
                 for name in _ARRAYS:
                     getattr(buffer, name)[at] = saved[name]

@@ -442,6 +442,14 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
     run, label = Run(out), f"joint-{arguments.regime}"
     scenario, roles, described = described_team(arguments, label, "joint", training_versions())
 
+    def check() -> None:
+        labs = Laboratories(scenario, 1)
+        for number, agent in enumerate(labs.agents):
+            if arguments.imitate is not None and role_of(agent) in roles:
+                agent_policy(arguments.imitate, labs, number)
+        if arguments.begin_from is not None:
+            _begin_from(arguments.begin_from, _Team(arguments, scenario, roles, described))
+
     def go_on() -> RunResult:
         team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
         progress = Progress() if last is None else team.load(last)
@@ -453,7 +461,7 @@ def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None
             _begin_from(arguments.begin_from, team)
         return train_in_rounds(run, described, team, arguments, progress, watcher)
 
-    return open_run(run, described, arguments, go_on)
+    return open_run(run, described, arguments, go_on, check)
 
 
 def _begin_from(text: str, team: _Team) -> None:

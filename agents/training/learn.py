@@ -210,6 +210,12 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         training_versions(),
     )
 
+    def check() -> None:
+        if arguments.imitate is not None:
+            task.policy(arguments.imitate)
+        if arguments.advice is not None:
+            task.advisor(arguments.advice)
+
     def go_on() -> RunResult:
         agent = _Agent(run, arguments, task, described, command)
         result = train_in_rounds(run, described, agent, arguments, agent.progress, watcher)
@@ -218,4 +224,4 @@ def train(arguments: TrainArguments, out: Path, watcher: Watcher | None = None) 
         shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
         return result
 
-    return open_run(run, described, arguments, go_on)
+    return open_run(run, described, arguments, go_on, check)

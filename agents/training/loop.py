@@ -237,30 +237,47 @@ def _same_run(run: Run, config: dict[str, Any], defaults: dict[str, Any]) -> Non
         )
 
 
-def open_run(run: Run, described: RunConfig, arguments: Arguments, go_on: Callable[[], RunResult]) -> RunResult:
+def open_run(
+    run: Run,
+    described: RunConfig,
+    arguments: Arguments,
+    go_on: Callable[[], RunResult],
+    check: Callable[[], object] = lambda: None,
+) -> RunResult:
     """Begin a run, or go on with it, holding its folder; one that is finished is not run again.
+
+    A run that fails before its first checkpoint leaves no ``config.json``, so that other arguments may follow.
 
     Args:
         run: the folder.
         described: what is to be run there.
         arguments: of the run; what an older version did not know yet had its default.
         go_on: trains to the end.
+        check: raises ValueError where a run that begins could not; called before anything is written.
 
     Raises:
-        ValueError: the folder holds another run.
+        ValueError: the folder holds another run, or ``check`` found a fault.
         RunBusy: another process trains it.
     """
     _same_run(run, described.as_dict(), type(arguments)().recorded())
     finished = run.result()
     if finished is not None:
         return finished
+    begins = run.checkpoint("last") is None
+    if begins:
+        check()
     # On this size of network a second thread gains nothing, and another number of threads adds in another order.
     torch.set_num_threads(1)
     with run.locked():
         if run.config() is None:
             write_text(run.config_file, to_text(described.as_dict()))
         run.failed_file.unlink(missing_ok=True)
-        return go_on()
+        try:
+            return go_on()
+        except Exception:
+            if begins and run.checkpoint("last") is None:
+                run.config_file.unlink(missing_ok=True)
+            raise
 
 
 class _Purging(TensorBoardOutputFormat):

@@ -48,6 +48,7 @@ def benchmark(
     with readable_errors():
         from ..agents.evaluation import benchmark as protocol
         from ..agents.evaluation.jobs import budget_of
+        from ..agents.evaluation.leaderboard import leaderboard_lines
         from ..agents.executors import executor
         from ..scenario import load_scenario
         from ..world import Split
@@ -59,7 +60,7 @@ def benchmark(
         names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
         rows = protocol.find_rows([name for name in names if name not in always])
         check_folder(output)
-        protocol.leaderboard_lines(output / "leaderboard.json")  # before anything is played
+        leaderboard_lines(output / "leaderboard.json")  # before anything is played
         with counting() as progress, executor(address, processes) as jobs:
             total = protocol.part_count(specs, rows, chosen, seeds, split)
             task = progress.add_task("parts", total=total)

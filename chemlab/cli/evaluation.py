@@ -43,7 +43,7 @@ def evaluate(
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare policies goal by goal from the same seeds, with bootstrap confidence intervals.
+    """Compare policies goal by goal from the same seeds, with 95 % confidence intervals.
 
     The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy does
     better than the baseline does from the same seed, a tie counting one half.

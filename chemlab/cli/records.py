@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .common import JsonOption, TrustOption, app, err, out, readable_errors
-from .screen import plain
+from .screen import counting, plain
+
+if TYPE_CHECKING:
+    from ..record import Status
 
 __all__: list[str] = []
 
@@ -26,7 +29,7 @@ _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "torn", "ok")
 
 @app.command()
 def verify(
-    files: Annotated[list[Path], typer.Argument(help="Records (see `chemlab run --record`).")],
+    files: Annotated[list[Path], typer.Argument(help="Records (see `chemlab run --record`), or a leaderboard.json.")],
     scenario: Annotated[
         str | None,
         typer.Option(
@@ -42,6 +45,9 @@ def verify(
 ) -> None:
     """Check records of episodes by playing their actions on the simulator again and comparing every number.
 
+    Of a leaderboard (a file that ends in .json) every line is computed again from the scores of its episodes, and its
+    records are played again. Lines without scores are counted: nothing but their records is proven.
+
     Ends with 0 if every record is right, 1 if something in one is not what happens (the first difference is named),
     3 if the end is missing, 4 if it is of another version or platform, 5 if it is no record or cannot be played here,
     6 if it is right but on a scenario that is neither shipped nor given; of several records, with the first of 1, 5, 4,
@@ -49,11 +55,14 @@ def verify(
     """
     from ..record import EXIT_CODES, verify_record
 
-    results = []
+    results: list[Status] = []
     with readable_errors():
         for path in files:
+            if path.suffix == ".json":
+                results.append(_verify_leaderboard(path, as_json))
+                continue
             result = verify_record(path, scenario, trust, split=split)
-            results.append(result)
+            results.append(result.status)
             if as_json:
                 typer.echo(json.dumps(result.as_dict()))
                 continue
@@ -61,8 +70,25 @@ def verify(
             out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")
             for note in result.notes:
                 out.print(f"   {plain(note)}")
-    found = {result.status for result in results}
-    raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in found)])
+    raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in results)])
+
+
+def _verify_leaderboard(path: Path, as_json: bool) -> Status:
+    """Check a leaderboard, and say what is wrong and what is not proven."""
+    from ..agents.evaluation.leaderboard import check_leaderboard, summary
+
+    with counting() as progress:
+        task = progress.add_task("lines", total=None)
+        checks = check_leaderboard(path, lambda _: progress.advance(task))
+    status: Status = "tampered" if any(check.faults for check in checks) else "ok"
+    if as_json:
+        typer.echo(json.dumps({"path": str(path), "status": status, "lines": [vars(check) for check in checks]}))
+        return status
+    out.print(f"[{_COLORS[status]}]{status}[/{_COLORS[status]}] {plain(path)}: {plain(summary(checks))}")
+    for check in checks:
+        for fault in check.faults:
+            out.print(f"   {plain(f'{check.scenario}, {check.policy}: {fault}')}")
+    return status
 
 
 @app.command()

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import re
-import stat
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..arrays import MaskArray, ObservationArray
+from ..files import read_bytes
 from ..materials import DataError, validated
 from ..scenario import Scenario, dump_scenario, restore_scenario
 
@@ -238,21 +238,12 @@ def read_record(path: str | Path) -> Record:
 
 def _content(path: Path) -> bytes:
     try:
-        # Reading from a pipe or a device might never end.
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise RecordError(f"{path}: is not a file")
-        with path.open("rb") as file:
-            content = file.read(LIMITS.file_bytes + 1)
+        return read_bytes(path, LIMITS.file_bytes)
     except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
-        if isinstance(error, RecordError):
-            raise
         hint = ""
         if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
             hint = f"; the episode was not finished: read {path}.part"
         raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
-    if len(content) > LIMITS.file_bytes:
-        raise RecordError(f"{path}: is larger than {LIMITS.file_bytes} bytes, the most that a record may be")
-    return content
 
 
 def _parse(text: bytes) -> dict[str, Any]:

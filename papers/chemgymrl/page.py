@@ -69,7 +69,7 @@ def _markdown(results: Results, folder: Path, lacking: Mapping[str, Sequence[str
     hours = sum(run.finished.seconds for cell in cells for run in cell.runs) / 3600.0
     yield from ("", "## Every experiment and algorithm", "")
     yield (
-        "Each run's best policy; mean over runs and interquartile mean with 95 % bootstrap intervals over the seeds of "
+        "Each run's best policy; mean over runs and interquartile mean with 95 % t intervals over the seeds of "
         "training. As in Stable-Baselines3, environment i of a run has the run's seed + i: neighbouring seeds differ "
         "in networks and exploration, and share most of their environments' random numbers. Last: mean over runs of "
         "the last policy instead. P(better): "

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import slow_but
+from scipy import stats
 
 from chemlab.agents.evaluation.audit import audit, choosing_jobs, measuring_jobs, verdict
 from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
@@ -51,6 +52,28 @@ def test_intervals_hold_what_they_promise() -> None:
         told = interval(Scale(np.zeros(60), np.ones(60)).mean(scores))
         inside += told["low"] <= 0.3 <= told["high"]
     assert 88 <= inside <= 100
+
+
+def test_the_interval_of_a_scale_that_does_not_vary_is_students() -> None:
+    """Where every episode goes from 0 to 1, a normalized mean is a mean; of a single episode there is no interval."""
+    scores = np.random.default_rng(3).normal(0.5, 0.2, 12)
+    for n in (2, 3, 12):
+        told = interval(Scale(np.zeros(n), np.ones(n)).mean(scores[:n]))
+        ends = stats.ttest_1samp(scores[:n], 0.0).confidence_interval(0.95)
+        assert (told["low"], told["high"]) == pytest.approx((ends.low, ends.high), rel=1e-9)
+    assert interval(Scale(np.zeros(1), np.ones(1)).mean(scores[:1]))["low"] is None
+    assert interval(Scale(np.zeros(2), np.ones(2)).deviation(scores[:2]))["high"] is None
+
+
+def test_a_scenario_that_cannot_be_solved_is_said_to_be_one() -> None:
+    """No stock and no prices: whatever anybody does comes to 0, so there is nothing to divide by."""
+    spec = load_scenario("wurtz_dodecane_direct")
+    limits = spec.limits.model_copy(update={"ticks": 1})
+    costs = spec.costs.model_copy(update={"stock_per_mol": {}, "waste_per_l": 0.0, "tick": 0.0, "illegal_action": 0.0})
+    instruments = {name: one.model_copy(update={"price": 0.0}) for name, one in spec.instruments.items()}
+    nothing = {"limits": limits, "costs": costs, "instruments": instruments}
+    with pytest.raises(ValueError, match="wurtz_dodecane_direct: no policy and no plan that was tried scores above"):
+        audit(spec.model_copy(update=nothing), AuditBudget(2, 4, 2, 1, 4))
 
 
 @pytest.fixture(scope="module")

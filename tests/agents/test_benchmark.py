@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from test_audit import TINY as AUDIT_TINY
 from test_audit import killed
 from typer.testing import CliRunner
@@ -19,11 +20,18 @@ from chemlab.agents.evaluation.benchmark import (
     Row,
     benchmark,
     find_rows,
-    leaderboard_lines,
     part_count,
     write_benchmark,
 )
 from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.evaluation.leaderboard import (
+    check_leaderboard,
+    leaderboard_lines,
+    on_scale,
+    runs_of,
+    summary,
+    write_leaderboard,
+)
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
@@ -93,7 +101,7 @@ def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -
 def test_profiles_are_shares_of_samples_with_intervals() -> None:
     profile = statistics.performance_profile([[0.0, 0.5, 1.0, 1.0], [0.25, 0.75]], [-1.0, 0.5, 2.0])
     assert [estimate.value for estimate in profile] == [1.0, (0.5 + 0.5) / 2, 0.0]
-    assert profile[0].low == profile[0].high == 1.0
+    assert profile[0].low < profile[0].high == 1.0, "all of six samples are not all there are"
     assert profile[1].low < profile[1].value < profile[1].high
     assert statistics.performance_profile([[0.3]], [0.0])[0].low is None
     # Many samples of a uniform number: the share above t is 1 - t, and its binomial interval is known.
@@ -180,8 +188,9 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
     zero, end = (own["hasty"]["scale"][key] for key in ("random", "clairvoyant"))
     assert own["hasty"]["value"] == pytest.approx((own["hasty"]["score"] - zero) / (end - zero))
     half, twice = (zero + (end - zero) * factor for factor in (0.5, 2.0))
-    lower = {**own["hasty"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
-    higher = {**own["clairvoyant"], "score": twice, "scale": {"random": zero, "clairvoyant": twice}}
+    bare = {name: {key: value for key, value in line.items() if "scores" not in key} for name, line in own.items()}
+    lower = {**bare["hasty"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
+    higher = {**bare["clairvoyant"], "score": twice, "scale": {"random": zero, "clairvoyant": twice}}
     # A command whose scale ended at half of this one's: its line comes to half as much on this one's.
     lines = written(tmp_path / "lower", lower)
     assert {name: lines[name] for name in own} == own
@@ -206,6 +215,106 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
     ]
     lines = written(tmp_path / "others", *others)
     assert [lines[line["policy"]] for line in others] == others
+
+
+def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    """Mean, scale, intervals and records are computed again; whatever is changed is found, and no other line is."""
+    found, _ = played
+    write_benchmark(tmp_path, found, [load_scenario("unlabelled")], ROWS)
+    path = tmp_path / "leaderboard.json"
+    whole = path.read_text()
+    checks = {check.policy: check for check in check_leaderboard(path)}
+    assert {name: check.proof for name, check in checks.items()} == dict.fromkeys(checks, "all") | {"serial": "empty"}
+    assert [check.faults for check in checks.values()] == [[]] * len(checks)
+    assert {name for name, check in checks.items() if check.records} == {"heuristic", "hasty", "plan"}
+    done = CliRunner().invoke(app, ["verify", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "6 lines; 5 follow from their scores" in " ".join(done.output.split())
+    by_name = {line["policy"]: line for line in leaderboard_lines(path)}
+    hasty, first = by_name["hasty"], by_name["hasty"]["records"][0]
+    scores, mean, ends = hasty["scores"], hasty["over_baseline"], hasty["scale"]
+    assert hasty["score"] == pytest.approx(np.mean(scores), rel=1e-12)
+    assert hasty["generalization"]["value"] == pytest.approx(
+        (np.mean(scores) - np.mean(hasty["train_scores"])) / (ends["clairvoyant"] - ends["random"])
+    )
+    for changed, what in (
+        ({"value": hasty["value"] + 1e-6}, "value"),
+        ({"low": hasty["low"] + 1e-6}, "low"),
+        ({"high": None}, "high"),
+        ({"score": hasty["score"] + 1e-6}, "score"),
+        ({"episodes": 6}, "episodes"),
+        ({"scores": [scores[0] + 1e-3, *scores[1:]]}, f"{first['file']}: its score is"),
+        ({"scores": [*scores[:4], None]}, "episodes"),
+        ({"scale": {**ends, "clairvoyant": ends["clairvoyant"] + 1e-6}}, "scale.clairvoyant"),
+        ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
+        ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
+        ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
+        ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: comes to"),
+        ({"records": [{**first, "seed": first["seed"] + 1}]}, f"{first['file']}: is of unlabelled, seed 4000000"),
+        ({"records": [{**first, "file": "records/none.jsonl"}]}, "records/none.jsonl: "),
+        ({"records": [{**first, "file": "../leaderboard.json"}]}, "is not below the leaderboard's folder"),
+    ):
+        lines = [{**line, **changed} if line is hasty else line for line in by_name.values()]
+        path.write_text(json.dumps({"lines": lines}))
+        wrong = {check.policy: check.faults for check in check_leaderboard(path) if check.faults}
+        assert set(wrong) == {"hasty"}, changed
+        assert any(what in fault for fault in wrong["hasty"]), (changed, wrong)
+    done = CliRunner().invoke(app, ["verify", str(path)])
+    assert done.exit_code == 1
+    assert "unlabelled, hasty: ../leaderboard.json" in " ".join(done.output.split())
+    # Without scores nothing can be computed, which is said; without the planner's, the mean alone.
+    lines = [{key: value for key, value in line.items() if key != "scores"} for line in by_name.values()]
+    path.write_text(json.dumps({"lines": lines}))
+    bare = check_leaderboard(path)
+    assert {check.proof for check in bare} == {"none", "empty"}
+    assert "5 lines have no scores, so nothing but their records is proven (unlabelled 5)" in summary(bare)
+    lines = [line if line is not by_name["clairvoyant"] else lines[k] for k, line in enumerate(by_name.values())]
+    path.write_text(json.dumps({"lines": lines}))
+    assert {check.policy: check.proof for check in check_leaderboard(path)}["hasty"] == "score"
+    path.write_text(whole)
+
+
+def test_a_longer_scale_is_computed_from_its_scores(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    """A planner that comes to more in each episode, not to a constant more: intervals are those of its own scale."""
+    write_benchmark(tmp_path, played[0], [load_scenario("unlabelled")], ROWS, records=0)
+    path = tmp_path / "leaderboard.json"
+    lines = {line["policy"]: line for line in leaderboard_lines(path)}
+    planner, ends = lines["clairvoyant"], lines["clairvoyant"]["scale"]
+    more = [score + 0.1 * (k + 1) for k, score in enumerate(planner["scores"])]
+    score = float(np.mean(more))
+    better = {**planner, "scores": more, "score": score, "scale": {**ends, "clairvoyant": score}}
+    write_leaderboard(path, [better])
+    assert [check.faults for check in check_leaderboard(path)] == [[]] * 6
+    hasty = next(line for line in leaderboard_lines(path) if line["policy"] == "hasty")
+    assert hasty["value"] == pytest.approx((hasty["score"] - ends["random"]) / (score - ends["random"]))
+    factor = hasty["value"] / lines["hasty"]["value"]
+    assert hasty["high"] != pytest.approx(lines["hasty"]["high"] * factor, rel=1e-6)
+
+
+def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
+    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means."""
+    scores = np.array([0.1, 0.2, 0.5, 0.6, 0.3, 0.4, 0.2, 0.1])
+    runs = runs_of(2, 4, 8)
+    assert runs == [0, 0, 1, 1, 0, 0, 1, 1]
+    assert runs_of(1, 4, 8) is None
+    found = on_scale(scores, np.zeros(8), np.ones(8), runs)
+    assert found is not None
+    expected = stats.ttest_1samp([scores[[0, 1, 4, 5]].mean(), scores[[2, 3, 6, 7]].mean()], 0.0)
+    ends = expected.confidence_interval(0.95)
+    assert (found["low"], found["high"]) == pytest.approx((ends.low, ends.high))
+    alone = on_scale(scores, np.zeros(8), np.ones(8))
+    assert alone is not None
+    ends = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
+    assert (alone["low"], alone["high"]) == pytest.approx((ends.low, ends.high))
+
+
+def test_where_nobody_is_above_random_play_there_is_no_scale() -> None:
+    """A cell of such episodes is empty, instead of a score divided by next to nothing."""
+    assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.zeros(2)) is None
+    half = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
+    assert half is not None
+    assert half["value"] == 0.5
+    assert half["low"] is None, "without the second episode there is no scale, so nobody knows how it varies"
 
 
 def recorded(

@@ -317,6 +317,7 @@ def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
     arguments = TrainArguments.of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
     with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
         train(arguments, tmp_path / "run")
+    assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
 
 
 @pytest.mark.parametrize("algo", ["recurrent-ppo", "maskable-recurrent-ppo"])

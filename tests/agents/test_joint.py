@@ -205,6 +205,7 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
     with pytest.raises(ValueError, match="neither a joint run nor runs"):
         train_together(nowhere, tmp_path / "third")
+    assert not (tmp_path / "third").exists(), "another name may be given for the same folder"
 
 
 def test_a_team_begins_as_clones(tmp_path: Path) -> None:
@@ -400,6 +401,9 @@ def test_bad_arguments_are_named(tmp_path: Path) -> None:
         train_together(JointArguments(roles=("cook",)), tmp_path / "a")
     with pytest.raises(ValueError, match="regime: known: together, in-turns; given 'chaos'"):
         train_together(JointArguments(regime="chaos"), tmp_path / "b")
+    with pytest.raises(ValueError, match="heuristc"):
+        train_together(JointArguments(**SMALL, imitate="heuristc"), tmp_path / "b")
+    assert not (tmp_path / "b").exists()
     train_together(JointArguments(**{**SMALL, "steps": 10}), tmp_path / "c")
     with pytest.raises(ValueError, match="holds a run with other arguments: seed 0"):
         train_together(JointArguments(**{**SMALL, "steps": 10}, seed=1), tmp_path / "c")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 
 pytest.importorskip("matplotlib")
@@ -18,7 +19,7 @@ pytest.importorskip("matplotlib")
 import run_files
 
 from chemlab import __version__
-from chemlab.agents.evaluation import laboratory, statistics
+from chemlab.agents.evaluation import laboratory
 from chemlab.agents.evaluation.laboratory import (
     BASELINES,
     MEASURES,
@@ -144,7 +145,7 @@ def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
 
 
 def test_intervals_are_over_seeds(tmp_path: Path) -> None:
-    """Seeds 0.6, 0.7, 0.9: their mean, the bootstrap interval of these three numbers, and of their paired gains."""
+    """Seeds 0.6, 0.7, 0.9: their mean, Student's interval of these three numbers, and of their paired gains."""
     scores, scripted = np.array([0.6, 0.7, 0.9]), np.array([0.5, 0.5, 0.6])
     for seed in range(3):
         more = {"steps": 3000, "seconds": 1200.0} if seed == 1 else {}
@@ -160,10 +161,9 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     assert list(rows) == [
         ("heuristic", name) for name in ("alone", "manager", *(text for _, text in BASELINES.values()))
     ]
-    expected = statistics.mean([scores])
-    assert rows["heuristic", "manager"][0] == str(expected)
-    assert expected.low < 0.7333 < expected.high
-    gain = statistics.mean([scores - scripted])
+    expected = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
+    assert rows["heuristic", "manager"][0] == f"0.733 [{expected.low:.3f}, {expected.high:.3f}]"
+    gain = stats.ttest_1samp(scores - scripted, 0.0).confidence_interval(0.95)
     assert rows["heuristic", "manager"][1] == f"+0.200 [{gain.low:+.3f}, {gain.high:+.3f}]"
     assert rows["heuristic", "manager"][2] == "0.600"  # last checkpoints: 0.7, 0.7, 0.4
     assert rows["heuristic", "manager"][5:] == ["98.7", "0.000", "42", "3", "13", "1,000 to 3,000"]

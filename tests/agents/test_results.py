@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from run_files import HEURISTIC, write_run
+from scipy import stats
 from typer.testing import CliRunner
 
 from chemlab.agents.evaluation.curves import algorithm_style, average_curves
@@ -95,10 +96,14 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     _, _, line = cells_table([cell])
     row = [text.strip() for text in line.strip("|").split("|")]
     assert row[:4] == ["lab, rxn, 2 goals", "PPO", "4", "1,000"]
-    assert row[4].startswith("0.567 [0.4")
+    ends = stats.ttest_1samp(means, 0.0).confidence_interval(0.95)
+    assert row[4] == f"0.567 [{ends.low:.3f}, {ends.high:.3f}]"
     assert row[6:9] == ["0.717", "0.467", "0.500"]
     # Of 8 pairs with the scripted policy: goal a 0 + 1/2 + 1 + 1, goal b 0 + 3 x 1.
     assert row[9].startswith(f"{(2.5 + 3.0) / 8.0:.2f} [")
+    # A run plays both goals: these are not twice as many runs, so the interval is that of four.
+    middle, ends = 5.5 / 8.0, row[9].partition("[")[2].rstrip("]").split(", ")
+    assert float(ends[1]) - float(ends[0]) > 2 * 1.96 * math.sqrt(middle * (1.0 - middle) / 3.0 / (4 * 4) * 4) * 0.8
     (alone,) = cells_of([run for run in read_runs(runs) if run.name == "y"])[0]["lab, rxn, 2 goals"].values()
     assert "[" not in cells_table([alone])[2]
 

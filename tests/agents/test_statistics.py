@@ -11,8 +11,10 @@ from scipy import stats
 from chemlab.agents.evaluation.statistics import (
     Estimate,
     interquartile_mean,
+    jackknife,
     mean,
     paired_improvement,
+    performance_profile,
     probability_of_improvement,
 )
 
@@ -31,29 +33,49 @@ def test_mean_weighs_strata_equally() -> None:
     assert mean([[0.0, 2.0], [5.0] * 10]).value == pytest.approx(3.0)
 
 
-def test_mean_interval_is_students_for_normal_samples() -> None:
-    """The bootstrap of a mean converges on mean +- z s / sqrt(n)."""
-    sample = RNG.normal(3.0, 2.0, 400)
-    found = mean([sample], resamples=8000)
-    half = stats.norm.ppf(0.975) * sample.std(ddof=1) / np.sqrt(sample.size)
-    assert found.low == pytest.approx(sample.mean() - half, abs=0.1 * half)
-    assert found.high == pytest.approx(sample.mean() + half, abs=0.1 * half)
+@pytest.mark.parametrize("n", [2, 3, 5, 10, 200])
+def test_mean_interval_is_students(n: int) -> None:
+    """SciPy's one-sample t test has the same interval; of two strata, half of Welch's of a sum."""
+    a, b = RNG.normal(3.0, 2.0, n), RNG.normal(50.0, 0.5, n + 3)
+    for confidence in (0.5, 0.95):
+        found, one = mean([a], confidence), stats.ttest_1samp(a, 0.0).confidence_interval(confidence)
+        assert (found.low, found.high) == pytest.approx((one.low, one.high), rel=1e-12)
+        found, two = mean([a, b], confidence), stats.ttest_ind(a, -b, equal_var=False).confidence_interval(confidence)
+        assert (found.low, found.high) == pytest.approx((two.low / 2.0, two.high / 2.0), rel=1e-12)
 
 
-def test_resampling_stays_within_strata() -> None:
-    """What differs between goals alone has no sampling error; within them, variances add up as (s1^2 + s2^2) / 4."""
+def test_samples_of_one_run_are_one_sample() -> None:
+    """Goals of one run rise and fall together: their mean varies as each does, not less, and is all that is drawn."""
+    runs = RNG.normal(0.5, 0.1, 6)
+    goals = [runs, runs + 1.0, runs - 1.0]
+    one = stats.ttest_1samp(runs, 0.0).confidence_interval(0.95)
+    found = mean(goals, together=True)
+    assert (found.value, found.low, found.high) == pytest.approx((runs.mean(), one.low, one.high), rel=1e-12)
+    apart = mean(goals)
+    assert apart.high - apart.low < 0.7 * (found.high - found.low)
+    beside = [np.full(6, 0.5), np.full(6, 1.5), np.full(6, -0.5)]
+    single = paired_improvement(goals[:1], beside[:1])
+    assert paired_improvement(goals, beside, together=True) == single
+    narrow = paired_improvement(goals, beside)
+    assert narrow.high - narrow.low < 0.8 * (single.high - single.low)
+    with pytest.raises(ValueError, match=r"equally many in each stratum, given \[1, 2\]"):
+        mean([[1.0], [1.0, 2.0]], together=True)
+
+
+def test_a_stratum_of_one_sample_has_no_interval() -> None:
+    """It is not certain, however many samples the others have."""
+    for one in (mean, interquartile_mean):
+        assert one([[0.5], [0.1, 0.2, 0.3]]).low is None
+        assert one([[4.0], [2.0]]) == Estimate(3.0, None, None)
+    assert str(mean([[4.0], [2.0]])) == "3.000"
+    assert paired_improvement([[1.0], [0.0, 1.0]], [[0.5], [0.5, 0.5]]).high is None
+    assert probability_of_improvement([[1.0, 2.0]], [[1.5]]) == Estimate(0.5, None, None)
+
+
+def test_strata_that_differ_alone_have_no_error() -> None:
+    """What differs between goals alone has no sampling error; equal samples have an interval of no width."""
     assert mean([np.zeros(20), np.full(20, 9.0)]) == Estimate(4.5, 4.5, 4.5)
-    a, b = RNG.normal(0.0, 1.0, 300), RNG.normal(50.0, 2.0, 300)
-    found = mean([a, b], resamples=8000)
-    half = stats.norm.ppf(0.975) * np.sqrt((a.var(ddof=1) + b.var(ddof=1)) / 300) / 2.0
-    assert (found.high - found.low) / 2.0 == pytest.approx(half, rel=0.1)
-
-
-def test_confidence_sets_the_width() -> None:
-    sample = RNG.normal(size=300)
-    narrow, wide = mean([sample], confidence=0.5), mean([sample], confidence=0.99)
-    ratio = stats.norm.ppf(0.995) / stats.norm.ppf(0.75)
-    assert (wide.high - wide.low) / (narrow.high - narrow.low) == pytest.approx(ratio, rel=0.15)
+    assert mean([[4.0, 4.0, 4.0]]) == interquartile_mean([[4.0, 4.0, 4.0]]) == Estimate(4.0, 4.0, 4.0)
 
 
 def test_interquartile_mean_drops_a_quarter_at_each_end() -> None:
@@ -62,12 +84,33 @@ def test_interquartile_mean_drops_a_quarter_at_each_end() -> None:
     assert interquartile_mean([[1.0, 2.0, 10.0]]).value == pytest.approx(13.0 / 3.0)  # a quarter of 3, rounded down
 
 
+@pytest.mark.parametrize("n", [4, 5, 10, 19, 40])
+def test_interval_of_an_interquartile_mean_is_tukey_and_mclaughlins(n: int) -> None:
+    """As SciPy's mstats has it: winsorized deviations, and as many degrees of freedom as values are left, less one."""
+    sample = RNG.normal(3.0, 2.0, n)
+    found = interquartile_mean([sample])
+    expected = stats.mstats.trimmed_mean_ci(sample, limits=[n // 4 / n + 1e-12] * 2, alpha=0.05)
+    assert (found.low, found.high) == pytest.approx(tuple(expected), rel=1e-8)
+
+
 def test_paired_improvement_counts_ties_as_halves() -> None:
     """Two gains, a loss and a tie (rounding included) are (2 + 1/2) / 4."""
     found = paired_improvement([[1.0, 2.0], [0.0, 5.0 + 1e-13]], [[0.0, 1.0], [1.0, 5.0]])
     assert found.value == pytest.approx(2.5 / 4)
     assert 0.0 <= found.low <= found.value <= found.high <= 1.0
-    assert paired_improvement([[1.0, 2.0]], [[1.0, 2.0]]) == Estimate(0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize(("wins", "n"), [(0, 3), (3, 3), (1, 5), (7, 10), (60, 100)])
+def test_interval_of_a_share_is_wilsons(wins: int, n: int) -> None:
+    """SciPy's; strata of one share are one sample of all of them. Where all win, the interval has a width."""
+    won = (np.arange(n) < wins).astype(float)
+    half = np.full(n, 0.5)
+    for k in (1, 4):
+        expected = stats.binomtest(k * wins, k * n).proportion_ci(0.95, method="wilson")
+        found = paired_improvement([won] * k, [half] * k)
+        assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-9)
+        (profile,) = performance_profile([won] * k, [0.5])
+        assert profile == found
 
 
 def test_probability_of_improvement_is_mann_whitneys() -> None:
@@ -78,31 +121,49 @@ def test_probability_of_improvement_is_mann_whitneys() -> None:
 
 
 def test_probability_of_improvement_of_normal_samples() -> None:
-    """P(X > Y) of unit normals one apart is Phi(1 / sqrt 2); a baseline of one number is allowed."""
-    found = probability_of_improvement([RNG.normal(1.0, 1.0, 300)], [RNG.normal(0.0, 1.0, 300)], resamples=500)
+    """P(X > Y) of unit normals one apart is Phi(1 / sqrt 2)."""
+    found = probability_of_improvement([RNG.normal(1.0, 1.0, 300)], [RNG.normal(0.0, 1.0, 300)])
     assert found.low < stats.norm.cdf(1.0 / np.sqrt(2.0)) < found.high
-    single = probability_of_improvement([[1.0, 2.0, 3.0, 4.0]], [[2.5]])
-    assert single.value == 0.5
-    assert single.low < 0.5 < single.high
-
-
-def test_constant_samples_have_an_interval_of_no_width_and_single_ones_none() -> None:
-    sample = [4.0, 4.0, 4.0]
-    assert mean([sample]) == interquartile_mean([sample]) == Estimate(4.0, 4.0, 4.0)
-    assert mean([[4.0], [2.0]]) == Estimate(3.0, None, None)
-    assert str(mean([[4.0], [2.0]])) == "3.000"
 
 
 @pytest.mark.parametrize("sample", [[0.0, 1.0], [0.0, 0.0, 1.0], [1.0] * 9 + [2.0]])
 def test_few_and_lopsided_samples_have_finite_intervals(sample: list[float]) -> None:
     for found in (mean([sample]), interquartile_mean([sample])):
-        assert min(sample) <= found.low <= found.high <= max(sample)
+        assert np.isfinite([found.low, found.high]).all()
+        assert found.low <= found.value <= found.high
 
 
-def test_same_seed_same_interval() -> None:
-    sample = RNG.normal(size=50)
-    assert mean([sample], seed=3) == mean([sample], seed=3)
-    assert mean([sample], seed=3) != mean([sample], seed=4)
+@pytest.mark.parametrize("n", [3, 5, 10, 20])
+@pytest.mark.parametrize("k", [1, 8])
+def test_intervals_contain_the_true_value_as_often_as_they_say(n: int, k: int) -> None:
+    """Normal samples whose true values are known; the binomial distribution of SciPy judges the count (p > 1e-4).
+
+    More than 95 % is no fault of score intervals of few samples; coverage.py in tests/benchmarks measures all cases.
+    """
+    rng, tries = np.random.default_rng(11), 400
+    above = float(stats.norm.cdf(1.0 / np.sqrt(2.0)))
+    inside = dict.fromkeys(("mean", "iqm", "unpaired", "paired"), 0)
+    for _ in range(tries):
+        x, y = rng.normal(1.0, 1.0, (k, n)), rng.normal(0.0, 1.0, (k, n))
+        for name, found, true in (
+            ("mean", mean(list(x)), 1.0),
+            ("iqm", interquartile_mean(list(x)), 1.0),
+            ("unpaired", probability_of_improvement(list(x), list(y)), above),
+            ("paired", paired_improvement(list(x), list(y)), above),
+        ):
+            inside[name] += found.low <= true <= found.high
+    for name, count in inside.items():
+        assert stats.binomtest(count, tries, 0.95, alternative="less").pvalue > 1e-4, (name, count / tries)
+    assert stats.binomtest(inside["mean"], tries, 0.95).pvalue > 1e-4
+
+
+def test_jackknife_of_a_mean_is_students() -> None:
+    """The variance of a mean's leave-one-out values is that of the mean itself."""
+    sample = RNG.normal(size=7)
+    found = jackknife(sample.mean(), (sample.sum() - sample) / 6)
+    expected = stats.ttest_1samp(sample, 0.0).confidence_interval(0.95)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), rel=1e-12)
+    assert jackknife(1.0, []).low is jackknife(1.0, [1.0]).low is jackknife(1.0, [1.0, np.nan]).low is None
 
 
 def test_mistakes_are_refused() -> None:

@@ -98,6 +98,10 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
         [[runs]]
         env_id = "chemlab/FictitiousReaction-v0"
         algo = ["dqn", "ppo"]
+        [[runs]]
+        name = "clone"
+        env_id = "chemlab/FictitiousReaction-v0"
+        imitate = "heuristc"
         """,
     )
     out, runner = tmp_path / "out", CliRunner()
@@ -108,6 +112,10 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     failed, done = states["FictitiousReaction/dqn/seed-0"], states["FictitiousReaction/ppo/seed-0"]
     assert (failed["state"], done["state"]) == ("failed", "done")
     assert "actions are continuous" in Path(failed["note"]).read_text()
+    clone = Run(out / "FictitiousReaction" / "clone" / "seed-0")
+    assert states["FictitiousReaction/clone/seed-0"]["state"] == "failed"
+    assert "heuristc" in (clone.path / "log.txt").read_text()
+    assert clone.config() is None, "the right name in the file is not another run"
     finished = Run(out / "FictitiousReaction" / "ppo" / "seed-0")
     result = finished.result()
     assert result is not None
@@ -118,7 +126,7 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     assert {path: path.stat().st_mtime_ns for path in finished.path.rglob("*")} == times
     shown = runner.invoke(app, [*command, "--status"])
     assert shown.exit_code == 0
-    assert "1 failed, 1 done" in shown.output
+    assert "2 failed, 1 done" in shown.output
     # Another task or other arguments in the same folder are neither done nor overwritten.
     config = finished.config()
     assert config is not None

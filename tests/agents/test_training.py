@@ -572,6 +572,36 @@ def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: st
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("wrong", [{"imitate": "heuristc"}, {"imitate": "nowhere/at/all"}, {"advice": "heuristc"}])
+def test_a_mistyped_policy_leaves_nothing_behind(wrong: dict[str, str], tmp_path: Path) -> None:
+    """Whom to learn from is looked up before anything is written; the right name may follow in the same folder."""
+    values = {**SMALL, "env_id": "chemlab/LabManager-v0", "algo": "maskable-ppo", "scenario": "wurtz_any"}
+    with pytest.raises(ValueError, match=next(iter(wrong.values()))):
+        train(TrainArguments.of({**values, **wrong}), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_fails_before_its_first_checkpoint_does_not_hold_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever goes wrong there; one that was stopped by its user goes on."""
+    run, values = Run(tmp_path / "run"), {**SMALL, "env_id": RXN, "algo": "ppo"}
+    for error, holds in ((RuntimeError("no memory"), False), (KeyboardInterrupt(), True)):
+
+        def fail(*_: Any, error: BaseException = error, **__: Any) -> None:
+            raise error
+
+        with monkeypatch.context() as patch:
+            patch.setattr(training, "train_in_rounds", fail)
+            with pytest.raises(type(error)):
+                train(TrainArguments.of(values), run.path)
+        assert run.config_file.exists() is holds
+        if not holds:
+            values |= {"seed": 7}
+    with pytest.raises(ValueError, match="holds a run with other arguments: seed 7"):
+        train(TrainArguments.of({**values, "seed": 8}), run.path)
+
+
 def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
     """What DQN has learned of the discretised bench comes to the same where it plays the continuous one."""
     result = train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run")

@@ -168,6 +168,39 @@ def chemlab_trusting(words: list[object]) -> None:
     CliRunner().invoke(app, [*map(str, words), "--trust"])
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of POSIX")
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path, in_time: None) -> None:
+    """Any file of a run's folder as a pipe that nobody writes to, or as a link to a device without an end."""
+    run = strangers / "manager"
+    best = next(run.glob("checkpoints/best-*")).relative_to(run)
+    (role,) = (path.stem for path in (run / best).glob("*.safetensors"))
+    words = {
+        "run": ["run", SCENARIO, "--policy", tmp_path / "run", "--json"],
+        "evaluate": ["evaluate", SCENARIO, "--policy", tmp_path / "run", "--episodes", 1, "--goal", "dodecane"],
+        "export": ["export", tmp_path / "run", "--out", tmp_path / "mine", "--trust"],
+    }
+    for file, command, gone in (
+        ("config.json", "run", []),
+        (f"{best}/{role}.json", "run", []),
+        (f"{best}/{role}.safetensors", "evaluate", []),
+        (f"{best}/model.zip", "run", [f"{best}/{role}.json", f"{best}/{role}.safetensors"]),
+        (f"{best}/model.zip.seal", "run", [f"{best}/{role}.json", f"{best}/{role}.safetensors"]),
+        (f"{best}/model.zip", "export", []),
+    ):
+        shutil.copytree(run, tmp_path / "run")
+        for name in (*gone, file):
+            (tmp_path / "run" / name).unlink()
+        if kind == "pipe":
+            os.mkfifo(tmp_path / "run" / file)
+        else:
+            (tmp_path / "run" / file).symlink_to("/dev/zero")
+        code, said = chemlab(*words[command])
+        assert (code, "is not a regular file" in said, Path(file).name in said) == (2, True, True), (file, said)
+        assert not list(tmp_path.glob("mine*"))
+        shutil.rmtree(tmp_path / "run")
+
+
 def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
     words = ["figures", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
     code, said = chemlab(*words)

@@ -29,10 +29,11 @@ from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, main, 
 from run_files import write_run
 
 import chemlab.agents.pretrained
-from chemlab.agents.evaluation.benchmark import _write_leaderboard, find_rows, leaderboard_lines
+from chemlab.agents.evaluation.benchmark import find_rows
 from chemlab.agents.evaluation.curves import group_tasks
 from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
 from chemlab.agents.evaluation.laboratory import collect_count, write_laboratory
+from chemlab.agents.evaluation.leaderboard import check_leaderboard, write_leaderboard
 from chemlab.agents.evaluation.results import read_runs, write_runs
 from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
@@ -243,12 +244,12 @@ def try_rows(folder: Path, rng: np.random.Generator) -> None:
 def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
     """A benchmark's leaderboard, to which lines are added."""
     line: dict[str, Any] = {"scenario": "failing", "scenario_hash": "0" * 16, "policy": "heuristic", "value": 0.5}
+    line |= {"scores": [0.5, None], "train_scores": [0.1, 0.2], "runs": 2, "seeds": 2, "episodes": 1, "score": 0.5}
     line |= {"low": 0.4, "high": None, "split": "test", "records": [{"file": "records/a.jsonl", "seed": 1}]}
     board = {"kind": "leaderboard", "format": 1, "lines": [line, {**line, "value": None}, {**line, "policy": "a"}]}
     write_json(folder / "leaderboard.json", board, rng)
-    found: dict[str, Any] = dict.fromkeys(("split", "seeds", "budget", "baseline", "commit", "versions", "hardware"))
-    _write_leaderboard(folder / "leaderboard.json", {**found, "rows": [], "scenarios": {}}, {})
-    leaderboard_lines(folder / "leaderboard.json")
+    write_leaderboard(folder / "leaderboard.json", [])
+    check_leaderboard(folder / "leaderboard.json")
     json.dumps(json.loads((folder / "leaderboard.json").read_text()), allow_nan=False)
 
 
