@@ -229,6 +229,14 @@ def check_design(
     if solvent == goal:
         raise DataError(f"solvent {solvent!r}: is the goal itself; name another")
     fed = feeds(goal, family, mol)
+    ions = [key for key in fed if materials[key].charge]
+    if ions:
+        salts = [salt.solid for salt in family.salt if ions[0] in (salt.cation, salt.anion)]
+        hint = f" ({', '.join(salts)})" if salts else ""
+        raise DataError(
+            f"goal {goal!r}: is made of {ions[0]!r}, an ion, of which there is none alone; write the reaction with a "
+            f"salt of it{hint}, which reacts as its ions in water"
+        )
     gases = [key for key in fed if materials[key].role == "gas"]
     if gases:
         raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; what is put in has to be a liquid or a solid")
