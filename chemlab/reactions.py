@@ -298,10 +298,11 @@ def equation(step: Reaction | Violent) -> str:
 
 
 def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
-    """A family in which soluble salts react as their ions where there is water (tier ``real``), and as solids elsewhere.
+    """Write reactions of soluble salts as those of their ions, where there is water (tier ``real``).
 
-    A reaction that begins with such a salt, or does not run without it, is followed by the same one of its ions;
-    ions that stand on both sides take no part. An ion has the order of its salt, two that are used up share it.
+    A reaction that begins with such a salt, or does not run without it, is followed by the same one of its ions; that
+    of the solid is for where there is no water. Ions on both sides take no part. An ion has the order of its salt, two
+    that are used up have half of it each.
     """
     salts = {
         salt.solid: salt
@@ -356,17 +357,17 @@ def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
     inhibitors: dict[str, float] = {}
     for name, constant in step.inhibitors.items():
         inhibitors[salts[name].anion if name in salts else name] = constant
-    return Reaction(
-        reactants=before,
-        products=after,
-        orders={} if step.equilibrium_constant is not None else orders,
-        pre_exponential=step.pre_exponential,
-        activation_energy_j_mol=step.activation_energy_j_mol,
-        catalysts=catalysts,
-        inhibitors=inhibitors,
-        equilibrium_constant=step.equilibrium_constant,
-        source=f"{step.source}; its salts as ions",
-    )
+    values = {
+        **step.model_dump(include={"pre_exponential", "activation_energy_j_mol", "equilibrium_constant"}),
+        "reactants": before,
+        "products": after,
+        "orders": {} if step.equilibrium_constant is not None else orders,
+        "catalysts": catalysts,
+        "inhibitors": inhibitors,
+        "source": f"{step.source}; its salts as ions",
+    }
+    made: Reaction = validated(Reaction, values, f"reaction {step.words}, of ions")
+    return made
 
 
 def shipped_reactions_folder() -> Path:

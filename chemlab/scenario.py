@@ -963,12 +963,12 @@ def _equipped(
     named = _mentioned(spec)
     _check_materials(named, known, where)
     _check_vessels(spec, known, where)
-    _check_draws(spec, known, where)
     _check_charges(spec, known, family, where)
-    present_names, ionizes = [name for _, name in named], spec.physics == "real" and {PROTON, HYDROXIDE} <= set(known)
-    order, kept = _reachable(family, present_names, ionizes)
+    _check_draws(spec, known, where)
+    names, ionizes = [name for _, name in named], spec.physics == "real" and {PROTON, HYDROXIDE} <= set(known)
+    order, kept = _reachable(family, names, ionizes)
     if spec.physics == "real" and WATER in order:
-        order, kept = _reachable(dissolved_reactions(family), present_names, ionizes)
+        order, kept = _reachable(dissolved_reactions(family), names, ionizes)
     if len(order) > _MOST_MATERIALS:
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
     if "air" not in known:

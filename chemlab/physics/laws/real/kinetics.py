@@ -829,9 +829,7 @@ def integrate(
     capacity = heat_capacity(row, chem) / litres
     through = around.transfer / litres if around.transfer < math.inf else -1.0
     energy = capacity * (row[TEMPERATURE] - STANDARD_K)
-    vessel = _Vessel(
-        energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, ways, litres, work
-    )
+    vessel = _Vessel(energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, ways, litres, work)
     first = _begin(row, chem, vessel, dt)
     if first <= 0.0:
         return 0, _exchange_heat(row, chem, dt, around, hottest)

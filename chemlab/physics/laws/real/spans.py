@@ -45,7 +45,7 @@ _LONGEST_RATIO = 4.0
 
 @helper
 def _shifting(chem: Handle, material: int) -> bool:
-    """Whether a material is at an equilibrium with others at any time, in water: an ion of it, of an acid, of a salt."""
+    """Whether a material is at equilibrium in water at any time: its own ions, acids and bases, ions of salts."""
     chemistry = opened(RealChemistry, chem)
     if ionizes(chem):
         if material == chemistry.ionization[0] or material == chemistry.ionization[1]:
