@@ -30,6 +30,8 @@ _HEAT_K = 20.0
 _RISE_K = 6.0
 """Of the boiling point, at most, in a part."""
 _MOST_PARTS, _MOST_SPANS = 512, 4096
+_SHORTEST_S = 0.125
+"""Of the shortest part: in a runaway a second decides."""
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
 """By which a part may be longer than the one before, and vapour be foreseen to come faster."""
 _NEARLY_K = 0.3
@@ -85,7 +87,7 @@ def react(
         if hottest == 0.0:
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-    left, shortest, total, known = dt, dt / _MOST_PARTS, 0, False
+    left, shortest, total, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, False
     part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
     span, briefest, fresh = dt, dt / _MOST_SPANS, False
     while left > 0.0:
