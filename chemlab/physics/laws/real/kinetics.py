@@ -688,7 +688,7 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
     for b in range(n):
         running = running or rates[b] != 0.0
     for q in range(crystals):
-        running = running or abs(rates[n + q]) * dt * litres > TRACE_MOL
+        running = running or abs(rates[n + q]) * dt * litres > _USED_UP
     if not running:
         return 0.0
     # A first step that would use up much of a reactant tells nothing about its own error.
@@ -824,6 +824,8 @@ def integrate(
     litres = 0.0
     if dt > 0.0 and (ways.crystals > 0 or _can_react(row, chem)):
         litres = liquid_volume(row, chem)
+    if ways.crystals > 0 and dt > 0.0:
+        litres = max(litres, 2.0 * _LEAST_LITRES)  # they dissolve in a trace, and freeze out of the last of a melt
     if litres <= _LEAST_LITRES:
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres
