@@ -30,6 +30,8 @@ _HEAT_K = 20.0
 _RISE_K = 6.0
 """Of the boiling point, at most, in a part."""
 _MOST_PARTS, _MOST_SPANS = 512, 4096
+_LEAST_SPAN = 1e-9
+"""Of the time, of a span at whose end equilibria lack something."""
 _SHORTEST_S = 0.125
 """Of the shortest part: in a runaway a second decides."""
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
@@ -109,10 +111,10 @@ def react(
             drift = drifted(row, chem, litres, around.atol, ways, work)
             if boils or not 0.0 <= around.transfer < math.inf:
                 row[TEMPERATURE] = jacket  # what settles gives its heat to the thermostat
-            if drift > 1.0 and (passed > (shortest if boils else briefest) or drift == math.inf):
+            least = _LEAST_SPAN * dt if drift == math.inf else shortest if boils else briefest
+            if drift > 1.0 and passed > least:
                 _copy(kept, row)
-                span = lengthened(passed, drift)
-                span = max(span, briefest) if drift < math.inf else span
+                span = max(lengthened(passed, drift), min(least, briefest))
                 part, fresh = max(min(part, span), shortest), False
                 continue
         if not boils:
