@@ -23,6 +23,7 @@ from scipy.optimize import brentq
 import chemlab.sandbox
 from chemlab.materials import DataError, shipped_materials
 from chemlab.openchem.writing import material_text
+from chemlab.physics import laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import Flask, SpillWarning
 
@@ -401,6 +402,36 @@ def test_crystals_dissolve_while_they_react() -> None:
     for jacket in (None, 6.0):
         assert 0.2 < made[60, jacket] < 0.3
         assert made[1, jacket] == pytest.approx(made[60, jacket], rel=0.01)
+
+
+def test_crystals_melt_by_the_heat_that_they_take() -> None:
+    """At the melting point until all have: heat = capacity x warming + heat of fusion x what has melted."""
+    mol, naphthalene = 0.5, MATERIALS["naphthalene"]
+    assert naphthalene.real is not None
+    fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
+    assert fusion is not None
+    assert melting is not None
+    flask = Flask({"naphthalene": mol}, temperature_k=340.0)
+    warming = heat_capacity(flask) * (melting - 340.0)
+    flask.heat(warming + 0.25 * fusion * mol)
+    assert flask.temperature_k == pytest.approx(melting, abs=1e-6)
+    assert flask.layers[-1].contents["naphthalene"] == pytest.approx(0.25 * mol, rel=1e-6)
+    flask.heat(0.75 * fusion * mol + 10.0 * heat_capacity(flask))
+    assert [layer.name for layer in flask.layers] == ["organic"]
+    assert flask.temperature_k == pytest.approx(melting + 10.0, abs=1e-6)
+
+
+def test_a_cooling_solution_crystallizes_alike_in_one_tick_and_in_many() -> None:
+    left = []
+    for ticks in (1, 60):
+        flask = Flask({"water": 50.0, "benzoic_acid": 0.3}, capacity_l=2.0, temperature_k=360.0)
+        arguments = flask._chem, flask._shelf.waste[0], flask._events, flask._work
+        for _ in range(ticks):
+            laws.elapse(flask._row, 30.0 / ticks, *arguments)  # half an hour
+        flask.settle()
+        left.append(flask.layers[0].contents["benzoic_acid"])
+    assert left[0] == pytest.approx(left[1], rel=0.01)
+    assert 0.1 < left[1] < 0.2
 
 
 SAPONIFICATION = """
