@@ -147,6 +147,9 @@ def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) ->
             for column in range(columns + found):
                 held = _held(probe, chem, work, column, column - columns)
                 work[more, column] = held if with_it == 0 else (work[more, column] - held) / mol
+        for q in range(found):
+            if int(work[COLUMN, q]) < columns:
+                work[more, columns + q] = 0.0  # it has its species' column
         if u < n:
             for j in range(columns):
                 work[more, j] -= chemistry.stoichiometry[chemistry.independent[u], j]
