@@ -33,6 +33,7 @@ __all__ = [
     "Violent",
     "check_reactions",
     "check_without_real",
+    "dissolved_reactions",
     "equation",
     "load_reactions",
     "shipped_reactions_folder",
@@ -54,6 +55,11 @@ Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(
 _HIGHEST_ORDER = 20.0
 """Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
 _SMALLEST_CONSTANT = 1e-50
+_SOLUBLE = 0.01
+"""mol/kg of water, above which a salt reacts as its ions there."""
+_KEPT_APART = 1.0
+"""L/mol of water, by which the reaction of an undissolved salt is slowed down: it goes on where there is no water, and
+adds 2 % to that of its ions in a saturated solution."""
 Inhibition = Annotated[dict[Text, Annotated[float, Field(gt=0.0, le=1e12)]], Field(max_length=20)]
 """Inhibition constants in L/mol, by material."""
 Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
@@ -289,6 +295,79 @@ def equation(step: Reaction | Violent) -> str:
         for side in (step.reactants, step.products)
     ]
     return " -> ".join(sides)
+
+
+def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
+    """Write reactions of soluble salts as those of their ions, where there is water (tier ``real``).
+
+    A reaction that begins with such a salt, or does not run without it, is followed by the same one of its ions; that
+    of the solid is for where there is no water. Ions on both sides take no part. An ion has the order of its salt, two
+    that are used up have half of it each.
+    """
+    salts = {
+        salt.solid: salt
+        for salt in family.salt
+        if salt.solubility is not None and salt.solubility.mol_per_kg(WATER, 298.15) > _SOLUBLE
+    }
+    steps: list[Reaction] = []
+    for step in family.reaction:
+        needed = {*step.reactants, *step.catalysts, *step.inhibitors}
+        needed |= set(step.products) if step.equilibrium_constant is not None else set()
+        if needed.isdisjoint(salts) or WATER in step.inhibitors:
+            steps.append(step)
+            continue
+        ionic = _of_ions(step, salts)
+        if ionic.reactants.keys() | ionic.catalysts.keys() >= step.reactants.keys() | step.catalysts.keys():
+            steps.append(ionic)  # only products or inhibitors are salts
+            continue
+        steps += [step.model_copy(update={"inhibitors": {**step.inhibitors, WATER: _KEPT_APART}}), ionic]
+    return family.model_copy(update={"reaction": tuple(steps)})
+
+
+def _parted(side: Mapping[str, float], salts: Mapping[str, Salt]) -> dict[str, float]:
+    """Numbers by material, with the ions of salts instead of them."""
+    total: dict[str, float] = {}
+    for name, number in side.items():
+        for part in (salts[name].cation, salts[name].anion) if name in salts else (name,):
+            total[part] = total.get(part, 0.0) + number
+    return total
+
+
+def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
+    """A reaction of dissolved salts."""
+    before, after = _parted(step.reactants, salts), _parted(step.products, salts)
+    taking_part = {*step.reactants, *step.products} & set(salts)
+    for ion in {ion for name in taking_part for ion in (salts[name].cation, salts[name].anion)}:
+        both = min(before.get(ion, 0.0), after.get(ion, 0.0))
+        for side in (before, after):
+            if both and side[ion] - both <= _BALANCE_TOLERANCE:
+                del side[ion]
+            elif both:
+                side[ion] -= both
+    orders: dict[str, float] = {}
+    catalysts: dict[str, float] = {}
+    for name, order in (*step.orders.items(), *step.catalysts.items()):
+        ions = [salts[name].cation, salts[name].anion] if name in salts else [name]
+        used = [ion for ion in ions if ion in before] if name in step.reactants else []
+        acting = used or [ion for ion in ions if ion in (PROTON, HYDROXIDE)] or ions
+        for ion in acting:
+            target = orders if ion in before else catalysts
+            target[ion] = target.get(ion, 0.0) + order / len(acting)
+    orders |= {name: before[name] for name in before if name not in orders}
+    inhibitors: dict[str, float] = {}
+    for name, constant in step.inhibitors.items():
+        inhibitors[salts[name].anion if name in salts else name] = constant
+    values = {
+        **step.model_dump(include={"pre_exponential", "activation_energy_j_mol", "equilibrium_constant"}),
+        "reactants": before,
+        "products": after,
+        "orders": {} if step.equilibrium_constant is not None else orders,
+        "catalysts": catalysts,
+        "inhibitors": inhibitors,
+        "source": f"{step.source}; its salts as ions",
+    }
+    made: Reaction = validated(Reaction, values, f"reaction {step.words}, of ions")
+    return made
 
 
 def shipped_reactions_folder() -> Path:

@@ -151,8 +151,7 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
         "theoretical_maximum_mol": {listed[0]: 1.0},
         "ambient_temperature_k": setting.room_k,
         "ambient_pressure_kpa": setting.room_kpa,
-        "stock": dict.fromkeys(listed, 1.0),
-        "shelf": {"slots": 1, "vessel": [{"capacity_l": 1.0}]},
+        "shelf": {"slots": 1, "vessel": [{"capacity_l": 1.0, "contents": dict.fromkeys(listed, 0.0)}]},
         "benches": {"none": {"kind": "extraction", "step_limit": 1}},
         "limits": {"manager_actions": 1, "ticks": 1},
     }

@@ -38,6 +38,7 @@ from .reactions import (
     Violent,
     check_reactions,
     check_without_real,
+    dissolved_reactions,
     load_reactions,
 )
 from .world import (
@@ -94,6 +95,8 @@ _DATA = Path(__file__).resolve().parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _MOST_MATERIALS = 256
 _MOST_STARTS = 20_000
+_NEUTRAL = 1e-9
+"""Charge of contents over that of all their ions, up to which it is rounding."""
 _MOST_VESSEL_TICKS = 1_000_000
 """That may pass within one action of the manager, which nothing interrupts: seconds, as a vessel at rest takes up to 10
 us for a tick."""
@@ -699,6 +702,49 @@ def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) ->
             )
 
 
+def _check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
+    """Refuse ions without the counter-ions that balance their charge."""
+
+    def alone(key: str, name: str) -> None:
+        if not known[name].charge:
+            return
+        salts = [salt.solid for salt in family.salt if name in (salt.cation, salt.anion)]
+        hint = f"name a salt of it ({', '.join(salts)})" if salts else "name a salt of it, with its [[salt]] entry"
+        raise DataError(f"{where}: {key}: {name!r} is an ion, of which there is none alone; {hint} instead")
+
+    for name in spec.stock:
+        alone("stock", name)
+    vessels: list[tuple[str, VesselSpec | StartSpec]]
+    vessels = [(f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)]
+    vessels += [(f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()]
+    for key, vessel in vessels:
+        charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
+        if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
+            raise DataError(
+                f"{where}: {key}.contents: have a charge of {charge:+.4g} mol, and must have none; give the ions that "
+                "balance it, or salts"
+            )
+        if isinstance(vessel, StartSpec) and vessel.goal_mol:
+            for goal in spec.goals:
+                alone(f"{key}.goal_mol", goal)
+        if isinstance(vessel, StartSpec) and vessel.companion is not None:
+            for name in (vessel.companion.material, vessel.companion.if_goal):
+                alone(f"{key}.companion", name)
+    for key, bench in spec.benches.items():
+        options = bench.model_extra or {}
+        reagents, process = options.get("reagents"), options.get("process")
+        named = [("reagents", name) for name in reagents] if isinstance(reagents, Mapping) else []
+        for i, entry in enumerate(process if isinstance(process, (list, tuple)) else ()):
+            named += [(f"process.{i}.material", entry.get("material"))] if isinstance(entry, Mapping) else []
+        for option, name in named:
+            if name in known:
+                alone(f"benches.{key}.{option}", name)
+    for key, draw in spec.world.draws.items():
+        if draw.what in VESSEL_QUANTITIES:
+            for name in draw.materials:
+                alone(f"world.draws.{key}", name)
+
+
 def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
     """Refuse draws of vessels that are not there, or of contents that do not fit."""
     starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
@@ -810,9 +856,11 @@ def _check_materials(named: list[tuple[str, str]], known: Mapping[str, Material]
             raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
 
 
-def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], ReactionFamily]:
-    """Close ``present`` under the family's reactions; drop what can never happen here."""
+def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tuple[list[str], ReactionFamily]:
+    """Close ``present`` under the family's reactions; drop what can never happen here. Where water ``ionizes``, its
+    ions are there for reactions that name one of them."""
     order = list(dict.fromkeys(present))
+    of_water = (PROTON, HYDROXIDE) if any({PROTON, HYDROXIDE} & s.materials() for s in family.reaction) else ()
     while True:
         known = set(order)
         new: list[str] = []
@@ -823,6 +871,8 @@ def _reachable(family: ReactionFamily, present: list[str]) -> tuple[list[str], R
         for salt in family.salt:
             if salt.solid in known or {salt.cation, salt.anion} <= known:
                 new += [name for name in (salt.solid, salt.cation, salt.anion) if name not in known]
+        if ionizes and WATER in known:
+            new += [name for name in of_water if name not in known]
         for acid in family.acid:
             if WATER in known and not known.isdisjoint(acid.species):
                 new += [name for name in (*acid.species, PROTON, HYDROXIDE) if name not in known]
@@ -917,8 +967,12 @@ def _equipped(
     named = _mentioned(spec)
     _check_materials(named, known, where)
     _check_vessels(spec, known, where)
+    _check_charges(spec, known, family, where)
     _check_draws(spec, known, where)
-    order, kept = _reachable(family, [name for _, name in named])
+    names, ionizes = [name for _, name in named], spec.physics == "real" and {PROTON, HYDROXIDE} <= set(known)
+    order, kept = _reachable(family, names, ionizes)
+    if spec.physics == "real" and WATER in order:
+        order, kept = _reachable(dissolved_reactions(family), names, ionizes)
     if len(order) > _MOST_MATERIALS:
         raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
     if "air" not in known:

@@ -15,7 +15,7 @@ from chemlab.jit import kernel
 from chemlab.physics.laws.real.chemistry import RealChemistry
 from chemlab.physics.laws.real.fields import independent_reactions, padded
 from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
-from chemlab.physics.laws.real.kinetics import integrate, react_work_size
+from chemlab.physics.laws.real.kinetics import ALONE, integrate, react_work_size
 from chemlab.physics.surroundings import Surroundings
 from chemlab.tables import Table
 
@@ -164,6 +164,6 @@ def react(
 ) -> int:
     """Let a vessel react that nothing boils in; returns the number of steps."""
     around, work = Surroundings(jacket, transfer, -1.0, *tolerance), np.zeros(react_work_size(table.arrays))
-    steps, passed = integrate(row, dt, around, math.inf, table.handle, work)
+    steps, passed = integrate(row, dt, around, math.inf, ALONE, table.handle, work)
     assert passed == (dt if steps >= 0 else 0.0)
     return int(steps)

@@ -24,7 +24,8 @@ from chemlab.datafile import DataError, read_toml
 from chemlab.materials import Material, load_materials, shipped_materials
 from chemlab.pairs import load_pairs, shipped_pairs
 from chemlab.reactions import ReactionFamily, load_reactions
-from chemlab.scenario import load_scenario
+from chemlab.sandbox import Flask
+from chemlab.scenario import RealSpec, load_scenario
 
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[chem]"')
@@ -274,6 +275,47 @@ def test_products_react_on_and_side_reactions_are_guessed_as_such() -> None:
     twice, _ = expand(templates[:1], ["2,4-difluoronitrobenzene", "pyrrolidine"], shipped_materials(), generations=2)
     assert (len(once), len(twice)) == (2, 4)
     assert len(main) >= 4
+
+
+SAPONIFICATION = "[C:1](=[O:2])[O:3][C:4].([Na+:5].[OH-:6])>>([C:1](=[O:2])[O-:6].[Na+:5]).[O:3][C:4]"
+
+
+def test_a_template_with_a_soluble_salt_runs_in_water(tmp_path: Path) -> None:
+    """Second order with equal concentrations: x = c k c t / (1 + k c t); the issue's 0.0454 mol of 0.05."""
+    path, rate, mol, seconds = tmp_path / "saponification.toml", 0.11, 0.05, 1800.0
+    rates = ["--rate", rate, "--activation", 0]
+    run("reactions", "--smarts", SAPONIFICATION, "--reactants", "ethyl_acetate", "NaOH", *rates, "-o", path)
+    (step,) = load_reactions(str(path), shipped_materials()).reaction
+    assert step.orders == {"ethyl_acetate": 1.0, "NaOH": 1.0}
+    assert "surface" not in step.source
+    flask = Flask({"water": 54.8, "ethyl_acetate": mol, "NaOH": mol}, reactions=str(path), temperature_k=298.15)
+    ahead = rate * mol / flask.volume_l * seconds
+    flask.react(seconds, 298.15)
+    assert flask.amounts["ethanol"] == pytest.approx(mol * ahead / (1.0 + ahead), rel=2e-3)
+    # Of ions alone there is no bottle.
+    ions = SAPONIFICATION.replace("([Na+:5].[OH-:6])", "[OH-:6]").replace(
+        "([C:1](=[O:2])[O-:6].[Na+:5])", "[C:1](=[O:2])[O-:6]"
+    )
+    run("reactions", "--smarts", ions, "--reactants", "ethyl_acetate", "OH-", *rates, "-o", tmp_path / "ions.toml")
+    made = ["new", "lab", "--reactions", tmp_path / "ions.toml", "--goal", "ethanol", "-o", tmp_path / "lab.toml"]
+    shown = " ".join(run(*made, fails=True).output.split())
+    assert "'OH-', an ion, of which there is none alone" in shown
+    assert not (tmp_path / "lab.toml").exists()
+
+
+def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
+    """However fast a reaction is: an experiment lasts eight times 1 / crystal_rate, or longer in a poor solvent."""
+    step = {"reactants": {"salicylic_acid": 1, "acetic_anhydride": 1}, "source": "made up"}
+    step |= {"products": {"acetylsalicylic_acid": 1, "acetic_acid": 1}}
+    step |= {"pre_exponential": 10.0, "activation_energy_j_mol": 0.0}
+    family = ReactionFamily.model_validate({"name": "one", "reaction": [step]})
+    ticks = {}
+    for solvent in ("ethanol", "toluene"):
+        made = design("one", "acetylsalicylic_acid", solvent, family, shipped_materials(), shipped_pairs(), 0.25, {})
+        bench = made.tables["benches"]["rxn"]
+        ticks[solvent] = bench["tick"] * bench["step_limit"]
+    assert ticks["ethanol"] == pytest.approx(8.0 / RealSpec().crystal_rate, rel=0.05)
+    assert ticks["toluene"] > 2.0 * ticks["ethanol"]
 
 
 @pytest.mark.parametrize(

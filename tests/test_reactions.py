@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from chemlab.materials import DataError, shipped_materials
-from chemlab.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
+from chemlab.reactions import ReactionFamily, dissolved_reactions, load_reactions, shipped_reactions_folder
 
 SHIPPED = sorted(path.stem for path in shipped_reactions_folder().glob("*.toml"))
 
@@ -274,3 +275,62 @@ def test_a_species_is_of_one_acid_and_dissolved(tmp_path: Path) -> None:
         load_real(tmp_path, water)
     with pytest.raises(DataError, match=r"acid\.0: species: 'H2X' is a solid; it must be dissolved in water"):
         load_real(tmp_path, REAL, H2X="solid")
+
+
+# -- salts in water ---------------------------------------------------------------------------------------------------
+
+SOLUBLE = FAMILY.replace(
+    'anion = "Cl-"', 'anion = "Cl-"\nsolubility = { solvents = { water = [[298.15, 6.1]] }, source = "made up" }'
+)
+
+
+def of_ions(folder: Path, reactants: str, products: str, more: str = "", salts: str = SOLUBLE) -> list[Any]:
+    """(reactants, products, orders, catalysts) of what a reaction becomes where there is water."""
+    step = f"""
+[[reaction]]
+reactants = {{ {reactants} }}
+products = {{ {products} }}
+{more}
+pre_exponential = 10.0
+activation_energy_j_mol = 6000.0
+source = "made up"
+"""
+    first = salts.index("[[reaction]]")
+    text = salts[:first] + step.lstrip() + salts[salts.index("[[salt]]") :]
+    made = dissolved_reactions(load(folder, text)).reaction
+    # What has been made of ions stays as it is, in a record that is read again.
+    again = dissolved_reactions(ReactionFamily(name="again", reaction=made, salt=load(folder, text).salt))
+    assert again.reaction == made
+    return [(s.reactants, s.products, s.orders, s.catalysts) for s in made]
+
+
+def test_a_salt_reacts_as_its_ions_where_it_dissolves(tmp_path: Path) -> None:
+    """Ions on both sides take no part; what is used up of a salt has its order, or two have half of it each."""
+    salt, solid = '[[salt]]\nsolid = "NaOH"\ncation = "Na+"\nanion = "OH-"\nsource = "made up"\n', "sodium_acetate"
+    water = 'solubility = { solvents = { water = [[298.15, 6.1]] }, source = "made up" }\n'
+    both = SOLUBLE + salt + water
+    kept, ions = of_ions(tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", salts=both)
+    assert kept[:3] == (
+        {"ethyl_acetate": 1.0, "NaOH": 1.0},
+        {solid: 1.0, "ethanol": 1.0},
+        {"ethyl_acetate": 1.0, "NaOH": 1.0},
+    )
+    # The acetate is no salt here that dissolves.
+    halves = {"ethyl_acetate": 1.0, "Na+": 0.5, "OH-": 0.5}
+    assert ions == ({"ethyl_acetate": 1.0, "Na+": 1.0, "OH-": 1.0}, {solid: 1.0, "ethanol": 1.0}, halves, {})
+    acetate = salt.replace("NaOH", solid).replace("OH-", "acetate") + water
+    _, ions = of_ions(tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", salts=both + acetate)
+    spectator = ({"ethyl_acetate": 1.0, "OH-": 1.0}, {"acetate": 1.0, "ethanol": 1.0})
+    assert ions == (*spectator, {"ethyl_acetate": 1.0, "OH-": 1.0}, {})
+    squared = "orders = { ethyl_acetate = 1, NaOH = 2 }"
+    _, ions = of_ions(
+        tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", squared, salts=both + acetate
+    )
+    assert ions == (*spectator, {"ethyl_acetate": 1.0, "OH-": 2.0}, {})
+    # A catalyst's base is what acts.
+    catalysed = of_ions(tmp_path, "1-hexene = 1", "trans-2-hexene = 1", "catalysts = { NaOH = 1 }", salts=both)
+    assert [step[3] for step in catalysed] == [{"NaOH": 1.0}, {"OH-": 1.0}]
+    # What dissolves next to nothing, and what is only made, stays as it is.
+    little = both.replace('[[298.15, 6.1]] }, source = "made up" }\n', '[[298.15, 1e-4]] }, source = "made up" }\n')
+    assert len(of_ions(tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", salts=little)) == 1
+    assert len(dissolved_reactions(load(tmp_path, SOLUBLE)).reaction) == 1

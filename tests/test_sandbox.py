@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import itertools
 import math
 import re
 import sys
@@ -10,15 +11,23 @@ import warnings
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from helpers import Glassware
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import chemlab.sandbox
 from chemlab.materials import DataError, shipped_materials
+from chemlab.openchem.writing import material_text
+from chemlab.physics import laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import Flask, SpillWarning
+
+FloatArray = npt.NDArray[np.float64]
 
 ROOT = Path(__file__).parent.parent
 MATERIALS = shipped_materials()
@@ -290,6 +299,283 @@ def test_without_a_condenser_it_boils_dry() -> None:
     assert not closed.events
     assert closed.amounts["diethyl_ether"] == pytest.approx(4.0, rel=1e-9)
     assert 305.0 < closed.temperature_k < 330.0
+
+
+# -- however long a call lasts ----------------------------------------------------------------------------------------
+
+IDEAL = """
+[lock]
+made = "by hand"
+
+[[pairs]]
+of = ["naphthalene", "{other}"]
+a = [0.0, 0.0]
+b = [0.0, 0.0]
+alpha = 0.3
+low_k = 250.0
+high_k = 400.0
+error = 0.0
+source = "ideal, for a test"
+"""
+
+
+def isomers(folder: Path, rate: float) -> dict[str, Any]:
+    """Arguments of a flask in which a liquid turns into naphthalene and back, K = 1, and all mixtures are ideal."""
+    table = MATERIALS["naphthalene"].model_dump(mode="json")
+    table |= {"name": "an isomer", "cas": "", "smiles": "", "melting_point_k": 250.0}
+    table["real"] |= {"fusion_enthalpy_j_mol": None, "formation_state": "l"}
+    table["real"]["formation_enthalpy_j_mol"] += MATERIALS["naphthalene"].real.fusion_enthalpy_j_mol
+    table["real"]["source"] = {k: v for k, v in table["real"]["source"].items() if not k.startswith("fusion")}
+    made = {key: value for key, value in table.items() if value not in (None, "")}
+    made["real"] = {key: value for key, value in made["real"].items() if value is not None}
+    (folder / "isomer.toml").write_text(material_text({"isomer": made}, "by hand", ()), encoding="utf-8")
+    (folder / "family.toml").write_text(
+        f"""
+name = "isomers"
+
+[[reaction]]
+reactants = {{ isomer = 1 }}
+products = {{ naphthalene = 1 }}
+equilibrium_constant = 1.0
+pre_exponential = {rate}
+activation_energy_j_mol = 0.0
+source = "made up for a test"
+""",
+        encoding="utf-8",
+    )
+    pairs = [IDEAL.format(other=other) for other in ("isomer", "toluene")]
+    pairs.append(IDEAL.replace("naphthalene", "isomer").format(other="toluene"))
+    files = []
+    for number, text in enumerate(pairs):
+        files.append(str(folder / f"pair_{number}.toml"))
+        Path(files[-1]).write_text(text, encoding="utf-8")
+    return {
+        "reactions": str(folder / "family.toml"),
+        "material_files": [str(folder / "isomer.toml")],
+        "pair_files": files,
+    }
+
+
+@pytest.mark.parametrize("rate", [2e-4, 2e-2])
+def test_a_product_that_crystallizes_draws_its_equilibrium(tmp_path: Path, rate: float) -> None:
+    """What crystallizes meanwhile goes on being made: SciPy's integration, in one call as in many."""
+    kelvin, solvent, seconds = 283.15, 1.0, 3600.0
+    naphthalene = MATERIALS["naphthalene"]
+    assert naphthalene.real is not None
+    fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
+    assert fusion is not None
+    assert melting is not None
+    soluble = math.exp(-fusion / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melting))
+    begun = 1.0
+
+    def slopes(time: float, y: FloatArray) -> list[float]:
+        isomer, held = y
+        made = rate * (isomer - held)
+        saturated = soluble / (1.0 - soluble) * (isomer + solvent)
+        return [-made, made + 2e-3 * min(begun - isomer - held, saturated - held)]
+
+    start = [0.45, 0.25]  # 0.3 mol of crystals
+    isomer, held = solve_ivp(slopes, (0.0, seconds), start, rtol=1e-8, atol=1e-10, method="LSODA").y[:, -1]
+    settings = isomers(tmp_path, rate)
+    for calls in (1, 7, 60):
+        flask = Flask({"isomer": start[0], "naphthalene": 0.55, "toluene": solvent}, temperature_k=kelvin, **settings)
+        place = flask._shelf.layout.dissolved.index("naphthalene")
+        flask._shelf.dissolved[0, 0, place] = [0.0, start[1]]
+        for _ in range(calls):
+            flask.react(seconds / calls, kelvin)
+        crystals = flask.layers[0].contents["naphthalene"]
+        assert flask.amounts["isomer"] == pytest.approx(isomer, rel=0.01), calls
+        assert crystals == pytest.approx(begun - isomer - held, rel=0.01), calls
+        assert flask.amounts["isomer"] + flask.amounts["naphthalene"] == pytest.approx(begun, rel=1e-12)
+
+
+def test_crystals_dissolve_while_they_react() -> None:
+    """Aspirin, an hour at 60 degrees C, of crystals of salicylic acid, in one call and in 60, thermostat or jacket."""
+    made: dict[tuple[int, float | None], float] = {}
+    for calls, jacket in itertools.product((1, 60), (None, 6.0)):
+        flask = Flask({"acetic_acid": 1.0, "acetic_anhydride": 0.75, "salicylic_acid": 0.3}, reactions="aspirin")
+        before = atoms([flask])
+        for _ in range(calls):
+            flask.react(900.0 / calls, 333.15, jacket)
+        made[calls, jacket] = flask.amounts["acetylsalicylic_acid"]
+        assert {k: round(v, 9) for k, v in atoms([flask]).items()} == {k: round(v, 9) for k, v in before.items()}
+    for jacket in (None, 6.0):
+        assert 0.2 < made[60, jacket] < 0.3
+        assert made[1, jacket] == pytest.approx(made[60, jacket], rel=0.01)
+
+
+def test_crystals_melt_by_the_heat_that_they_take() -> None:
+    """At the melting point until all have: heat = capacity x warming + heat of fusion x what has melted."""
+    mol, naphthalene = 0.5, MATERIALS["naphthalene"]
+    assert naphthalene.real is not None
+    fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
+    assert fusion is not None
+    assert melting is not None
+    flask = Flask({"naphthalene": mol}, temperature_k=340.0)
+    warming = heat_capacity(flask) * (melting - 340.0)
+    flask.heat(warming + 0.25 * fusion * mol)
+    assert flask.temperature_k == pytest.approx(melting, abs=1e-6)
+    assert flask.layers[-1].contents["naphthalene"] == pytest.approx(0.25 * mol, rel=1e-6)
+    flask.heat(0.75 * fusion * mol + 10.0 * heat_capacity(flask))
+    assert [layer.name for layer in flask.layers] == ["organic"]
+    assert flask.temperature_k == pytest.approx(melting + 10.0, abs=1e-6)
+
+
+def test_a_cooling_solution_crystallizes_alike_in_one_tick_and_in_many() -> None:
+    left = []
+    for ticks in (1, 60):
+        flask = Flask({"water": 50.0, "benzoic_acid": 0.3}, capacity_l=2.0, temperature_k=360.0)
+        arguments = flask._chem, flask._shelf.waste[0], flask._events, flask._work
+        for _ in range(ticks):
+            laws.elapse(flask._row, 30.0 / ticks, *arguments)  # half an hour
+        flask.settle()
+        left.append(flask.layers[0].contents["benzoic_acid"])
+    assert left[0] == pytest.approx(left[1], rel=0.01)
+    assert 0.1 < left[1] < 0.2
+
+
+SAPONIFICATION = """
+name = "saponification"
+
+[[reaction]]
+reactants = {{ ethyl_acetate = 1, {base} = 1 }}
+products = {{ {salt} = 1, ethanol = 1 }}
+pre_exponential = {rate}
+activation_energy_j_mol = 0.0
+source = "made up for a test"
+{more}
+[[salt]]
+solid = "NaOH"
+cation = "Na+"
+anion = "OH-"
+source = "made up for a test"
+solubility = {{ solvents = {{ water = [[298.15, 25.0]] }}, source = "CRC Handbook" }}
+
+[[salt]]
+solid = "sodium_acetate"
+cation = "Na+"
+anion = "acetate"
+source = "made up for a test"
+solubility = {{ solvents = {{ water = [[298.15, 6.0]] }}, source = "Seidell" }}
+"""
+
+
+@pytest.mark.parametrize(("base", "salt"), [("NaOH", "sodium_acetate"), ('"OH-"', "acetate")])
+def test_a_soluble_salt_reacts_as_its_ions(tmp_path: Path, base: str, salt: str) -> None:
+    """Second order with equal concentrations: x = c k c t / (1 + k c t)."""
+    path, rate, mol, seconds = tmp_path / "family.toml", 0.11, 0.05, 1800.0
+    path.write_text(SAPONIFICATION.format(base=base, salt=salt, rate=rate, more=""), encoding="utf-8")
+    for calls in (1, 20):
+        contents = {"water": 54.8, "ethyl_acetate": mol, "NaOH": mol}
+        flask = Flask(contents, reactions=str(path), temperature_k=298.15)
+        litres = flask.volume_l
+        for _ in range(calls):
+            flask.react(seconds / calls, 298.15)
+        ahead = rate * mol / litres * seconds
+        assert flask.amounts["ethanol"] == pytest.approx(mol * ahead / (1.0 + ahead), rel=2e-3)
+        assert sum(n * MATERIALS[name].charge for name, n in flask.amounts.items()) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_salt_without_water_reacts_as_a_solid(tmp_path: Path) -> None:
+    """Of first order in what there is of it by litre of liquid, where nothing dissolves it."""
+    path = tmp_path / "family.toml"
+    path.write_text(SAPONIFICATION.format(base="NaOH", salt="sodium_acetate", rate=1e-3, more=""), encoding="utf-8")
+    flask = Flask({"ethyl_acetate": 5.0, "NaOH": 0.01, "toluene": 1.0}, reactions=str(path))
+    litres = flask.layers[-1].volume_l
+    flask.react(60.0, 298.15)
+    assert flask.amounts["sodium_acetate"] == pytest.approx(0.01 * -math.expm1(-1e-3 * 5.0 / litres * 60.0), rel=5e-3)
+    assert flask.amounts["OH-"] == 0.0
+
+
+BUFFER = """
+[[acid]]
+species = ["salicylic_acid", "salicylate"]
+pka = [9.0]
+enthalpy_j_mol = [0.0]
+source = "made up for a test: as if it were a weak one"
+"""
+
+
+def test_a_buffer_gives_what_a_reaction_takes(tmp_path: Path) -> None:
+    """A base that is at its equilibrium all the time: SciPy's integration with the balance of charge at every point."""
+    path, rate, mol, weak, seconds = tmp_path / "family.toml", 1.0, 0.01, 0.05, 18_000.0
+    path.write_text(SAPONIFICATION.format(base='"OH-"', salt="acetate", rate=rate, more=BUFFER), encoding="utf-8")
+    contents = {"water": 54.0, "ethyl_acetate": mol, "salicylate": weak, "Na+": weak}
+    litres = Flask(contents, reactions=str(path)).volume_l
+    kilograms = 54.0 * 18.01528e-3
+    strength = weak / kilograms
+    root = math.sqrt(strength)
+    gamma = 10.0 ** (-0.509 * (root / (1.0 + root) - 0.3 * strength))
+    water, acid = 10.0**-13.995 / gamma**2, 10.0**-9.0 / gamma**2
+
+    def hydroxide(used: float) -> float:
+        """mol, where the acid has given as many protons as are not left to hydroxide."""
+
+        def excess(log: float) -> float:
+            proton = math.exp(log)
+            base = weak / kilograms * acid / (acid + proton)
+            return weak / kilograms + proton - water / proton - base - used / kilograms
+
+        proton = math.exp(brentq(excess, -40.0, 0.0, xtol=1e-14))
+        return water / proton * kilograms
+
+    def slope(time: float, used: FloatArray) -> list[float]:
+        return [rate * hydroxide(used[0]) * (mol - used[0]) / litres]
+
+    expected = solve_ivp(slope, (0.0, seconds), [0.0], rtol=1e-9, atol=1e-12).y[0, -1]
+    assert 0.3 * mol < expected < 0.95 * mol
+    assert expected > 5.0 * hydroxide(0.0)  # many times what there was of it
+    for calls in (1, 30):
+        flask = Flask(contents, reactions=str(path), temperature_k=298.15)
+        for _ in range(calls):
+            flask.react(seconds / calls, 298.15)
+        assert flask.amounts["ethanol"] == pytest.approx(expected, rel=0.01), calls
+
+
+def test_gas_does_not_come_back_to_an_open_flask(tmp_path: Path) -> None:
+    """What leaves is no reactant: first order to its end under a condenser, an equilibrium where it is kept in."""
+    path, rate = tmp_path / "family.toml", 1e-3
+    path.write_text(
+        f"""
+name = "dehydrogenation"
+
+[[reaction]]
+reactants = {{ hexane = 1 }}
+products = {{ 1-hexene = 1, H2 = 1 }}
+equilibrium_constant = 0.1
+pre_exponential = {rate}
+activation_energy_j_mol = 0.0
+source = "made up for a test"
+""",
+        encoding="utf-8",
+    )
+    for calls in (1, 10):
+        flask = Flask({"hexane": 0.1, "dodecane": 2.0}, reactions=str(path))
+        for _ in range(calls):
+            flask.react(1000.0 / calls, 298.15, jacket_w_k=1e6)
+        assert flask.amounts["hexane"] == pytest.approx(0.1 * math.exp(-1.0), rel=2e-3)
+    closed = Flask({"hexane": 0.1, "dodecane": 2.0}, reactions=str(path))
+    litres = closed.volume_l
+    closed.react(1e5, 298.15)
+    made = closed.amounts["1-hexene"]
+    assert made**2 / (0.1 - made) / litres == pytest.approx(0.1, rel=0.02)
+
+
+@pytest.mark.parametrize("mol", [1e-3, 0.01, 0.1, 1.0])
+@pytest.mark.parametrize("ions", [{"H+": 1.0, "Cl-": 1.0}, {"Na+": 1.0, "OH-": 1.0}])
+def test_the_ph_of_strong_acids_and_bases(ions: dict[str, float], mol: float) -> None:
+    """Davies' activity coefficient, which chemlab keeps from 0.5 mol/kg on, and pKw = 13.995."""
+    kilogram = 1000.0 / MATERIALS["water"].molar_mass_g_mol
+    flask = Flask({"water": kilogram, **dict.fromkeys(ions, mol)}, capacity_l=2.0, temperature_k=298.15)
+    root = math.sqrt(min(mol, 0.5))
+    ph = -math.log10(mol) + 0.509 * (root / (1.0 + root) - 0.3 * root**2)
+    assert float(flask.measure("ph_meter")) == pytest.approx(ph if "H+" in ions else 13.995 - ph, abs=0.002)
+
+
+def test_the_ph_of_water_and_of_salt_water() -> None:
+    for contents in ({"water": 10.0}, {"water": 10.0, "Na+": 0.1, "Cl-": 0.1}, {"water": 10.0, "hexane": 0.5}):
+        assert float(Flask(contents, temperature_k=298.15).measure("ph_meter")) == pytest.approx(7.0, abs=0.005)
+    assert float(Flask({"hexane": 1.0}).measure("ph_meter")) == -2.0
 
 
 # -- what a flask knows -----------------------------------------------------------------------------------------------

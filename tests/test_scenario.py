@@ -272,6 +272,31 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             "{ spill_l = -1.0 }",
             ["safety", "weights.spill_l", "-1.0", "or equal to 0"],
         ),
+        # Ions without those that balance them.
+        ("water = 10.0", 'water = 10.0\n"Na+" = 0.1', ["stock", "'Na+' is an ion", "NaCl"]),
+        (
+            "{ diethyl_ether = 4.0 }",
+            '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }',
+            ["shelf.vessel.0.contents", "charge of +0.25 mol", "ions that balance it"],
+        ),
+        (
+            "{ diethyl_ether = 3.0 }",
+            '{ water = 4.0, "Cl-" = 0.25 }',
+            ["benches.rxn.start.contents", "charge of -0.25 mol"],
+        ),
+        ("Na = 2.0 }", 'Na = 2.0, "Cl-" = 1.0 }', ["benches.rxn.reagents", "'Cl-' is an ion", "NaCl"]),
+        ('material = "water"', 'material = "Na+"', ["benches.ext.process.1.material", "'Na+' is an ion"]),
+        (
+            "{ diethyl_ether = 3.0 }",
+            '{ diethyl_ether = 3.0 }, companion = { material = "Na+", mol = 0.1, if_goal = "NaCl" }',
+            ["benches.rxn.start.companion", "'Na+' is an ion"],
+        ),
+        (
+            "[instruments]",
+            '[world.draws.salt]\nwhat = "amount"\nof = ["slot_0"]\nmaterial = "Na+"\n'
+            'distribution = { kind = "uniform", low = 0.5, high = 1.0 }\n[instruments]',
+            ["world.draws.salt", "'Na+' is an ion"],
+        ),
         # Reactions.
         ('reactions = "wurtz"', 'reactions = "alchemy"', ["reactions", "'alchemy'", "wurtz"]),
     ],

@@ -25,12 +25,12 @@ def _read(reading: Reading, chem: Handle) -> float:
 
 
 def _channel(name: str, analytes: Sequence[str]) -> Channel:
-    meaning = f"pH of the aqueous layer; {LOWEST:g} without one, or without acids and bases"
+    meaning = f"pH of the aqueous layer; {LOWEST:g} without one"
     return Channel(name, 1, "pH", LOWEST, HIGHEST, meaning)
 
 
 def _words(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
-    return in_numbers(values, channel, analytes) if values[0] > 0.0 else "no pH: nothing aqueous, or no acids and bases"
+    return in_numbers(values, channel, analytes) if values[0] > 0.0 else "no pH: nothing aqueous"
 
 
 INSTRUMENT = Instrument("pH of the aqueous layer", _channel, _read, words=_words, needs=("acid", "ionization"))

@@ -16,7 +16,7 @@ from ..materials import Material
 from ..pairs import Pair, log_activity_coefficients, pair_table
 from ..physics.constants import GAS_CONSTANT
 from ..reactions import Reaction, ReactionFamily
-from ..scenario import SAFETY_EVENTS
+from ..scenario import SAFETY_EVENTS, RealSpec
 from .writing import toml_tables
 
 __all__ = ["INSTRUMENTS", "Design", "check_design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
@@ -36,6 +36,8 @@ _LIFETIMES = (8.0, 40.0)
 """Times 1/k of the slowest step on the way to the goal, at full concentration, that an experiment lasts: of first
 order, and of higher orders, which slow down as they go."""
 _STEPS = 60
+_ROUNDS = 50
+"""In which a solubility is found."""
 _CLOCK_S = 60.0
 _CALM_W = 150.0
 """Heat of reaction that a flask of this size gets rid of, if it comes within half an experiment."""
@@ -185,6 +187,46 @@ def _tick(
     return float(f"{min(max(longest / _STEPS, _TICK_S[0]), _TICK_S[1]):.2g}")
 
 
+def _soluble(
+    solute: str,
+    solvent: str,
+    kelvin: float,
+    materials: Mapping[str, Material],
+    pairs: Mapping[frozenset[str], Pair],
+) -> float:
+    """mol of a solid that a mole of solvent dissolves at a temperature; an ideal solution where the pair is unknown."""
+    material = materials[solute]
+    melts, heat = material.melting_point_k, material.real.fusion_enthalpy_j_mol if material.real else None
+    if heat is None or melts is None or melts <= kelvin:
+        return math.inf
+    ideal = math.exp(-heat / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melts))
+    x = ideal
+    if frozenset((solute, solvent)) in pairs:
+        pair = pair_table((solute, solvent), pairs)
+        for _ in range(_ROUNDS):
+            gamma = log_activity_coefficients(np.array([x, 1.0 - x]), pair.tau(kelvin), pair.alpha)[0]
+            x = math.sqrt(x * min(ideal * math.exp(-float(gamma)), 1.0 - 1e-9))
+    return x / (1.0 - x)
+
+
+def _dissolving_s(
+    fed: Mapping[str, float],
+    solvent: str,
+    solvent_mol: float,
+    kelvin: float,
+    materials: Mapping[str, Material],
+    pairs: Mapping[frozenset[str], Pair],
+) -> float:
+    """Seconds in which the slowest of the crystals that are put in dissolves to 1/e; of one of which the solvent takes
+    up a part at a time, as it is used up, so much longer."""
+    lengthier = [
+        max(mol / max(solvent_mol * _soluble(key, solvent, kelvin, materials, pairs), 1e-9), 1.0)
+        for key, mol in fed.items()
+        if key != solvent and _crystallizes(materials[key])
+    ]
+    return max(lengthier, default=0.0) / RealSpec().crystal_rate
+
+
 def _column(goal: str, others: Collection[str], materials: Mapping[str, Material]) -> tuple[int, float]:
     """Theoretical stages and reflux ratio that part the goal from what boils next to it (Fenske 1932, with twice the
     stages of total reflux): vapour pressures alone, as if all were ideal."""
@@ -229,6 +271,14 @@ def check_design(
     if solvent == goal:
         raise DataError(f"solvent {solvent!r}: is the goal itself; name another")
     fed = feeds(goal, family, mol)
+    ions = [key for key in fed if materials[key].charge]
+    if ions:
+        salts = [salt.solid for salt in family.salt if ions[0] in (salt.cation, salt.anion)]
+        hint = f" ({', '.join(salts)})" if salts else ""
+        raise DataError(
+            f"goal {goal!r}: is made of {ions[0]!r}, an ion, of which there is none alone; write the reaction with a "
+            f"salt of it{hint}, which reacts as its ions in water"
+        )
     gases = [key for key in fed if materials[key].role == "gas"]
     if gases:
         raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; what is put in has to be a liquid or a solid")
@@ -284,7 +334,9 @@ def design(
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
     heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
     there = {**put_in, solvent: in_solvent + put_in.get(solvent, 0.0)}
+    dissolving = _LIFETIMES[0] * _dissolving_s(put_in, solvent, in_solvent, warm, materials, pairs)
     tick = max(_tick(goal, family, warm, litre, fed, there), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
+    tick = max(tick, min(float(f"{dissolving / _STEPS:.2g}"), _TICK_S[1]))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
     charge = _Charge(goal, solvent, fed, in_solvent, catalysts, tick, warm, heat, washing, crystallizing, present)
     benches = _benches(charge, materials)

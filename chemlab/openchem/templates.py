@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -323,14 +323,14 @@ def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
     return total
 
 
-def _entry(found: Found, materials: Mapping[str, Material]) -> dict[str, Any]:
-    """The table of a reaction."""
+def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[str]) -> dict[str, Any]:
+    """The table of a reaction; ``salts`` are those that dissolve, and react as their ions by mass action."""
     rate, template = found.template.rate, found.template
     guessed = _GUESSED[template.side]
     constant = guessed[0] if rate.constant is None else rate.constant
     activation = guessed[1] if rate.activation_j_mol is None else rate.activation_j_mol
     values: dict[str, Any] = {"reactants": found.reactants, "products": found.products}
-    solids = [key for key in found.reactants if materials[key].role == "solid"]
+    solids = [key for key in found.reactants if materials[key].role == "solid" and key not in salts]
     if solids:
         if rate.equilibrium_constant is not None:
             raise DataError(f"{found.words}: equilibrium: a reaction on the surface of {solids[0]!r} has none")
@@ -396,13 +396,14 @@ def family_tables(
         if key not in materials:
             raise DataError(f"unknown material {key!r}; name its file with --materials")
     entries = []
+    companions = _companions(keys, materials)
+    salts = [salt["solid"] for salt in companions["salt"]]
     for step in found:
-        entry = _entry(step, materials)
+        entry = _entry(step, materials, salts)
         if catalysts and not step.template.side:
             entry = {**entry, "catalysts": dict.fromkeys(catalysts, 1)}
         entries.append(entry)
     summary = "; ".join(step.words for step in found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
-    companions = _companions(keys, materials)
     tables = {
         "name": name,
         "summary": summary,

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from real_tier import filled, network
 
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.kinetics import integrate, react_work_size
+from chemlab.physics.laws.real.kinetics import ALONE, integrate, react_work_size
 from chemlab.physics.surroundings import Surroundings
 
 _ENERGY = 60e3
@@ -77,7 +77,7 @@ def main() -> None:
                     row: np.ndarray = row, table: Any = table, work: np.ndarray = work, u: float = transfer
                 ) -> int:
                     around = Surroundings(298.15, u, -1.0, 1e-3, 1e-9)
-                    return integrate(row, 1.0, around, math.inf, table.handle, work)[0]
+                    return integrate(row, 1.0, around, math.inf, ALONE, table.handle, work)[0]
 
                 def fresh(row: np.ndarray = row, start: np.ndarray = start, tick: Callable[[], int] = tick) -> int:
                     row[:] = start
@@ -95,7 +95,7 @@ def main() -> None:
     table, amounts = stiff_network(10, 0)
     row, work = filled(table, 0.0 * amounts), np.zeros(react_work_size(table.arrays))
     around = Surroundings(298.15, 0.0, -1.0, 1e-3, 1e-9)
-    nothing = microseconds(lambda: integrate(row, 1.0, around, math.inf, table.handle, work)[0], 10_000)
+    nothing = microseconds(lambda: integrate(row, 1.0, around, math.inf, ALONE, table.handle, work)[0], 10_000)
     print(f"a vessel in which nothing can react: {nothing:.2f} us, the call from Python included")
 
 

@@ -18,7 +18,7 @@ from ...transfer import heat_capacity
 from .chemistry import RealChemistry
 from .fields import STANDARD_K
 
-__all__ = ["acid_work_size", "ph", "settle_acids"]
+__all__ = ["acid_work_size", "ionizes", "ph", "settle_acids"]
 
 _LN10 = math.log(10.0)
 _SALTIEST = 0.5
@@ -76,13 +76,19 @@ def _set_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> Non
 
 
 @helper
+def ionizes(chem: Handle) -> bool:
+    """Whether H+, OH- and water are materials of a chemistry, which settle with acids and bases."""
+    ionization = opened(RealChemistry, chem).ionization
+    return bool(ionization[0] >= 0 and ionization[1] >= 0 and ionization[2] >= 0)
+
+
+@helper
 def _kilograms(row: FloatArray, chem: Handle) -> float:
-    """Water in the aqueous layer, kg; 0 where it cannot ionize."""
+    """Water in the aqueous layer, kg."""
     chemistry = opened(RealChemistry, chem)
-    for i in range(3):
-        if chemistry.ionization[i] < 0:
-            return 0.0
     water = chemistry.ionization[2]
+    if water < 0:
+        return 0.0
     mol = row[_column(row, chem, water)]
     return float(1e-3 * mol * chemistry.molar_mass[water]) if mol > TRACE_MOL else 0.0
 
@@ -279,7 +285,7 @@ def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """
     chemistry = opened(RealChemistry, chem)
     kilograms = _kilograms(row, chem)
-    if kilograms <= 0.0:
+    if kilograms <= 0.0 or not ionizes(chem):
         return
     h, oh, water = chemistry.ionization[0], chemistry.ionization[1], chemistry.ionization[2]
     proton_was, hydroxide_was = row[_column(row, chem, h)], row[_column(row, chem, oh)]
@@ -341,6 +347,23 @@ def _log_activity(row: FloatArray, chem: Handle, kilograms: float, log_gamma: fl
 
 
 @helper
+def _log_activity_alone(row: FloatArray, chem: Handle, kilograms: float, log_gamma: float) -> float:
+    """ln of the activity of H+ where one of H+ and OH- at most is a material of its own, so that nothing else takes
+    or gives a proton: by the ionization of water and the balance of charge."""
+    ionization = opened(RealChemistry, chem).ionization
+    excess = 0.0
+    for ion in range(2):
+        if ionization[ion] >= 0:
+            excess += (1.0 - 2.0 * ion) * row[_column(row, chem, ionization[ion])] / kilograms
+    log_water = _log_water(row[TEMPERATURE], chem)
+    half = 0.5 * abs(excess)
+    # mol/kg of the ion that there is more of
+    more = half + math.sqrt(half * half + math.exp(log_water - 2.0 * log_gamma))
+    log_more = math.log(more) + log_gamma
+    return log_more if excess > 0.0 else log_water - log_more
+
+
+@helper
 def ph(row: FloatArray, chem: Handle) -> float:
     """What a pH meter reads in a vessel that has settled (:func:`settle_acids`): -log10 of the activity of H+ in the
     aqueous layer; not a number without one."""
@@ -348,4 +371,6 @@ def ph(row: FloatArray, chem: Handle) -> float:
     if kilograms <= 0.0:
         return math.nan
     gamma = _log_gamma(0.5 * _charges(row, chem) / kilograms, row[TEMPERATURE], chem)
+    if not ionizes(chem):
+        return -_log_activity_alone(row, chem, kilograms, gamma) / _LN10
     return -_log_activity(row, chem, kilograms, gamma) / _LN10

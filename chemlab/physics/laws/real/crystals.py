@@ -1,4 +1,5 @@
-"""Crystals of molecules: they and what is dissolved of them approach saturation."""
+"""Crystals of molecules: which there are, and what saturates the liquids. They approach that while a vessel reacts
+(:mod:`.kinetics`)."""
 
 from __future__ import annotations
 
@@ -6,14 +7,15 @@ import math
 
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, TEMPERATURE
-from ....jit import inner, opened
+from ....jit import helper, inner, opened
 from ...constants import GAS_CONSTANT, TRACE_MOL
-from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
-from .heats import crystals, enthalpy, set_enthalpy
+from .chemistry import MOST_FLUIDS, RealChemistry
+from .heats import crystals, dissolved
+from .kinetics import COLUMN, CRYSTALS, PLACE, SATURATED, SATURATION, SHARE, SHARES
 from .liquids import Liquids, clear_liquids, gather, split
 from .partition import crystallizes
 
-__all__ = ["crystallize"]
+__all__ = ["find_crystals", "limit", "saturate"]
 
 _MOST_ROUNDS = 60
 _SATURATED = 1e-9
@@ -25,7 +27,7 @@ _FLAT = 0.1
 @inner
 def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liquids: Liquids) -> float:
     """mol of molecule ``at`` that the vessel's liquids hold in equilibrium with its crystals, by the secant of its
-    activity over the logarithm of its amount, within a bracket."""
+    activity over the logarithm of its amount, within a bracket; infinity where all that there is dissolves."""
     chemistry = opened(RealChemistry, chem)
     i = int(liquids.who[at])
     total = row[AMOUNTS + i]
@@ -40,7 +42,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
         if gap > 0.0:
             high = here
         elif step == 0:
-            return float(total)
+            return math.inf
         else:
             low = here
         # In a thin solution the activity goes with the amount; where it hardly changes, or turns, halves are safe.
@@ -55,12 +57,13 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
 
 
 @inner
-def crystallize(row: FloatArray, seconds: float, chem: Handle) -> bool:
-    """Crystals and what is dissolved of them approach saturation; says whether there are any that do."""
+def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
+    """Find the mol of every fluid that saturate the liquids: into a row of the scratch, infinity where all of it is
+    not enough, and for what does not crystallize; with the share of it that goes into the organic phase."""
     chemistry = opened(RealChemistry, chem)
-    m, changed = chemistry.role.shape[0], False
     for k in range(chemistry.dissolved.shape[0]):
         i = chemistry.dissolved[k]
+        work[SATURATION, k], work[SHARES, k] = math.inf, 1.0
         if row[AMOUNTS + i] <= TRACE_MOL or not crystallizes(row, chem, i):
             continue
         liquids = clear_liquids()
@@ -71,30 +74,43 @@ def crystallize(row: FloatArray, seconds: float, chem: Handle) -> bool:
         others = 0.0
         for a in range(n):
             others += liquids.mol[a] if a != at else 0.0
-        place = AMOUNTS + m + 2 * k
-        solid = crystals(row, chem, k)
-        dissolved = row[place + AQUEOUS] + row[place + ORGANIC]
         if others <= TRACE_MOL:
-            saturated = 0.0  # a melt below its melting point
-        else:
-            if at < 0:
-                if n == MOST_FLUIDS:
-                    continue
-                at = n
-                liquids.who[at], liquids.share[at] = i, 0.5
-                n += 1
-            saturated = _dissolved_at_saturation(n, at, row, chem, liquids)
-        if solid <= TRACE_MOL and dissolved <= chemistry.metastable * saturated:
+            work[SATURATION, k] = 0.0  # a melt below its melting point
             continue
-        moved = (saturated - dissolved) * -math.expm1(-chemistry.crystal_rate * seconds)
-        before = enthalpy(row, chem)
-        if dissolved > TRACE_MOL:
-            scale = (dissolved + moved) / dissolved
-            row[place + AQUEOUS] *= scale
-            row[place + ORGANIC] *= scale
-        elif moved > 0.0:
-            row[place + ORGANIC] = (dissolved + moved) * liquids.share[at]
-            row[place + AQUEOUS] = max(dissolved + moved - row[place + ORGANIC], 0.0)
-        set_enthalpy(row, before, chem)
-        changed = changed or abs(moved) > TRACE_MOL
-    return changed
+        if at < 0:
+            if n == MOST_FLUIDS:
+                continue
+            at = n
+            liquids.who[at], liquids.share[at] = i, 0.5
+            n += 1
+        work[SATURATION, k] = _dissolved_at_saturation(n, at, row, chem, liquids)
+        work[SHARES, k] = liquids.share[at]
+
+
+@helper
+def limit(row: FloatArray, chem: Handle, k: int) -> float:
+    """Times saturation up to which fluid ``k`` stays dissolved."""
+    return 1.0 if crystals(row, chem, k) > TRACE_MOL else float(opened(RealChemistry, chem).metastable)
+
+
+@inner
+def find_crystals(row: FloatArray, chem: Handle, work: FloatArray) -> int:
+    """Describe in the scratch the crystals that dissolve or grow at the saturations that are there; returns how many
+    kinds there are."""
+    chemistry = opened(RealChemistry, chem)
+    found, columns = 0, chemistry.species.shape[0]
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if row[AMOUNTS + i] <= TRACE_MOL or not crystallizes(row, chem, i):
+            continue
+        solid = crystals(row, chem, k)
+        if solid <= TRACE_MOL and dissolved(row, chem, k) <= chemistry.metastable * work[SATURATION, k]:
+            continue
+        work[PLACE, found], work[COLUMN, found] = k, columns + found
+        for j in range(columns):
+            if chemistry.species[j] == i:
+                work[COLUMN, found] = j
+        work[CRYSTALS, found], work[SATURATED, found] = solid, work[SATURATION, k]
+        work[SHARE, found] = work[SHARES, k]
+        found += 1
+    return found

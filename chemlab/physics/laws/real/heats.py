@@ -9,7 +9,14 @@ from ...transfer import heat_capacity
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
 
-__all__ = ["crystals", "enthalpy", "set_enthalpy"]
+__all__ = ["crystals", "dissolved", "enthalpy", "set_enthalpy"]
+
+
+@helper
+def dissolved(row: FloatArray, chem: Handle, k: int) -> float:
+    """mol of fluid ``k`` (its place among the fluids) in both liquids."""
+    at = AMOUNTS + opened(RealChemistry, chem).role.shape[0] + 2 * k
+    return float(row[at + AQUEOUS] + row[at + ORGANIC])
 
 
 @helper

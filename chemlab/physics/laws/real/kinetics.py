@@ -3,7 +3,8 @@
 The unknowns are the extents of independent reactions (of A -> B, B -> C and A -> C the first two: where matter goes in
 circles, extents of all of them would grow without bound, and rounding with them) and the heat that has come through
 the jacket; temperature follows from them by the enthalpy balance. So atoms and energy are conserved to rounding,
-whatever the integrator's error. It is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
+whatever the integrator's error. Crystals that dissolve or grow meanwhile are unknowns like extents
+(:func:`.spans.prepare`). It is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
 stiffly accurate (Sandu et al., Atmos. Environ. 31 (1997) 3459; for such methods Hairer and Wanner, Solving Ordinary
 Differential Equations II, 2nd ed. 1996, section IV.7).
 """
@@ -13,17 +14,36 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ....arrays import FloatArray, Handle
-from ....chemistry import AMOUNTS, ROLE_ION, TEMPERATURE
+from ....arrays import FloatArray, Handle, IntArray
+from ....chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, TEMPERATURE
 from ....jit import helper, inner, opened
-from ...constants import GAS_CONSTANT
+from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...kinetics import arrhenius as rate_constant
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
-from .chemistry import RealChemistry
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
+from .heats import dissolved
 
-__all__ = ["integrate", "react_work_size"]
+__all__ = [
+    "ALONE",
+    "COLUMN",
+    "CRYSTALS",
+    "KEPT",
+    "PLACE",
+    "PREDICTED",
+    "PROBE",
+    "SATURATED",
+    "SATURATION",
+    "SHARE",
+    "SHARES",
+    "Ways",
+    "add_species",
+    "available",
+    "extra",
+    "integrate",
+    "react_work_size",
+]
 
 _GAMMA = 0.5
 _MOST_STEPS = 100_000
@@ -56,6 +76,29 @@ _FORWARD, _BACKWARD = range(10, 12)
 _START, _NOW, _CONC, _POWERS = range(12, 16)
 _VECTORS = 16
 
+# Rows from the end of the scratch, which integration reads and everything else leaves alone: a copy of the vessel row
+# (:mod:`.reacting`), another one; of each fluid the mol that saturate the liquids and the share of what dissolves that
+# goes into the organic phase; of the fluids whose crystals dissolve or grow their place among the fluids, column among
+# the concentrations, mol of crystals, mol at saturation, that share; mol of each species as integration leaves it.
+# Before them, for each unknown, what it changes besides the species of its reaction.
+KEPT, PROBE, SATURATION, SHARES, PLACE, COLUMN, CRYSTALS, SATURATED, SHARE, PREDICTED = range(-1, -11, -1)
+_ROWS_AT_END = 10
+
+
+class Ways(NamedTuple):
+    """What happens in a vessel besides its reactions, for :func:`integrate`."""
+
+    crystals: int
+    """fluids that dissolve or grow, described in the last rows of the scratch"""
+    shifts: bool
+    """whether acids, bases or salts share out what reactions make and use up: :func:`extra` says how"""
+    leaves: bool
+    """whether gas leaves the vessel as it is made, so that it does not react"""
+
+
+ALONE = Ways(0, False, False)
+"""Reactions and nothing else."""
+
 
 class _Vessel(NamedTuple):
     """What stays the same while a vessel reacts, by litre of its liquid."""
@@ -73,20 +116,32 @@ class _Vessel(NamedTuple):
     """mol/L"""
     hottest: float
     """K, at which it ends"""
+    ways: Ways
+    litres: float
     work: FloatArray
 
 
 def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
     """Shape of the scratch array :func:`integrate` needs."""
-    unknowns = chemistry.independent.shape[0] + 1
-    return _VECTORS + 2 * unknowns, max(unknowns, *chemistry.stoichiometry.shape)
+    crystals = int((chemistry.fusion[chemistry.dissolved] > 0.0).sum())
+    extents = chemistry.independent.shape[0] + crystals
+    rows = _VECTORS + 2 * (extents + 1) + extents + _ROWS_AT_END
+    n_reactions, n_species = chemistry.stoichiometry.shape
+    return rows, max(extents + 1, n_reactions, n_species + crystals, len(chemistry.dissolved))
+
+
+@helper
+def extra(work: FloatArray, u: int) -> int:
+    """The row of the scratch that has what unknown ``u`` changes of each concentration beside the stoichiometry of its
+    reaction."""
+    return int(work.shape[0] - _ROWS_AT_END - 1 - u)
 
 
 # -- what is there ---------------------------------------------------------------------------------------------------
 
 
 @helper
-def _available(row: FloatArray, chem: Handle, j: int) -> float:
+def available(row: FloatArray, chem: Handle, j: int) -> float:
     """mol of species ``j`` that can react: of what dissolves, what is dissolved."""
     chemistry = opened(RealChemistry, chem)
     m, i = chemistry.role.shape[0], chemistry.species[j]
@@ -108,7 +163,7 @@ def _can_react(row: FloatArray, chem: Handle) -> bool:
         ready = True
         for f in range(chemistry.forward.shape[1]):
             j = chemistry.forward[r, f]
-            if j >= 0 and _available(row, chem, j) <= _USED_UP:
+            if j >= 0 and available(row, chem, j) <= _USED_UP:
                 ready = False
                 break
         if ready:
@@ -118,7 +173,7 @@ def _can_react(row: FloatArray, chem: Handle) -> bool:
             j = chemistry.backward[r, f]
             if not ready:
                 break
-            ready = j < 0 or _available(row, chem, j) > _USED_UP
+            ready = j < 0 or available(row, chem, j) > _USED_UP
         if ready:
             return True
     return False
@@ -144,16 +199,21 @@ def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surrounding
 
 
 @inner
-def _add_species(row: FloatArray, chem: Handle, j: int, change: float) -> None:
+def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bool) -> None:
     """Add ``change`` mol of species ``j`` (less than none is none) where it is already; what is nowhere yet goes to all
-    layers by their volume, an ion to water."""
+    layers by their volume, an ion to water. Where equilibria shift, what is used up beyond that stands as less than
+    none in water, until they have settled."""
     chemistry = opened(RealChemistry, chem)
     m, i = chemistry.role.shape[0], chemistry.species[j]
     k, n_dissolved = chemistry.dissolved_at[i], chemistry.dissolved.shape[0]
-    before = _available(row, chem, j)
+    before = available(row, chem, j)
     after = max(before + change, 0.0)
     if k < 0:
         row[AMOUNTS + i] = after
+        return
+    if shifts and before + change < 0.0:
+        row[AMOUNTS + i] += change
+        row[AMOUNTS + m + k * ((row.shape[0] - AMOUNTS - m) // n_dissolved)] += change
         return
     # Crystals of it stay as they are.
     row[AMOUNTS + i] = max(row[AMOUNTS + i] - before, 0.0) + after
@@ -215,7 +275,7 @@ def _slope(concentration: float, order: float, small: float, power: float) -> fl
 @inner
 def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, float]:
     """(K, J/K/L) temperature and heat capacity at some extents and heat from the jacket, by the enthalpy balance."""
-    n = opened(RealChemistry, chem).independent.shape[0]
+    n = opened(RealChemistry, chem).independent.shape[0] + vessel.ways.crystals
     energy, capacity = vessel.energy, vessel.capacity
     for b in range(n):
         energy -= vessel.work[_HEAT, b] * y[b]
@@ -226,10 +286,20 @@ def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, f
     return STANDARD_K + (energy + y[n]) / capacity, capacity
 
 
-@inner
-def _set_constants(chem: Handle, work: FloatArray, temperature: float) -> None:
-    """Rate constants of all reactions and of their reverse at a temperature (K)."""
+@helper
+def _of_gas(chem: Handle, factors: IntArray, r: int) -> bool:
+    """Whether a gas is among the factors of a rate."""
     chemistry = opened(RealChemistry, chem)
+    for f in range(factors.shape[1]):
+        if factors[r, f] >= 0 and chemistry.role[chemistry.species[factors[r, f]]] == ROLE_GAS:
+            return True
+    return False
+
+
+@inner
+def _set_constants(chem: Handle, vessel: _Vessel, temperature: float) -> None:
+    """Rate constants of all reactions and of their reverse at a temperature (K); 0 where they need gas that leaves."""
+    chemistry, work = opened(RealChemistry, chem), vessel.work
     bounded = min(max(temperature, _COLDEST_K), _HOTTEST_K)
     inverse = (1.0 / bounded - 1.0 / STANDARD_K) / GAS_CONSTANT
     for r in range(chemistry.stoichiometry.shape[0]):
@@ -239,13 +309,29 @@ def _set_constants(chem: Handle, work: FloatArray, temperature: float) -> None:
         # Divided by infinity, nothing is left of it.
         back = chemistry.equilibrium[r] < math.inf
         work[_BACKWARD, r] = forward * (math.exp(power) / chemistry.equilibrium[r]) if back else 0.0
+        if vessel.ways.leaves and _of_gas(chem, chemistry.forward, r):
+            work[_FORWARD, r] = 0.0
+        if vessel.ways.leaves and back and _of_gas(chem, chemistry.backward, r):
+            work[_BACKWARD, r] = 0.0
+
+
+@helper
+def _first_extra(chem: Handle, vessel: _Vessel) -> int:
+    """The first unknown that changes more than the species of its reaction."""
+    return 0 if vessel.ways.shifts else opened(RealChemistry, chem).independent.shape[0]
+
+
+@helper
+def _columns(chem: Handle, vessel: _Vessel) -> int:
+    """How many concentrations there are: of species, then of crystals that are none."""
+    return int(opened(RealChemistry, chem).species.shape[0] + vessel.ways.crystals)
 
 
 @inner
-def _concentrations(chem: Handle, work: FloatArray, y: FloatArray) -> None:
+def _concentrations(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     """Concentrations at some extents."""
-    chemistry = opened(RealChemistry, chem)
-    for j in range(chemistry.species.shape[0]):
+    chemistry, work, columns = opened(RealChemistry, chem), vessel.work, _columns(chem, vessel)
+    for j in range(columns):
         work[_CONC, j] = work[_START, j]
     for b in range(chemistry.independent.shape[0]):
         r = chemistry.independent[b]
@@ -253,19 +339,56 @@ def _concentrations(chem: Handle, work: FloatArray, y: FloatArray) -> None:
             j = chemistry.changes[r, c]
             if j >= 0:
                 work[_CONC, j] += chemistry.stoichiometry[r, j] * y[b]
-    for j in range(chemistry.species.shape[0]):
+    for u in range(_first_extra(chem, vessel), chemistry.independent.shape[0] + vessel.ways.crystals):
+        for j in range(columns):
+            work[_CONC, j] += work[extra(work, u), j] * y[u]
+    for j in range(columns):
         if abs(work[_CONC, j]) < _ROUNDING * (1.0 + work[_START, j]):
             work[_CONC, j] = 0.0
 
 
 @inner
-def _change(chem: Handle, extents: FloatArray, j: int) -> float:
-    """What some extents (or their rates) make of species ``j``."""
+def _made(chem: Handle, extents: FloatArray, j: int) -> float:
+    """What some extents of reactions make of species ``j``."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for b in range(chemistry.independent.shape[0]):
         total += chemistry.stoichiometry[chemistry.independent[b], j] * extents[b]
     return total
+
+
+@inner
+def _change(chem: Handle, vessel: _Vessel, extents: FloatArray, j: int) -> float:
+    """By how much some extents (or their rates) change concentration ``j``."""
+    chemistry = opened(RealChemistry, chem)
+    total = _made(chem, extents, j) if j < chemistry.species.shape[0] else 0.0
+    for u in range(_first_extra(chem, vessel), chemistry.independent.shape[0] + vessel.ways.crystals):
+        total += vessel.work[extra(vessel.work, u), j] * extents[u]
+    return total
+
+
+@inner
+def _effect(chem: Handle, vessel: _Vessel, u: int, j: int) -> float:
+    """By how much a unit of unknown ``u`` changes concentration ``j``."""
+    chemistry = opened(RealChemistry, chem)
+    reaction = u < chemistry.independent.shape[0] and j < chemistry.species.shape[0]
+    total = chemistry.stoichiometry[chemistry.independent[u], j] if reaction else 0.0
+    if u >= _first_extra(chem, vessel):
+        total += vessel.work[extra(vessel.work, u), j]
+    return float(total)
+
+
+@helper
+def _lacking(vessel: _Vessel, q: int) -> float:
+    """mol/L that the liquids lack of crystals ``q`` to saturation."""
+    work = vessel.work
+    return float(work[SATURATED, q] / vessel.litres - work[_CONC, int(work[COLUMN, q])])
+
+
+@helper
+def _left(vessel: _Vessel, q: int, dissolved: float) -> float:
+    """mol/L that are left of crystals ``q`` after some have ``dissolved``."""
+    return float(vessel.work[CRYSTALS, q] / vessel.litres - dissolved)
 
 
 @inner
@@ -285,11 +408,14 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
     """Rates of the unknowns: of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
     chemistry = opened(RealChemistry, chem)
     n, work, small = chemistry.independent.shape[0], vessel.work, _SMALL * vessel.atol
-    _concentrations(chem, work, y)
+    crystals = vessel.ways.crystals
+    _concentrations(chem, vessel, y)
     temperature = _temperature(chem, vessel, y)[0]
     if vessel.transfer >= 0.0:
-        _set_constants(chem, work, temperature)
-        out[n] = vessel.transfer * (vessel.jacket - temperature)
+        _set_constants(chem, vessel, temperature)
+        out[n + crystals] = vessel.transfer * (vessel.jacket - temperature)
+    for q in range(crystals):
+        out[n + q] = chemistry.crystal_rate * min(_left(vessel, q, y[n + q]), _lacking(vessel, q))
     for b in range(n):
         out[b] = 0.0
     for r in range(chemistry.stoichiometry.shape[0]):
@@ -310,15 +436,15 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
 
 
 @inner
-def _spread(chem: Handle, matrix: FloatArray, r: int, j: int, slope: float) -> None:
+def _spread(chem: Handle, vessel: _Vessel, r: int, j: int, slope: float) -> None:
     """Add to the Jacobian what the slope of rate ``r`` with the concentration of species ``j`` makes."""
-    chemistry = opened(RealChemistry, chem)
+    chemistry, matrix = opened(RealChemistry, chem), vessel.work[_VECTORS:]
     for p in range(chemistry.parts.shape[1]):
         b = chemistry.parts[r, p]
         if b >= 0:
             part = slope * chemistry.part_numbers[r, p]
-            for s in range(chemistry.independent.shape[0]):
-                matrix[b, s] += part * chemistry.stoichiometry[chemistry.independent[s], j]
+            for s in range(chemistry.independent.shape[0] + vessel.ways.crystals):
+                matrix[b, s] += part * _effect(chem, vessel, s, j)
 
 
 @inner
@@ -328,7 +454,7 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
     chemistry = opened(RealChemistry, chem)
     factors = chemistry.backward if backward else chemistry.forward
     orders = chemistry.backward_order if backward else chemistry.forward_order
-    matrix, conc, powers = vessel.work[_VECTORS:], vessel.work[_CONC], vessel.work[_POWERS]
+    conc, powers = vessel.work[_CONC], vessel.work[_POWERS]
     small = _SMALL * vessel.atol
     rate = constant
     for f in range(factors.shape[1]):
@@ -346,15 +472,16 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
             if g != f:
                 slope *= powers[g]
         if slope != 0.0:
-            _spread(chem, matrix, r, j, slope)
+            _spread(chem, vessel, r, j, slope)
     return rate
 
 
 @inner
 def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     """Derivatives of :func:`_rates` with the extents and the heat; concentrations and constants are those at ``y``."""
-    chemistry = opened(RealChemistry, chem)
-    n, work = chemistry.independent.shape[0], vessel.work
+    chemistry, work = opened(RealChemistry, chem), vessel.work
+    reactions = chemistry.independent.shape[0]
+    n = reactions + vessel.ways.crystals
     matrix = work[_VECTORS:]
     temperature, capacity = _temperature(chem, vessel, y)
     per_square = 1.0 / (GAS_CONSTANT * temperature * temperature)
@@ -368,12 +495,19 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
         for f in range(chemistry.inhibitors.shape[1]):
             j = chemistry.inhibitors[r, f]
             if j >= 0:
-                _spread(chem, matrix, r, j, -(ahead + back) * slowing * chemistry.inhibition[r, f])
+                _spread(chem, vessel, r, j, -(ahead + back) * slowing * chemistry.inhibition[r, f])
         energy = chemistry.activation_energy[r]
         hotter = (ahead * energy + back * (energy - chemistry.equilibrium_heat[r])) * per_square
         for p in range(chemistry.parts.shape[1]):
             if chemistry.parts[r, p] >= 0:
                 matrix[chemistry.parts[r, p], n] += chemistry.part_numbers[r, p] * hotter
+    for q in range(vessel.ways.crystals):
+        u = reactions + q
+        if _left(vessel, q, y[u]) < _lacking(vessel, q):
+            matrix[u, u] = -chemistry.crystal_rate
+            continue
+        for s in range(n):
+            matrix[u, s] = -chemistry.crystal_rate * _effect(chem, vessel, s, int(work[COLUMN, q]))
     matrix[n, n] = -vessel.transfer
     # So far the last column is the slope with temperature; that follows from extents and heat.
     for b in range(n + 1):
@@ -462,15 +596,15 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
 def _error(chem: Handle, vessel: _Vessel) -> float:
     """Error of a trial step over what is allowed: root mean square over the concentrations, or the temperature's."""
     chemistry = opened(RealChemistry, chem)
-    n, n_species = chemistry.independent.shape[0], chemistry.species.shape[0]
+    n, columns = chemistry.independent.shape[0] + vessel.ways.crystals, _columns(chem, vessel)
     work = vessel.work
-    _concentrations(chem, work, work[_TRIAL])
+    _concentrations(chem, vessel, work[_TRIAL])
     total = 0.0
-    for j in range(n_species):
+    for j in range(columns):
         held = max(work[_NOW, j], work[_CONC, j])
-        ratio = _change(chem, work[_K4], j) / (vessel.atol + vessel.rtol * held)
+        ratio = _change(chem, vessel, work[_K4], j) / (vessel.atol + vessel.rtol * held)
         total += ratio * ratio
-    worst = math.sqrt(total / n_species)
+    worst = math.sqrt(total / columns)
     if vessel.transfer >= 0.0:
         temperature, capacity = _temperature(chem, vessel, work[_TRIAL])
         heat = work[_K4, n] if vessel.transfer > 0.0 else 0.0
@@ -483,32 +617,40 @@ def _error(chem: Handle, vessel: _Vessel) -> float:
 
 
 @inner
-def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool:
+def _hold_back(chem: Handle, vessel: _Vessel) -> bool:
     """Take back from a trial step what would use up more of a species than there is, of all that uses it alike. Where
     that is more than the tolerance, or does not end, the step is no good: False."""
-    chemistry = opened(RealChemistry, chem)
+    chemistry, work, rtol, atol = opened(RealChemistry, chem), vessel.work, vessel.rtol, vessel.atol
     y, trial = work[_EXTENT], work[_TRIAL]
+    n = chemistry.independent.shape[0]
+    for q in range(vessel.ways.crystals):
+        over = -_left(vessel, q, trial[n + q])
+        if over > 0.0:
+            if over > atol + rtol * _left(vessel, q, y[n + q]):
+                return False
+            trial[n + q] -= over
+            _concentrations(chem, vessel, trial)
     for _ in range(_MOST_SWEEPS):
         missing = False
-        for j in range(chemistry.species.shape[0]):
+        for j in range(_columns(chem, vessel)):
             lacking = -work[_CONC, j]
             if lacking <= 0.0:
                 continue
             if lacking > atol + rtol * work[_NOW, j]:
                 return False
             used = 0.0
-            for b in range(chemistry.independent.shape[0]):
-                used += max(-chemistry.stoichiometry[chemistry.independent[b], j] * (trial[b] - y[b]), 0.0)
+            for u in range(n + vessel.ways.crystals):
+                used += max(-_effect(chem, vessel, u, j) * (trial[u] - y[u]), 0.0)
             if used <= 0.0:
                 continue
             missing = True
             keep = max(1.0 - lacking / used, 0.0)
-            for b in range(chemistry.independent.shape[0]):
-                if chemistry.stoichiometry[chemistry.independent[b], j] * (trial[b] - y[b]) < 0.0:
-                    trial[b] = y[b] + keep * (trial[b] - y[b])
+            for u in range(n + vessel.ways.crystals):
+                if _effect(chem, vessel, u, j) * (trial[u] - y[u]) < 0.0:
+                    trial[u] = y[u] + keep * (trial[u] - y[u])
         if not missing:
             return True
-        _concentrations(chem, work, trial)
+        _concentrations(chem, vessel, trial)
     return False
 
 
@@ -516,12 +658,12 @@ def _hold_back(chem: Handle, work: FloatArray, rtol: float, atol: float) -> bool
 
 
 @inner
-def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: float) -> float:
+def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
     """Fill the scratch for the contents of a vessel; returns the first trial step, 0 where nothing runs."""
-    chemistry = opened(RealChemistry, chem)
-    n, work = chemistry.independent.shape[0], vessel.work
+    chemistry, litres = opened(RealChemistry, chem), vessel.litres
+    n, work, crystals = chemistry.independent.shape[0], vessel.work, vessel.ways.crystals
     for j in range(chemistry.species.shape[0]):
-        work[_START, j] = _available(row, chem, j) / litres
+        work[_START, j] = available(row, chem, j) / litres
         work[_NOW, j] = work[_START, j]
     for b in range(n):
         r = chemistry.independent[b]
@@ -532,19 +674,26 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, litres: float, dt: fl
                 i = chemistry.species[j]
                 work[_HEAT, b] += chemistry.stoichiometry[r, j] * chemistry.formation[i]
                 work[_CAPACITY, b] += chemistry.stoichiometry[r, j] * chemistry.heat_capacity[i]
-    for u in range(n + 1):
+    for q in range(crystals):
+        k, other = int(work[PLACE, q]), chemistry.species.shape[0] + q
+        work[_HEAT, n + q], work[_CAPACITY, n + q] = chemistry.fusion[chemistry.dissolved[k]], 0.0
+        work[_START, other] = dissolved(row, chem, k) / litres if int(work[COLUMN, q]) == other else 0.0
+        work[_NOW, other] = work[_START, other]
+    for u in range(n + crystals + 1):
         work[_EXTENT, u], work[_TRIAL, u] = 0.0, 0.0
     if vessel.transfer < 0.0:
-        _set_constants(chem, work, vessel.jacket)
+        _set_constants(chem, vessel, vessel.jacket)
     rates, h, running = work[_RATES], dt, False
     _rates(chem, vessel, work[_EXTENT], rates)
     for b in range(n):
         running = running or rates[b] != 0.0
+    for q in range(crystals):
+        running = running or abs(rates[n + q]) * dt * litres > _USED_UP
     if not running:
         return 0.0
     # A first step that would use up much of a reactant tells nothing about its own error.
-    for j in range(chemistry.species.shape[0]):
-        change = _change(chem, rates, j)
+    for j in range(_columns(chem, vessel)):
+        change = _change(chem, vessel, rates, j)
         if change < 0.0:
             h = min(h, (_FIRST_SHARE * work[_START, j] + vessel.atol) / -change)
     return h
@@ -567,7 +716,8 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
     """Bring the extents from 0 to ``dt``, or until the contents are too hot; returns the number of steps, -1 where
     there would be too many, and the time that has passed."""
     chemistry = opened(RealChemistry, chem)
-    n, work = chemistry.independent.shape[0] + (1 if vessel.transfer > 0.0 else 0), vessel.work
+    n, work = chemistry.independent.shape[0] + vessel.ways.crystals, vessel.work
+    n += 1 if vessel.transfer > 0.0 else 0
     h, done, steps, fresh, last_error, last_step = first, 0.0, 0, True, 0.0, 1.0
     temperature = _temperature(chem, vessel, work[_EXTENT])[0]
     while done < dt:
@@ -590,7 +740,7 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
         if error > 1.0:
             h *= max(0.1, 0.9 * error ** (-1.0 / 3.0))
             continue
-        if not _hold_back(chem, work, vessel.rtol, vessel.atol):
+        if not _hold_back(chem, vessel):
             h *= 0.5
             continue
         before, temperature = temperature, _temperature(chem, vessel, work[_TRIAL])[0]
@@ -601,7 +751,7 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
         done = dt if last else done + h
         for u in range(n):
             work[_EXTENT, u] = work[_TRIAL, u]
-        for j in range(chemistry.species.shape[0]):
+        for j in range(_columns(chem, vessel)):
             work[_NOW, j] = max(work[_CONC, j], 0.0)
         if vessel.transfer >= 0.0 and temperature >= vessel.hottest:
             break
@@ -613,9 +763,45 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
     return steps, done
 
 
+@inner
+def _dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -> None:
+    """Crystals of fluid ``k`` go into the liquids, as what is dissolved of it is shared out or by ``share``, or (< 0)
+    grow out of them."""
+    at = AMOUNTS + opened(RealChemistry, chem).role.shape[0] + 2 * k
+    held = dissolved(row, chem, k)
+    if held > TRACE_MOL:
+        scale = max(held + mol, 0.0) / held
+        row[at + AQUEOUS] *= scale
+        row[at + ORGANIC] *= scale
+    elif mol > 0.0:
+        row[at + ORGANIC] += mol * share
+        row[at + AQUEOUS] += mol * (1.0 - share)
+
+
+@inner
+def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
+    """Give a row what extents and crystals have come to, and its temperature."""
+    chemistry, work = opened(RealChemistry, chem), vessel.work
+    n, extent, litres = chemistry.independent.shape[0], work[_EXTENT], vessel.litres
+    temperature = _temperature(chem, vessel, extent)[0]
+    for growing in range(2):  # what dissolves may be used up, what is made may crystallize
+        for q in range(vessel.ways.crystals):
+            if (extent[n + q] < 0.0) == (growing == 1):
+                _dissolve(row, chem, int(work[PLACE, q]), litres * extent[n + q], work[SHARE, q])
+        if growing == 1:
+            break
+        for j in range(chemistry.species.shape[0]):
+            change = _made(chem, extent, j)
+            if change != 0.0:
+                add_species(row, chem, j, litres * change, vessel.ways.shifts)
+    row[TEMPERATURE] = temperature
+    for j in range(chemistry.species.shape[0]):
+        work[PREDICTED, j] = litres * work[_NOW, j]
+
+
 @helper
 def integrate(
-    row: FloatArray, dt: float, around: Surroundings, hottest: float, chem: Handle, work: FloatArray
+    row: FloatArray, dt: float, around: Surroundings, hottest: float, ways: Ways, chem: Handle, work: FloatArray
 ) -> tuple[int, float]:
     """Let the contents of one vessel react and exchange heat with a jacket, at constant volume, as if nothing could
     boil.
@@ -627,6 +813,7 @@ def integrate(
             insulator, infinity (or a negative number) keeps the contents as warm as the jacket.
         hottest: K, at which (or up to 1 K beyond) this ends before ``dt``; contents that are to have the jacket's
             temperature do not look at it.
+        ways: crystals that dissolve or grow, equilibria that shift: at saturations and shifts that stay as they are.
         chem: the chemistry.
         work: scratch of shape :func:`react_work_size`.
 
@@ -634,26 +821,22 @@ def integrate(
         (number of steps taken, rejected ones included; time that has passed). The number is -1 where it would have been
         more than 100,000: nothing has changed then.
     """
-    chemistry = opened(RealChemistry, chem)
     litres = 0.0
-    if dt > 0.0 and _can_react(row, chem):
+    if dt > 0.0 and (ways.crystals > 0 or _can_react(row, chem)):
         litres = liquid_volume(row, chem)
+    if ways.crystals > 0 and dt > 0.0:
+        litres = max(litres, 2.0 * _LEAST_LITRES)  # they dissolve in a trace, and freeze out of the last of a melt
     if litres <= _LEAST_LITRES:
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres
     through = around.transfer / litres if around.transfer < math.inf else -1.0
     energy = capacity * (row[TEMPERATURE] - STANDARD_K)
-    vessel = _Vessel(energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, work)
-    first = _begin(row, chem, vessel, litres, dt)
+    vessel = _Vessel(energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, ways, litres, work)
+    first = _begin(row, chem, vessel, dt)
     if first <= 0.0:
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     steps, passed = _integrate(chem, vessel, first, dt)
     if steps < 0:
         return -1, 0.0
-    temperature = _temperature(chem, vessel, work[_EXTENT])[0]
-    for j in range(chemistry.species.shape[0]):
-        change = _change(chem, work[_EXTENT], j)
-        if change != 0.0:
-            _add_species(row, chem, j, litres * change)
-    row[TEMPERATURE] = temperature
+    _finish(row, chem, vessel)
     return steps, passed

@@ -7,6 +7,7 @@ from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from ....jit import helper, inner, kernel, opened
 from ....shelf import CLOCK_SETTLED, T_MIX
 from ...constants import TRACE_MOL
+from ...transfer import heat_capacity
 from .acids import settle_acids
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .liquids import clear_liquids, gather, split
@@ -29,11 +30,27 @@ def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
 
 
 @helper
+def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> float:
+    """mol of a fluid's crystals that melt, which cools the contents to its melting point at most; all of what never
+    crystallizes."""
+    chemistry = opened(RealChemistry, chem)
+    fusion = chemistry.fusion[material]
+    if fusion <= 0.0:
+        return crystals
+    capacity = heat_capacity(row, chem)
+    excess = capacity * (row[TEMPERATURE] - chemistry.melting[material])
+    melted = min(crystals, excess / fusion)
+    row[TEMPERATURE] -= melted * fusion / capacity
+    return float(melted)
+
+
+@helper
 def place_new(row: FloatArray, chem: Handle) -> float:
     """Bring the phases of a row up to what it holds: what is new goes where the fluid is already, or else to the phase
     it is most at home in; what is gone leaves both alike. Returns the mol that had no place of its own yet.
 
-    Crystals have none: what can crystallize stays undissolved until it is dissolved (:mod:`.phases`).
+    Crystals have none: what can crystallize stays undissolved until it is dissolved (:mod:`.kinetics`). Above their
+    melting point they melt, as far as the heat that they are too warm by goes.
     """
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
@@ -47,6 +64,7 @@ def place_new(row: FloatArray, chem: Handle) -> float:
             row[at + AQUEOUS] *= scale
             row[at + ORGANIC] *= scale
         elif placed < total and not crystallizes(row, chem, i):
+            total = placed + _melted(row, chem, i, total - placed)
             if placed > _LEAST_SHARE * total:
                 row[at + AQUEOUS] *= total / placed
                 row[at + ORGANIC] = max(total - row[at + AQUEOUS], 0.0)

@@ -27,9 +27,10 @@ _RTOL, _ATOL = 1e-3, 1e-9
 
 
 def work_size(chemistry: Any) -> tuple[int, int]:
-    """Of the scratch of reactions and of acids."""
-    sizes = react_work_size(chemistry), acid_work_size(chemistry)
-    return max(rows for rows, _ in sizes), max(columns for _, columns in sizes)
+    """Of the scratch of reactions, and of acids, which settle while the last rows of that are in use."""
+    rows, columns = react_work_size(chemistry)
+    acid_rows, acid_columns = acid_work_size(chemistry)
+    return rows + acid_rows, max(columns, acid_columns)
 
 
 @inner

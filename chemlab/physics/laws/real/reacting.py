@@ -3,6 +3,7 @@
 An open vessel is followed to its boiling point, and from there in parts. In each it reacts at the temperature that
 boiling keeps; the heat that the condenser does not take goes into vapour, half of it beforehand, by what the part
 before tells: so temperature and composition are those of the middle of the part (midpoint rule, of second order).
+Where saturations, volumes or fast equilibria change, parts are short enough for that (:mod:`.spans`).
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from ....chemistry import TEMPERATURE
 from ....jit import inner, kernel, opened
 from ...events import RELIEF
 from ...surroundings import Surroundings
-from ...transfer import heat_capacity
+from ...transfer import heat_capacity, liquid_volume
 from .. import vapor_pressure
 from .chemistry import RealChemistry
-from .crystals import crystallize
 from .heats import enthalpy
-from .kinetics import integrate
+from .kinetics import KEPT, integrate
+from .spans import drifted, lengthened, prepare
 from .vapor import boiling_point, flash_off
 
 __all__ = ["react"]
@@ -28,7 +29,11 @@ _HEAT_K = 20.0
 """By which the heat of a part would warm the contents, at most, if nothing boiled."""
 _RISE_K = 6.0
 """Of the boiling point, at most, in a part."""
-_MOST_PARTS = 512
+_MOST_PARTS, _MOST_SPANS = 512, 4096
+_LEAST_SPAN = 1e-9
+"""Of the time, of a span at whose end equilibria lack something."""
+_SHORTEST_S = 0.125
+"""Of the shortest part: in a runaway a second decides."""
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
 """By which a part may be longer than the one before, and vapour be foreseen to come faster."""
 _NEARLY_K = 0.3
@@ -73,10 +78,10 @@ def react(
     events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Let the contents of one vessel react for ``dt``; what boils runs back from the condenser, vapour that is too much
-    for it is lost and an event. Then crystals dissolve and grow for as long, which counts as a step."""
+    """Let the contents of one vessel react for ``dt``, while crystals dissolve and grow; what boils runs back from the
+    condenser, vapour that is too much for it is lost and an event."""
     pressure = opened(RealChemistry, chem).ambient_pressure
-    kept = work[work.shape[0] - 1]
+    kept = work[KEPT]
     follows = around.condenser >= 0.0 and 0.0 <= around.transfer < math.inf
     hottest, boils = math.inf, False
     if follows:
@@ -84,26 +89,43 @@ def react(
         if hottest == 0.0:
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-    left, shortest, total, known = dt, dt / _MOST_PARTS, 0, False
+    left, shortest, total, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, False
     part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
+    span, briefest, fresh = dt, dt / _MOST_SPANS, False
     while left > 0.0:
-        part = min(part, left)
+        part, span = min(part, left), min(span, left)
         at, content = row[TEMPERATURE], 0.0
+        ways = prepare(row, chem, fresh, around.condenser >= 0.0, work)
+        litres = liquid_volume(row, chem)
+        _copy(row, kept)
         if boils:
-            _copy(row, kept)
             content = enthalpy(row, chem)
         jacket, transfer = (at, -1.0) if boils else (around.jacket, around.transfer)
         there = Surroundings(jacket, transfer, -1.0, around.rtol, around.atol)
-        steps, passed = integrate(row, part if boils else left, there, hottest, chem, work)
+        steps, passed = integrate(row, part if boils else span, there, hottest, ways, chem, work)
         if steps < 0:
             return steps
         total += steps
+        drift = 0.0
+        if steps > 0 or row[TEMPERATURE] != at:
+            drift = drifted(row, chem, litres, around.atol, ways, work)
+            if boils or not 0.0 <= around.transfer < math.inf:
+                row[TEMPERATURE] = jacket  # what settles gives its heat to the thermostat
+            least = _LEAST_SPAN * dt if drift == math.inf else shortest if boils else briefest
+            if drift > 1.0 and passed > least:
+                _copy(kept, row)
+                span = max(lengthened(passed, drift), min(least, briefest))
+                part, fresh = max(min(part, span), shortest), False
+                continue
         if not boils:
+            fresh = True
             left -= passed
-            if left > 0.0:
+            stopped, span = passed < span, max(lengthened(span, drift), briefest)
+            if left > 0.0 and stopped:
                 hottest = boiling_point(row, chem)
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
                 part, ahead, climb, known = shortest, 0.0, 0.0, False
+                fresh = not boils
             continue
         capacity = heat_capacity(row, chem)
         made = content - enthalpy(row, chem)
@@ -132,7 +154,7 @@ def react(
             continue
         left -= part
         following = min(_LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(climb, 1e-9))
-        following = min(max(following, shortest), left)
+        following = min(max(min(following, lengthened(part, drift)), shortest), left)
         owed, ahead = ahead, 0.5 * following * _foreseen(surplus / part, rate, part, last, following)
         ahead = min(ahead, 0.5 * most) if following > shortest else 0.0
         rate, last = surplus / part, part
@@ -151,9 +173,4 @@ def react(
         part = following
     if around.condenser >= 0.0 and not follows:
         events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * dt, chem, waste)
-    at = row[TEMPERATURE]
-    if crystallize(row, dt, chem):
-        total += 1
-        if not 0.0 <= around.transfer < math.inf:
-            row[TEMPERATURE] = at  # a thermostat's
     return total
