@@ -14,16 +14,16 @@ from ..datafile import DataError
 from ..materials import VaporPressure
 from ..physics.constants import GAS_CONSTANT
 from .identity import Compound, molar_mass, parsed
+from .names import is_metal
 
 try:
     import chemicals
     import thermo
-    from chemicals.elements import periodic_table
     from rdkit.Chem import MolFromSmarts
 except ImportError as error:
     raise ImportError(f'properties need chemicals and thermo ({error}): pip install "chemlab-marl[chem]"') from error
 
-__all__ = ["Properties", "Value", "is_metal"]
+__all__ = ["Properties", "Value"]
 
 ROOM_K = 298.15
 ATMOSPHERE_PA = 101325.0
@@ -144,12 +144,6 @@ class Value:
     def estimated(self) -> bool:
         """Whether nobody measured it."""
         return self.source.startswith("estimate")
-
-
-def is_metal(composition: Mapping[str, int]) -> bool:
-    """Whether it is an element that is a metal."""
-    element = next(iter(composition))
-    return len(composition) == 1 and element not in ("H", "He") and getattr(periodic_table, element).block in "sdf"
 
 
 def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressure, float]:

@@ -162,7 +162,7 @@ class _Pool:
                     f"{where}: makes the salt {smiles}, which no material is; write its material by hand (docs: Write "
                     "a material or a reaction) and name the file with --materials"
                 )
-            compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""))
+            compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""), structure=True)
             key, number = compound.key, 1
             while key in self._taken and key != self._names.get(inchi_key):
                 number += 1
