@@ -243,10 +243,9 @@ class Flask:
         room_k: float = 298.15,
         room_kpa: float = 101.325,
     ) -> None:
-        material_files, pair_files = ([os.path.abspath(file) for file in files] for files in (material_files, pair_files))
-        if reactions.endswith(".toml"):
-            reactions = os.path.abspath(reactions)
-        setting = _Setting(physics, reactions, tuple(material_files), tuple(pair_files), room_k, room_kpa, "")
+        own = [tuple(os.path.abspath(file) for file in files) for files in (material_files, pair_files)]
+        family = os.path.abspath(reactions) if reactions.endswith(".toml") else reactions
+        setting = _Setting(physics, family, own[0], own[1], room_k, room_kpa, "")
         self._fill(setting._replace(content=setting.read()), dict(contents or {}), capacity_l, temperature_k)
 
     def _fill(

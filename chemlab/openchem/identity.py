@@ -189,8 +189,8 @@ def _check_name(text: str, name: str, entry: Any) -> None:
     """
     if found := meaning(text, name, entry, pubchem_db.name_index):
         what, instead = found
-        known = f" (the list of chemicals has {entry.common_name!r} under it)" if entry and not instead else ""
-        take = f"take {instead}" if instead else f"give the name, the CAS number or the structure of one compound{known}"
+        known = f" (the list of chemicals has {entry.common_name!r} under it)" if entry else ""
+        take = f"take {instead}" if instead else f"give name, CAS number or structure of one compound{known}"
         raise DataError(f"{text!r} is {what}, and a material is one compound; {take}")
 
 
@@ -246,7 +246,7 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
         other = pubchem_db.search_InChI_key(str(Chem.MolToInchiKey(drawn)))
         raise DataError(
             f"{text!r}: is both a name of {entry.common_name} (CAS number {entry.CASs}) and a structure (SMILES)"
-            f"{f', of {other.common_name} (CAS number {other.CASs})' if other else ''}; give the number of the one meant"
+            f"{f', of {other.common_name} (CAS number {other.CASs})' if other else ''}; give the number of one of them"
         )
     _check_molecule(molecule, text)
     entry = entry or pubchem_db.search_InChI_key(inchi_key) or None

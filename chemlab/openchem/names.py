@@ -11,7 +11,7 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["element_of", "is_metal", "meaning", "spellings"]
+__all__ = ["element_of", "is_metal", "is_mineral", "meaning", "spellings"]
 
 try:
     from chemicals.elements import periodic_table, simple_formula_parser
@@ -19,11 +19,13 @@ except ImportError as error:
     raise ImportError(f'names need chemicals ({error}): pip install "chemlab-marl[chem]"') from error
 
 _GREEK = (
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma sigma tau upsilon "
-    "phi chi psi omega"
-).split()
-_LETTERS = {chr(ord("α") + i): name for i, name in enumerate(_GREEK)} | {"ϵ": "epsilon", "ϕ": "phi", "ϑ": "theta"}
-_SIGNS = str.maketrans({**dict.fromkeys("‐‑‒–—−", "-"), **dict.fromkeys("′’‘ʹ", "'"), "″": "''"})
+    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi",
+    "omicron", "pi", "rho", "sigma", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
+)  # fmt: skip
+"""From U+03B1 on; sigma has two forms."""
+_LETTERS = {chr(0x3B1 + i): name for i, name in enumerate(_GREEK)}
+_DASHES, _PRIMES = (0x2010, 0x2011, 0x2012, 0x2013, 0x2014, 0x2212), (0x2032, 0x2018, 0x2019, 0x02B9)
+_SIGNS = {**dict.fromkeys(_DASHES, "-"), **dict.fromkeys(_PRIMES, "'"), 0x2033: "''"}
 
 _METALS = frozenset(("Al", "Ga", "In", "Tl", "Sn", "Pb", "Bi", "Po"))
 """Of the p block."""
@@ -44,9 +46,9 @@ _MEANINGS: dict[str, tuple[str, str]] = {
         ("gasoline", "petrol", "naphtha", "solvent naphtha", "petroleum naphtha", "white gas"), (_ALKANES, "octane")
     ),
     **dict.fromkeys(
-        ("white spirit", "mineral spirits", "mineral spirit", "stoddard solvent", "kerosene", "kerosine", "paraffin oil",
-         "mineral oil", "nujol", "diesel", "diesel fuel", "paraffin", "paraffin wax", "petrolatum", "vaseline",
-         "crude oil", "petroleum"),
+        ("white spirit", "mineral spirits", "mineral spirit", "stoddard solvent", "kerosene", "kerosine",
+         "paraffin oil", "mineral oil", "nujol", "diesel", "diesel fuel", "paraffin", "paraffin wax", "petrolatum",
+         "vaseline", "crude oil", "petroleum"),
         (_ALKANES, "dodecane"),
     ),
     **dict.fromkeys(("peg", "pego", "polyethylene glycol", "carbowax", "macrogol"), (_POLYMER, "ethylene glycol")),
@@ -115,7 +117,7 @@ _MEANINGS: dict[str, tuple[str, str]] = {
 that it does not have."""
 
 _CARRIERS = r"(?:c|al2o3|sio2|baso4|caco3|tio2|zro2|ceo2|mgo|zno)"
-_ACTIVE = "Pd Pt Rh Ru Ni Ir Au Ag Cu Co Fe Re Os".split()
+_ACTIVE = ("Pd", "Pt", "Rh", "Ru", "Ni", "Ir", "Au", "Ag", "Cu", "Co", "Fe", "Re", "Os")
 _ON_FORMULA = re.compile(
     rf"(?:\d+(?:\.\d+)?\s*(?:wt\.?)?\s*%\s*(?:wt\.?)?\s*)?({'|'.join(_ACTIVE)})(?:\(oh\)2|o2?)?\s*[/@-]\s*{_CARRIERS}",
     re.IGNORECASE,
@@ -145,11 +147,22 @@ _PLACES = ("o-", "m-", "p-", "ortho-", "meta-", "para-")
 
 
 def is_metal(composition: Mapping[str, int]) -> bool:
-    """Whether it is an element whose solid is a metal or a semi-metal, or graphite: no liquid dissolves it."""
+    """Whether it is an element whose solid is a metal, a semi-metal or graphite, which no liquid dissolves."""
     element = next(iter(composition))
-    if len(composition) > 1 or element in ("H", "He"):
-        return False
-    return element in _METALS | _SEMIMETALS or getattr(periodic_table, element).block in ("s", "d", "f")
+    return len(composition) == 1 and (element in _SEMIMETALS or _metallic(element))
+
+
+def is_mineral(composition: Mapping[str, int]) -> bool:
+    """Whether it is a compound of a metal or an oxide of a semi-metal, without carbon: a salt or a mineral where it is
+    solid, however its structure is drawn."""
+    elements = composition.keys()
+    oxide = len(elements) == 2 and "O" in elements and not elements.isdisjoint(_SEMIMETALS)
+    return len(elements) > 1 and "C" not in elements and (oxide or any(map(_metallic, elements)))
+
+
+def _metallic(element: str) -> bool:
+    block = getattr(periodic_table, element).block
+    return element in _METALS or (block in ("s", "d", "f") and element not in ("H", "He"))
 
 
 def spellings(text: str) -> list[str]:
@@ -235,5 +248,5 @@ def _isomers(name: str, entry: Any, index: Mapping[str, Any]) -> list[str]:
 
 
 def _singular(name: str, index: Mapping[str, Any]) -> str | None:
-    """The singular of a name in the plural (hexanes), which means a mixture of isomers or a class; None if it is none."""
+    """The singular of a name in the plural (hexanes), which means a mixture of isomers or a class; None of others."""
     return name[:-1] if _PLURAL.fullmatch(name) and name[:-1] in index else None
