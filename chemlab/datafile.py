@@ -29,6 +29,7 @@ __all__ = [
     "read_text",
     "read_toml",
     "shown",
+    "toml_key",
 ]
 
 _FILE_BYTES = 1_000_000
@@ -44,8 +45,16 @@ _DOTTED = re.compile(
 )
 """A dotted key deeper than files may be: the parser's time grows with the square of its length."""
 
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """What moves a terminal's cursor, and halves of characters that no file can hold."""
+
+
+def toml_key(key: str) -> str:
+    """Write a key as TOML wants it, in quotes where it has other characters than letters, digits, _ and -."""
+    # TOML has JSON's escapes, and one more character to escape.
+    return key if _BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 class DataError(ValueError):

@@ -107,7 +107,7 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     if len(above) >= _LONGEST_CHAIN:
         raise DataError(f"{where}: base: more than {_LONGEST_CHAIN} bases, one of the other")
     under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
-    for key in ("material_files", "reactions"):
+    for key in ("material_files", "pair_files", "reactions"):
         # Paths are relative to the file that has them.
         if key not in own and key in under:
             under[key] = _absolute(under[key], path.parent)

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .arrays import FloatArray
-from .datafile import DataError, read_toml
+from .datafile import DataError, read_toml, toml_key
 from .datamodel import Grown, validated
 
 __all__ = [
@@ -250,7 +250,7 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
                     validated(dict[str, str], values, f"{path}: {LOCK}")
                     continue
                 if not isinstance(values, dict):
-                    raise DataError(f"{path}: {key}: a material is a table [{key}], given {values!r:.100}")
+                    raise DataError(f"{path}: {key}: a material is a table [{toml_key(key)}], given {values!r:.100}")
                 if key in materials:
                     raise DataError(f"{path}: {key}: already defined in {origin[key]}; rename one of them")
                 materials[key] = validated(Material, values, f"{path}: {key}")

@@ -15,9 +15,11 @@ from __future__ import annotations
 import base64
 import difflib
 import functools
+import hashlib
 import html
 import io
 import math
+import os.path
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -29,6 +31,7 @@ import numpy.typing as npt
 
 from .arrays import FloatArray, Handle
 from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
+from .datafile import read_text
 from .instruments.table import InstrumentTable
 from .materials import DataError, load_materials, shipped_materials
 from .physics import laws, transfer
@@ -117,6 +120,24 @@ class _Setting(NamedTuple):
     pair_files: tuple[str, ...]
     room_k: float
     room_kpa: float
+    content: str
+    """Digest of the files' content: after an edit, the same paths are another setting."""
+
+    def read(self) -> str:
+        """Return the digest of what the files contain now.
+
+        Raises:
+            DataError: a file cannot be read.
+        """
+        names = [self.reactions] if self.reactions.endswith(".toml") else []
+        files = [Path(name) for name in names]
+        for path in map(Path, self.material_files):
+            files += sorted(path.glob("*.toml")) if path.is_dir() else [path]
+        digest = hashlib.sha256()
+        for file in [*files, *map(Path, self.pair_files)]:
+            text = read_text(file)
+            digest.update(f"{file}\0{len(text)}\0{text}".encode())
+        return digest.hexdigest()
 
 
 class _Known(NamedTuple):
@@ -135,8 +156,12 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
     """Of a laboratory with one vessel, in which ``names`` can be.
 
     Raises:
-        DataError: something is missing that the tier needs of them.
+        DataError: something is missing that the tier needs of them, or a file was edited since the setting was made.
     """
+    if setting.read() != setting.content:
+        raise DataError(
+            "flask: a file of its materials, pairs or reactions was edited after this flask was made; make a new flask"
+        )
     listed = sorted(names) or ["water"]
     values = {
         "name": "flask",
@@ -245,8 +270,10 @@ class Flask:
         room_k: float = 298.15,
         room_kpa: float = 101.325,
     ) -> None:
-        setting = _Setting(physics, reactions, tuple(material_files), tuple(pair_files), room_k, room_kpa)
-        self._fill(setting, dict(contents or {}), capacity_l, temperature_k)
+        own = [tuple(os.path.abspath(file) for file in files) for files in (material_files, pair_files)]
+        family = os.path.abspath(reactions) if reactions.endswith(".toml") else reactions
+        setting = _Setting(physics, family, own[0], own[1], room_k, room_kpa, "")
+        self._fill(setting._replace(content=setting.read()), dict(contents or {}), capacity_l, temperature_k)
 
     def _fill(
         self, setting: _Setting, contents: dict[str, float], capacity_l: float, temperature_k: float | None
@@ -640,7 +667,7 @@ class Flask:
         return slice(AMOUNTS, AMOUNTS + len(self._shelf.layout.materials))
 
     def _materials(self) -> Mapping[str, Any]:
-        return _materials(self._setting.material_files)
+        return _materials(self._setting.material_files, self._setting.content)
 
     def _checked(self, name: str) -> str:
         """A material's name, of one that a flask can hold."""
@@ -693,6 +720,11 @@ class Flask:
         if other._setting != self._setting:
             pairs = zip(self._setting._asdict().items(), other._setting, strict=True)
             key, mine, theirs = next((key, mine, theirs) for (key, mine), theirs in pairs if mine != theirs)
+            if key == "content":
+                raise ValueError(
+                    "receiver: a file of its materials, pairs or reactions was edited after this flask was made; make "
+                    "both anew"
+                )
             raise ValueError(
                 f"receiver: has {key} = {theirs!r}, and this flask {mine!r}; make the receiver by flask.another()"
             )
@@ -713,7 +745,8 @@ class Flask:
 
 
 @functools.lru_cache(maxsize=16)
-def _materials(files: tuple[str, ...]) -> dict[str, Any]:
+def _materials(files: tuple[str, ...], content: str) -> dict[str, Any]:
+    """Materials by id; ``content`` is part of the key, so that an edited file is read again."""
     return {**shipped_materials(), **load_materials(Path(file) for file in files)}
 
 

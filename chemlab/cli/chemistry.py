@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import shlex
@@ -19,6 +20,8 @@ from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:
     from ..materials import Material
+    from ..openchem.identity import Compound
+    from ..openchem.templates import Found, Rate
 
 __all__: list[str] = []
 
@@ -33,6 +36,19 @@ NameOption = Annotated[
     list[str] | None, typer.Option(help="KEY=WHAT: the id that a compound (CAS number, name, SMILES) is to have.")
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
+
+
+IdealOption = Annotated[
+    bool,
+    typer.Option("--ideal", help="Take pairs that UNIFAC has no groups for as ideal mixtures; their source says so."),
+]
+RateOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Rate constant at 298.15 K in (L/mol)^(order-1)/s of all reactions of a template, one for each --smarts, "
+        "then each --side; or 'A + B -> C=NUMBER' for one reaction, as the table names it."
+    ),
+]
 
 
 def _free(path: Path, force: bool) -> None:
@@ -74,7 +90,7 @@ def _known(files: Sequence[Path] | None) -> dict[str, Material]:
 
 
 def _write_pairs(
-    path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str
+    path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str, ideal: bool
 ) -> list[dict[str, Any]]:
     """Make some pairs and write them."""
     from ..openchem.activity import make_pairs
@@ -82,9 +98,18 @@ def _write_pairs(
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
-        rows = make_pairs(two, known, None, lambda _: progress.advance(task))
+        rows = make_pairs(two, known, None, lambda _: progress.advance(task), ideal)
     write_text(path, pair_text(rows, command))
     return rows
+
+
+def _show_ideal(rows: Iterable[Mapping[str, Any]]) -> None:
+    """Say which pairs are taken as ideal mixtures."""
+    from ..openchem.activity import IDEAL
+
+    guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
+    if guessed:
+        out.print(f"estimated as ideal mixtures, for want of groups in UNIFAC: {plain(', '.join(guessed))}")
 
 
 @app.command()
@@ -96,6 +121,7 @@ def material(
     pairs: Annotated[
         Path | None, typer.Option(help="Also write activity coefficients of every two here; shipped ones may be named.")
     ] = None,
+    ideal: IdealOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -128,14 +154,17 @@ def material(
     files = [output] if new else []
     known = _known(files)
     two = _missing_pairs(keys, known)
+    rows: list[dict[str, Any]] = []
     if pairs is not None:
-        _write_pairs(pairs, two, known, _command("pairs", *keys, *_given({"--materials": files})))
+        words = [*keys, *_given({"--materials": files}), *(["--ideal"] if ideal else ())]
+        rows = _write_pairs(pairs, two, known, _command("pairs", *words), ideal)
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
         return
     for key, as_ in shipped.items():
-        out.print(f"{plain(key)}: is shipped as {plain(as_)}")
-    _show_materials(tables)
+        out.print(f"{plain(key)}: is shipped as {plain(as_)} ({plain(_meant(wanted, key))})")
+    _show_materials(tables, wanted)
+    _show_ideal(rows)
     if new:
         out.print(f"{plain(output)}: {_count(len(tables), 'material')}")
     if pairs is not None:
@@ -145,19 +174,29 @@ def material(
         out.print(f"liquids of theirs need activity coefficients: chemlab new makes them, or {plain(line)}")
 
 
-def _show_materials(tables: dict[str, Any]) -> None:
-    from ..openchem.compounds import estimates
+def _meant(wanted: Iterable[Compound], key: str) -> str:
+    """Common name and CAS number of a compound, as far as it has them."""
+    found = next(compound for compound in wanted if compound.key == key)
+    return ", ".join(filter(None, (found.common_name, found.cas))) or found.smiles
+
+
+def _show_materials(tables: dict[str, Any], wanted: Sequence[Compound]) -> None:
+    """Print what was taken for each material, and which of its numbers to check."""
+    from ..openchem.compounds import doubts, estimates
 
     guessed = estimates(tables)
     rows = [
-        (key, t["formula"], t["role"], f"{t['boiling_point_k']:.1f}", f"{t['density_kg_l']:.3f}",
+        (key, _meant(wanted, key), t["formula"], t["role"], f"{t['boiling_point_k']:.1f}", f"{t['density_kg_l']:.3f}",
          ", ".join(guessed[key]) or "none")
         for key, t in tables.items()
     ]  # fmt: skip
     if rows:
-        show_table("", ("material", "formula", "role", "boils (K)", "kg/L", "estimates"), rows, right=(3, 4))
+        head = ("material", "compound, CAS number", "formula", "role", "boils (K)", "kg/L", "estimates")
+        show_table("", head, rows, right=(4, 5))
+    for line in doubts(tables):
+        out.print(f"check {plain(line)}")
     for key, table in tables.items():
-        if "melting_point_k" not in table:
+        if "melting_point_k" not in table and table["role"] in ("solvent", "solute"):
             out.print(
                 f"{plain(key)}: no melting point was found: it is taken for a liquid; if it is a solid, give "
                 "melting_point_k and fusion_enthalpy_j_mol with --values"
@@ -178,21 +217,33 @@ def pairs(
     names: Annotated[list[str], typer.Argument(help="Materials, at least two.")],
     output: Annotated[Path, typer.Option("--out", "-o", help="Pair file to write.")] = Path("pairs.toml"),
     materials: MaterialsOption = None,
+    ideal: IdealOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write activity coefficients of every two of some materials, fitted to UNIFAC (needs the extra `chem`)."""
+    """Write activity coefficients of every two of some materials, fitted to UNIFAC (needs the extra `chem`).
+
+    Pairs that are shipped are left out: a file of yours would replace them, also where they were measured.
+    """
+    from ..pairs import shipped_pairs
+
     _free(output, force)
     if len(names) < 2:
         raise ValueError("a pair is of two materials; name one more")
     known = _known(materials)
-    two = list(itertools.combinations(names, 2))
-    rows = _write_pairs(output, two, known, _command("pairs", *names, *_given({"--materials": materials})))
+    every = list(itertools.combinations(names, 2))
+    two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
+    if not two:
+        raise ValueError(f"all {len(every)} pairs are shipped, and scenarios have them without a file; name others")
+    words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
+    rows = _write_pairs(output, two, known, _command("pairs", *words), ideal)
     if as_json:
         typer.echo(json.dumps(rows))
         return
     error = max(row["error"] for row in rows)
-    out.print(f"{plain(output)}: {_count(len(rows), 'pair')}; largest error of ln gamma {error:.2f}")
+    left = f"; {len(every) - len(two)} shipped ones left out" if len(every) > len(two) else ""
+    _show_ideal(rows)
+    out.print(f"{plain(output)}: {_count(len(rows), 'pair')}; largest error of ln gamma {error:.2f}{left}")
 
 
 @app.command()
@@ -207,15 +258,11 @@ def reactions(
     more: Annotated[list[str] | None, typer.Argument(help="More reactants.")] = None,
     output: Annotated[Path, typer.Option("--out", "-o", help="Reaction file to write.")] = Path("reactions.toml"),
     side: Annotated[list[str] | None, typer.Option(help="Template of a side reaction.")] = None,
-    rate: Annotated[
-        list[float] | None,
-        typer.Option(help="Rate constant at 298.15 K in (L/mol)^(order-1)/s, one for each --smarts, then each --side."),
-    ] = None,
-    activation: Annotated[
-        list[float] | None, typer.Option(help="Activation energy in J/mol, in the same order.")
-    ] = None,
+    rate: RateOption = None,
+    activation: Annotated[list[str] | None, typer.Option(help="Activation energy in J/mol, given likewise.")] = None,
     equilibrium: Annotated[
-        list[float] | None, typer.Option(help="Equilibrium constant at 298.15 K, in the same order; 0: not reversible.")
+        list[str] | None,
+        typer.Option(help="Equilibrium constant at 298.15 K, given likewise; 0: not reversible."),
     ] = None,
     source: Annotated[str, typer.Option(help="Where these are from.")] = "",
     catalyst: Annotated[
@@ -230,20 +277,23 @@ def reactions(
 ) -> None:
     """Write the reactions that templates make of some materials, balanced (needs the extra `chem`).
 
-    Rate constants that are not given are guesses, and are called so. Materials that are not known yet are written to a
+    All reactions of one template have its rate constant, unless one is given for a reaction of its own. Rate constants
+    that are not given are guesses, and are called so. Materials that are not known yet are written to a
     file beside it, NAME_materials.toml.
     """
     from ..openchem import compounds, templates
+    from ..openchem.identity import compound_of
     from ..openchem.writing import family_text, material_text
 
     beside = output.with_name(f"{output.stem}_materials.toml")
     _free(output, force)
     texts = [*smarts, *(side or ())]
-    rates = _rates(len(texts), rate, activation, equilibrium, source)
+    rates, own = _rates(len(texts), {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium}, source)
     made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(texts, rates, strict=True))]
     known, named = _known(materials), _named(name)
     everybody = [*reactants, *(more or ())]
     found, species = templates.expand(made, everybody, known, named, generations)
+    found = _with_own_rates(found, own)
     strangers = {s.key: s.smiles for s in species if not s.known}
     given: dict[str, Iterable[object] | None] = {"--smarts": smarts, "--side": side, "--reactants": everybody}
     given |= {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium, "--catalyst": catalyst}
@@ -251,9 +301,10 @@ def reactions(
     given |= {"--materials": materials, "--name": name, "--values": values}
     command = _command("reactions", *_given(given))
     tables: dict[str, Any] = {}
+    wanted: list[Compound] = []
     if strangers:
         _free(beside, force)
-        wanted = compounds.compounds([], strangers)
+        wanted = [compound_of(smiles, key, structure=True) for key, smiles in strangers.items()]
         tables = compounds.material_tables(wanted, compounds.own_values(values or ()))
         known |= compounds.checked_materials(tables)
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
@@ -263,32 +314,84 @@ def reactions(
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
-    _show_materials(tables)
-    rows = [(f.words, f"{templates.heat_of_reaction(f, known) / 1000.0:.1f}", "side" if f.template.side else "main")
-            for f in found]  # fmt: skip
-    show_table("", ("reaction", "heat (kJ/mol)", ""), rows, right=(1,))
+    _show_materials(tables, wanted)
+    rows = [(f.words, f"{templates.heat_of_reaction(f, known) / 1000.0:.1f}", _rate_words(f),
+             "side" if f.template.side else "main") for f in found]  # fmt: skip
+    show_table("", ("reaction", "heat (kJ/mol)", "rate constant (298 K)", ""), rows, right=(1,))
+    shared = [f for f in found if sum(f.template is other.template for other in found) > 1]
+    if shared:
+        example = shlex.quote(f"{shared[-1].words}=NUMBER")
+        out.print(
+            f"{_count(len(shared), 'reaction')} share a template and its rate constant; give one its own with "
+            f"{plain(f'--rate {example}')}"
+        )
     if strangers:
         out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
-    guesses = "" if rate and activation else "; rate constants that were not given are guesses"
+    guesses = "; rate constants that were not given are guesses" if any("guess" in row[2] for row in rows) else ""
     out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
 
 
+def _rate_words(found: Found) -> str:
+    """Its rate constant, and whether that is a guess."""
+    from ..openchem.templates import rate_constant
+
+    constant = rate_constant(found.template)
+    return f"{constant:.3g}{' (a guess)' if found.template.rate.constant is None else ''}"
+
+
+_RATES = {"--rate": "constant", "--activation": "activation_j_mol", "--equilibrium": "equilibrium_constant"}
+
+
 def _rates(
-    count: int,
-    rate: Sequence[float] | None,
-    activation: Sequence[float] | None,
-    equilibrium: Sequence[float] | None,
-    source: str,
-) -> list[Any]:
-    """What is given of every template."""
+    count: int, options: Mapping[str, Sequence[str] | None], source: str
+) -> tuple[list[Rate], dict[str, dict[str, float]]]:
+    """Rates of the templates, in order, and what is given for single reactions, by their words and field of a rate.
+
+    Raises:
+        ValueError: more numbers than templates, or something else than a number.
+    """
     from ..openchem.templates import Rate
 
     columns: list[list[float | None]] = []
-    for option, given in (("--rate", rate), ("--activation", activation), ("--equilibrium", equilibrium)):
-        if given and len(given) > count:
-            raise ValueError(f"{option}: {len(given)} numbers for {count} templates")
-        columns.append([*(given or ()), *[None] * (count - len(given or ()))])
-    return [Rate(k, e, q or None, source) for k, e, q in zip(*columns, strict=True)]
+    own: dict[str, dict[str, float]] = {}
+    for option, given in options.items():
+        numbers: list[float | None] = []
+        for text in given or ():
+            words, equals, value = text.rpartition("=")
+            try:
+                number = float(value)
+            except ValueError as error:
+                raise ValueError(f"{option}: must be NUMBER or REACTION=NUMBER, given {text!r}") from error
+            if equals:
+                own.setdefault(" ".join(words.split()), {})[_RATES[option]] = number
+            else:
+                numbers.append(number)
+        if len(numbers) > count:
+            raise ValueError(f"{option}: {len(numbers)} numbers for {count} templates")
+        columns.append([*numbers, *[None] * (count - len(numbers))])
+    return [Rate(k, e, q or None, source) for k, e, q in zip(*columns, strict=True)], own
+
+
+def _with_own_rates(found: list[Found], own: Mapping[str, Mapping[str, float]]) -> list[Found]:
+    """The reactions, those with rates of their own in a template of their own.
+
+    Raises:
+        ValueError: there is no such reaction.
+    """
+    words = [step.words for step in found]
+    for name in own:
+        if name not in words:
+            raise ValueError(f"no reaction {name!r}; made here: {'; '.join(words)}")
+    made = []
+    for step in found:
+        numbers: dict[str, Any] = dict(own.get(step.words, {}))
+        if "equilibrium_constant" in numbers:
+            numbers["equilibrium_constant"] = numbers["equilibrium_constant"] or None
+        rate = dataclasses.replace(step.template.rate, **numbers)
+        made.append(
+            dataclasses.replace(step, template=dataclasses.replace(step.template, rate=rate)) if numbers else step
+        )
+    return made
 
 
 @app.command()
@@ -300,6 +403,7 @@ def new(
     goal: Annotated[str, typer.Option(help="What is to be made; default: the first product.")] = "",
     solvent: Annotated[str, typer.Option(help="What it is made in; default: one that boils far from the goal.")] = "",
     mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Most of the goal that there can be.")] = 0.25,
+    ideal: IdealOption = False,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Default: NAME.toml here.")] = None,
     force: ForceOption = False,
 ) -> None:
@@ -344,7 +448,8 @@ def new(
     designs.check_design(goal, solvent, family, known, mol)
     given = {"--materials": materials, "--pairs": pairs, "--mol": [mol]}
     command = _command(
-        "new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent, *_given(given)
+        "new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent, *_given(given),
+        *(["--ideal"] if ideal else ()),
     )  # fmt: skip
     if missing:
         _free(own, force)
@@ -356,10 +461,11 @@ def new(
         return found | ({"pair_files": [name_of(f) for f in pair_files]} if pair_files else {})
 
     # Everything is made and loaded before anything is written.
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "pairs.toml"
         if missing:
-            _write_pairs(draft, missing, known, command)
+            rows = _write_pairs(draft, missing, known, command, ideal)
             at_hand |= load_pairs([draft])
         beside = places(own, lambda other: designs.beside(other, path.parent))
         made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
@@ -367,6 +473,7 @@ def new(
         if missing:
             write_text(own, draft.read_text(encoding="utf-8"))
     write_text(path, designs.scenario_text(made_for.tables, command))
+    _show_ideal(rows)
     benches = ", ".join(spec.benches)
     play = plain(_command("run", path))
     out.print(f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: {play}")

@@ -33,6 +33,7 @@ except ImportError as error:
     raise ImportError(f'activity coefficients need thermo ({error}): pip install "chemlab-marl[chem]"') from error
 
 __all__ = [
+    "IDEAL",
     "Fit",
     "Measured",
     "Model",
@@ -91,6 +92,9 @@ APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "A
 }
 """Groups of what hardly mixes with water. There the original UNIFAC is right within 0.5 for the water that they take up
 (hexane: x = 7e-4, measured 5e-4), and the Dortmund form ten times too high."""
+
+IDEAL = "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC has the groups of both"
+"""Source of a pair that nothing is known of."""
 
 Groups = dict[int, int]
 
@@ -351,6 +355,17 @@ def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: lis
     return found is not None and {forms[0].subgroups[number].group for number in found} <= APOLAR
 
 
+def _form(
+    names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]
+) -> tuple[Model, list[Groups]] | None:
+    """The form of UNIFAC to take for two materials, and their groups in it; None where no form has them all."""
+    for form in sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms:
+        groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
+        if len(groups) == len(names) and not form.lacks(groups):
+            return form, groups
+    return None
+
+
 def described(
     names: tuple[str, str],
     materials: Mapping[str, Material],
@@ -358,45 +373,43 @@ def described(
     measured: Mapping[frozenset[str], Measured | Mutual],
     known: dict[Any, Fit],
 ) -> dict[str, Any]:
-    """A row of the pair file.
-
-    Raises:
-        DataError: neither form of UNIFAC has the groups of both.
-    """
-    for form in sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms:
-        groups = [form.groups(name, materials[name]) for name in names]
-        if any(found is None for found in groups) or form.lacks(g for g in groups if g):
-            continue
-        both = [g for g in groups if g is not None]
-        log_gamma = form.log_gamma(both)
-        given = measured.get(frozenset(names))
-        low, high = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
-        source = form.name
-        borrowed = [name for name in names if name in GROUPS]
-        if borrowed:
-            source += f", {' and '.join(borrowed)} by the groups of an isomer"
-        if isinstance(given, Measured):
-            if given.solute != names[0]:
-                log_gamma = log_gamma[:, ::-1, ::-1]
-            found = fit_measured(given, materials[given.solute], log_gamma)
-            names, source = (given.solute, given.solvent), f"solubility of {given.solute}: {given.source}"
-        elif isinstance(given, Mutual):
-            found = fit_mutual(given)
-            names, source = (given.first, given.second), f"mutual solubilities: {given.source}"
-        else:
-            key = (form.name, *(tuple(sorted(g.items())) for g in both))
-            found = known[key] = known.get(key) or fit(log_gamma)
-        if given is not None:
-            low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
-        p = [float(f"{v:.7g}") for v in found.parameters]
+    """A row of the pair file; of an ideal mixture where no form of UNIFAC has the groups of both."""
+    low, high = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
+    chosen = _form(names, materials, forms)
+    if chosen is None:
         return {
-            "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
-            "low_k": low, "high_k": high, "error": float(f"{found.error:.2g}"), "source": source,
+            "of": list(names), "a": [0.0, 0.0], "b": [0.0, 0.0], "c": [0.0, 0.0], "alpha": 0.3,
+            "low_k": low, "high_k": high, "error": 0.0, "source": IDEAL,
         }  # fmt: skip
-    raise DataError(
-        f"{names[0]!r} with {names[1]!r}: no form of UNIFAC in thermo has their groups; write "
-        "measured parameters into a pair file of your own (docs: Write a material or a reaction)"
-    )
+    form, both = chosen
+    log_gamma = form.log_gamma(both)
+    given = measured.get(frozenset(names))
+    source = form.name
+    borrowed = [name for name in names if name in GROUPS]
+    if borrowed:
+        source += f", {' and '.join(borrowed)} by the groups of an isomer"
+    if isinstance(given, Measured):
+        if given.solute != names[0]:
+            log_gamma = log_gamma[:, ::-1, ::-1]
+        found = fit_measured(given, materials[given.solute], log_gamma)
+        names, source = (given.solute, given.solvent), f"solubility of {given.solute}: {given.source}"
+    elif isinstance(given, Mutual):
+        found = fit_mutual(given)
+        names, source = (given.first, given.second), f"mutual solubilities: {given.source}"
+    else:
+        key = (form.name, *(tuple(sorted(g.items())) for g in both))
+        found = known[key] = known.get(key) or fit(log_gamma)
+    if given is not None:
+        low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
+    p = [float(f"{v:.7g}") for v in found.parameters]
+    return {
+        "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
+        "low_k": low, "high_k": high, "error": float(f"{found.error:.2g}"), "source": source,
+    }  # fmt: skip
+
+
+def _has_groups(name: str, materials: Mapping[str, Material]) -> bool:
+    return any(form.groups(name, materials[name]) is not None for form in models())
 
 
 def is_molecule(material: Material) -> bool:
@@ -409,17 +422,20 @@ def make_pairs(
     materials: Mapping[str, Material],
     measured: Mapping[frozenset[str], Measured | Mutual] | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    ideal: bool = False,
 ) -> list[dict[str, Any]]:
-    """Rows of a pair file.
+    """Return the rows of a pair file.
 
     Args:
         pairs: of two materials each.
         materials: what they are, by id.
         measured: what stands in for UNIFAC.
-        progress: is told of every pair that is done.
+        progress: is called with the name of every pair that is done.
+        ideal: whether pairs that UNIFAC has no groups for become ideal mixtures, which their source says.
 
     Raises:
-        DataError: a material is unknown, no molecule, or paired with itself; no form of UNIFAC has the groups of both.
+        DataError: a material is unknown, no molecule, or paired with itself; no form of UNIFAC has the groups of some
+            pairs, and they are not to be ideal; the message names all of them.
     """
     for name in (name for two in pairs for name in two):
         if name not in materials:
@@ -432,6 +448,15 @@ def make_pairs(
     for one, other in pairs:
         if one == other:
             raise DataError(f"pairs: {one!r} with itself; a pair is of two materials")
+    if not ideal and (without := [two for two in pairs if _form(two, materials, models()) is None]):
+        listed = "; ".join(f"{one!r} with {other!r}" for one, other in without)
+        strange = [name for name in dict.fromkeys(itertools.chain(*without)) if not _has_groups(name, materials)]
+        groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
+        raise DataError(
+            f"pairs: no form of UNIFAC in thermo has the groups and interactions of {listed}{groups}; write measured "
+            "parameters into a pair file of your own and name it with --pairs (docs: Write a material or a reaction), "
+            "or take these pairs as ideal mixtures with --ideal"
+        )
     known: dict[Any, Fit] = {}
     rows = []
     for two in pairs:

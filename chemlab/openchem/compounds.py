@@ -12,12 +12,15 @@ from ..datafile import DataError, read_toml
 from ..datamodel import validated
 from ..materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
-from .properties import Properties, Value
+from .names import is_mineral
+from .properties import DOUBTFUL, Properties, Value
+from .writing import toml_key, toml_tables
 
 __all__ = [
     "OWN_FIELDS",
     "checked_materials",
     "compounds",
+    "doubts",
     "estimates",
     "known_as",
     "material_tables",
@@ -47,7 +50,7 @@ def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
         for key, table in read_toml(path).items():
             here = f"{path}: {key}"
             if not isinstance(table, dict):
-                raise DataError(f"{here}: must be a table [{key}]")
+                raise DataError(f"{here}: must be a table [{toml_key(key)}]")
             sources = table.get("source", {})
             for field, number in table.items():
                 if field == "source":
@@ -121,6 +124,12 @@ def _rounded(value: float) -> float:
 def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[dict[str, Any], list[str]]:
     """A material's table, and the fields that are missing in it."""
     metal, state = found.metal, found.state
+    if state == "s" and is_mineral(compound.composition):
+        raise DataError(
+            f"{compound.key}: {compound.formula} is a salt or a mineral: how much of it dissolves is not estimated; "
+            "take what is shipped, or write its tables by hand, solubilities included (docs: Write a material or a "
+            "reaction)"
+        )
     role = "gas" if state == "g" else "solid" if metal else "solvent" if state == "l" else "solute"
     values: dict[str, Any] = {"name": compound.name, "formula": compound.formula, "composition": compound.composition}
     values |= {"cas": compound.cas} if compound.cas else {}
@@ -138,7 +147,9 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
 
     put(values, source, "density_kg_l", found.density)
     put(values, source, "heat_capacity_j_mol_k", found.heat_capacity)
-    put(values, source, "melting_point_k", found.melting_point, needed=False)
+    boils, melts = found.boiling_point, found.melting_point
+    if not (metal and boils and melts and boils.number <= melts.number):  # arsenic sublimes
+        put(values, source, "melting_point_k", melts, needed=False)
     put(values, source, "boiling_point_k", found.boiling_point)
     put(values, source, "vaporization_enthalpy_j_mol", found.vaporization_enthalpy)
     values |= {"role": role, **_looks(compound, used, role == "solvent")}
@@ -156,6 +167,15 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
     if role == "solute":
         put(real, cited, "fusion_enthalpy_j_mol", found.fusion_enthalpy)
     return {**values, "source": source, "real": {**real, "source": cited}}, missing
+
+
+def _wanted(missing: Mapping[str, Sequence[str]]) -> str:
+    """The text of a file for values that were not found."""
+    tables = {
+        key: {**dict.fromkeys(fields, 0.0), "source": dict.fromkeys(fields, "where it is from")}
+        for key, fields in missing.items()
+    }
+    return "\n".join(toml_tables(tables)).strip()
 
 
 def material_tables(
@@ -187,11 +207,9 @@ def material_tables(
         progress(compound.key)
     if missing:
         listed = "; ".join(f"{key}: {', '.join(fields)}" for key, fields in missing.items())
-        first, fields = next(iter(missing.items()))
         raise DataError(
-            f"not found, and nothing is made up: {listed}. Give each with its source in a file, as "
-            f'[{first}] {fields[0]} = NUMBER and [{first}.source] {fields[0]} = "WHERE FROM", '
-            "and name the file with --values"
+            f"not found, and nothing is made up: {listed}. Write each with its source into a file as below, with the "
+            f"number for 0.0, and name the file with --values:\n{_wanted(missing)}"
         )
     checked_materials(tables)
     return tables
@@ -209,10 +227,20 @@ def checked_materials(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mate
 def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
     """Fields of each material that are estimates."""
     return {
-        key: [
-            field
-            for field, source in itertools.chain(table["source"].items(), table["real"]["source"].items())
-            if source.startswith("estimate")
-        ]
+        key: [field for field, source in _sources(table) if source.startswith("estimate")]
         for key, table in tables.items()
     }
+
+
+def doubts(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """A line for each number that compilations or an estimate contradict, and for each that was not taken for it."""
+    return [
+        f"{key}: {field} = {table.get(field, table['real'].get(field))}: {source}"
+        for key, table in tables.items()
+        for field, source in _sources(table)
+        if DOUBTFUL in source or "not taken" in source
+    ]
+
+
+def _sources(table: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    return itertools.chain(table["source"].items(), table["real"]["source"].items())

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..datafile import DataError
 from ..materials import LOCK, shipped_materials
+from .names import element_of, meaning, spellings
 
 try:
     from chemicals.elements import periodic_table
@@ -57,6 +58,8 @@ class Compound:
     """Canonical, by RDKit."""
     inchi_key: str
     cas: str | None = None
+    common_name: str = ""
+    """As the list of chemicals calls it, whatever name was given; empty for what is not in it."""
 
     @property
     def composition(self) -> dict[str, int]:
@@ -178,38 +181,78 @@ def _check_molecule(molecule: Any, text: str) -> None:
         )
 
 
-def compound_of(text: str, key: str = "") -> Compound:
-    """The compound that a text means.
-
-    Args:
-        text: a CAS number, a name (as in PubChem, in English), or a structure (SMILES); tried in this order.
-        key: the id it is to have, default: its name with ``_`` for spaces.
+def _check_name(text: str, name: str, entry: Any) -> None:
+    """Refuse a name that means no single compound.
 
     Raises:
-        DataError: it is none of these, too long, a salt, an ion, a mixture, or labelled with isotopes.
+        DataError: it means a mixture, a polymer or several compounds; the message proposes what to take.
     """
-    text = text.strip()
-    check_length(text, "compound")
-    entry = None
+    if found := meaning(text, name, entry, pubchem_db.name_index):
+        what, instead = found
+        known = f" (the list of chemicals has {entry.common_name!r} under it)" if entry else ""
+        take = f"take {instead}" if instead else f"give name, CAS number or structure of one compound{known}"
+        raise DataError(f"{text!r} is {what}, and a material is one compound; {take}")
+
+
+def _entry_of(text: str) -> tuple[Any, str]:
+    """What the list of chemicals has for a CAS number or a name, None for nothing; and the name in plain letters.
+
+    Raises:
+        DataError: no CAS number, though it looks like one; a name of no single compound.
+    """
     if _CAS.fullmatch(text):
         if not check_CAS(text):
             raise DataError(f"{text!r}: its check digit is wrong: no CAS number")
         entry = pubchem_db.search_CAS(text)
         if not entry:
             raise DataError(f"{text!r}: this CAS number is not in the list of chemicals; give the structure (SMILES)")
-    named = pubchem_db.search_name(text.lower()) if entry is None and text else None
-    entry = entry or named or None
-    molecule = parsed(entry.smiles, text) if entry else Chem.MolFromSmiles(text) if text else None
+        _check_name(text, text, entry)
+        return entry, ""
+    if element := element_of(text):
+        return pubchem_db.search_CAS(element), text
+    names = spellings(text)
+    name = next((name for name in names if pubchem_db.search_name(name)), names[-1])
+    entry = pubchem_db.search_name(name) or None
+    _check_name(text, name, entry)
+    plain = text if text.isascii() else name
+    return entry, plain if entry else ""
+
+
+def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
+    """Return the compound that a text means.
+
+    Args:
+        text: a CAS number, a name (as in PubChem, in English; Greek letters or alpha, beta), or a structure (SMILES);
+            tried in this order.
+        key: the id it is to have, default: its name with ``_`` for spaces.
+        structure: whether the text can only be a structure.
+
+    Raises:
+        DataError: it is none of these, too long, a salt, an ion, a mixture, a polymer, labelled with isotopes, or both
+            the name of one compound and the structure of another.
+    """
+    text = text.strip()
+    check_length(text, "compound")
+    entry, named = (None, "") if structure or not text else _entry_of(text)
+    drawn = Chem.MolFromSmiles(text) if text else None
+    molecule = parsed(entry.smiles, text) if entry else drawn
     if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
             f"of these, a structure as SMILES (ethanol: CCO){_near(text)}"
         )
-    _check_molecule(molecule, text)
     inchi_key = str(Chem.MolToInchiKey(molecule))
+    if entry and _is_structure(drawn) and str(Chem.MolToInchiKey(drawn)) != inchi_key:
+        other = pubchem_db.search_InChI_key(str(Chem.MolToInchiKey(drawn)))
+        raise DataError(
+            f"{text!r}: is both a name of {entry.common_name} (CAS number {entry.CASs}) and a structure (SMILES)"
+            f"{f', of {other.common_name} (CAS number {other.CASs})' if other else ''}; give the number of one of them"
+        )
+    _check_molecule(molecule, text)
     entry = entry or pubchem_db.search_InChI_key(inchi_key) or None
     formula = str(CalcMolFormula(molecule))
-    name = text if named else (entry.common_name if entry else formula)
+    common = _common_name(entry) if entry else ""
+    name = named or common or formula
     return Compound(
         _checked_key(key or _key(name)),
         name,
@@ -217,4 +260,10 @@ def compound_of(text: str, key: str = "") -> Compound:
         str(Chem.MolToSmiles(molecule)),
         inchi_key,
         entry.CASs if entry else None,
+        common,
     )
+
+
+def _common_name(entry: Any) -> str:
+    """Its name in the list of chemicals, where the common one is sometimes a number."""
+    return str(entry.iupac_name if _CAS.fullmatch(entry.common_name) and entry.iupac_name else entry.common_name)

@@ -15,7 +15,7 @@ from ..materials import Material
 from ..physics.constants import GAS_CONSTANT
 from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from .identity import Compound, check_length, composition_of, compound_of, parsed
-from .writing import lock
+from .writing import lock, toml_key
 
 try:
     from rdkit import Chem
@@ -23,7 +23,7 @@ try:
 except ImportError as error:
     raise ImportError(f'reaction templates need rdkit ({error}): pip install "chemlab-marl[chem]"') from error
 
-__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "heat_of_reaction"]
+__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "heat_of_reaction", "rate_constant"]
 
 ROOM_K = 298.15
 _MOST_WAYS = 50_000
@@ -87,6 +87,13 @@ class Template:
             ) from error
         if not made.GetNumReactantTemplates() or not made.GetNumProductTemplates():
             raise DataError(f"template {self.smarts!r}: has no reactants or no products")
+        if made.GetNumAgentTemplates():
+            agents = self.smarts.split(">")[1]
+            raise DataError(
+                f"template {self.smarts!r}: {agents} over the arrow takes no part in a template; write "
+                "REACTANTS>>PRODUCTS, name what the reaction does not run without with --catalyst, and put what is used "
+                "up on the left"
+            )
         object.__setattr__(self, "reaction", made)
 
 
@@ -162,7 +169,7 @@ class _Pool:
                     f"{where}: makes the salt {smiles}, which no material is; write its material by hand (docs: Write "
                     "a material or a reaction) and name the file with --materials"
                 )
-            compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""))
+            compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""), structure=True)
             key, number = compound.key, 1
             while key in self._taken and key != self._names.get(inchi_key):
                 number += 1
@@ -317,18 +324,22 @@ def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
         for key, number in side.items():
             real = materials[key].real
             if real is None:
-                raise DataError(f"material {key!r} has no [{key}.real] with its formation enthalpy")
+                raise DataError(f"material {key!r} has no [{toml_key(key)}.real] with its formation enthalpy")
             molten = (real.fusion_enthalpy_j_mol or 0.0) if real.formation_state == "s" else 0.0
             total += sign * number * (real.formation_enthalpy_j_mol + molten)
     return total
 
 
+def rate_constant(template: Template) -> float:
+    """Rate constant of a template's reactions at 298.15 K, in (L/mol)^(order - 1) per s; a guess if none is given."""
+    return _GUESSED[template.side][0] if template.rate.constant is None else template.rate.constant
+
+
 def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[str]) -> dict[str, Any]:
     """The table of a reaction; ``salts`` are those that dissolve, and react as their ions by mass action."""
     rate, template = found.template.rate, found.template
-    guessed = _GUESSED[template.side]
-    constant = guessed[0] if rate.constant is None else rate.constant
-    activation = guessed[1] if rate.activation_j_mol is None else rate.activation_j_mol
+    constant = rate_constant(template)
+    activation = _GUESSED[template.side][1] if rate.activation_j_mol is None else rate.activation_j_mol
     values: dict[str, Any] = {"reactants": found.reactants, "products": found.products}
     solids = [key for key in found.reactants if materials[key].role == "solid" and key not in salts]
     if solids:

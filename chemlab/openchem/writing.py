@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .. import __version__
+from ..datafile import toml_key
 
 __all__ = ["family_text", "lock", "material_text", "pair_text", "toml", "toml_key", "toml_tables"]
-
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
-
-
-def toml_key(key: str) -> str:
-    """A key, in quotes where TOML wants them."""
-    return key if _BARE.fullmatch(key) else toml(key)
 
 
 def toml(value: Any) -> str:

@@ -1,0 +1,252 @@
+"""Names that mean no single compound: mixtures, solutions, polymers, alloys, catalysts on a support; Greek letters.
+
+Lists of chemicals give such names to one of the components, to the monomer, or to something unrelated: petroleum ether
+is listed as benzene.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["element_of", "is_metal", "is_mineral", "meaning", "spellings"]
+
+try:
+    from chemicals.elements import periodic_table, simple_formula_parser
+except ImportError as error:
+    raise ImportError(f'names need chemicals ({error}): pip install "chemlab-marl[chem]"') from error
+
+_GREEK = (
+    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi",
+    "omicron", "pi", "rho", "sigma", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
+)  # fmt: skip
+"""From U+03B1 on; sigma has two forms."""
+_LETTERS = {chr(0x3B1 + i): name for i, name in enumerate(_GREEK)}
+_DASHES, _PRIMES = (0x2010, 0x2011, 0x2012, 0x2013, 0x2014, 0x2212), (0x2032, 0x2018, 0x2019, 0x02B9)
+_SIGNS = {**dict.fromkeys(_DASHES, "-"), **dict.fromkeys(_PRIMES, "'"), 0x2033: "''"}
+
+_METALS = frozenset(("Al", "Ga", "In", "Tl", "Sn", "Pb", "Bi", "Po"))
+"""Of the p block."""
+_SEMIMETALS = frozenset(("B", "Si", "Ge", "As", "Sb", "Se", "Te", "C"))
+"""Elements whose solids dissolve as little as metals do; carbon is graphite."""
+
+_ALKANES = "a mixture of hydrocarbons"
+_POLYMER = "a polymer"
+_WATERY = "a solution in water"
+_SUPPORTED = "a catalyst on a support"
+_MEANINGS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys(
+        ("petroleum ether", "petrol ether", "petrolether", "pet ether", "pet. ether", "light petroleum", "ligroin",
+         "ligroine", "benzine", "petroleum benzine", "petroleum benzin", "skellysolve", "skellysolve b"),
+        (_ALKANES, "hexane"),
+    ),
+    **dict.fromkeys(
+        ("gasoline", "petrol", "naphtha", "solvent naphtha", "petroleum naphtha", "white gas"), (_ALKANES, "octane")
+    ),
+    **dict.fromkeys(
+        ("white spirit", "mineral spirits", "mineral spirit", "stoddard solvent", "kerosene", "kerosine",
+         "paraffin oil", "mineral oil", "nujol", "diesel", "diesel fuel", "paraffin", "paraffin wax", "petrolatum",
+         "vaseline", "crude oil", "petroleum"),
+        (_ALKANES, "dodecane"),
+    ),
+    **dict.fromkeys(("peg", "pego", "polyethylene glycol", "carbowax", "macrogol"), (_POLYMER, "ethylene glycol")),
+    **dict.fromkeys(("pvc",), (_POLYMER, "vinyl chloride")),
+    **dict.fromkeys(("ptfe", "teflon"), (_POLYMER, "tetrafluoroethylene")),
+    **dict.fromkeys(("pmma", "plexiglas", "plexiglass", "lucite"), (_POLYMER, "methyl methacrylate")),
+    **dict.fromkeys(("pvp", "povidone"), (_POLYMER, "n-vinyl-2-pyrrolidone")),
+    **dict.fromkeys(("pva", "pvac"), (_POLYMER, "vinyl acetate")),
+    **dict.fromkeys(("styrofoam",), (_POLYMER, "styrene")),
+    **dict.fromkeys(
+        ("pet", "nylon", "kevlar", "abs", "rubber", "natural rubber", "latex", "silicone", "silicone oil", "pdms",
+         "epoxy", "bakelite", "nafion", "amberlyst", "amberlite", "dowex", "cellulose", "starch", "lignin", "chitosan",
+         "cotton", "agar", "gelatin", "protein"),
+        (_POLYMER, ""),
+    ),
+    "hydrochloric acid": (_WATERY, "hydrogen chloride and water"),
+    "muriatic acid": (_WATERY, "hydrogen chloride and water"),
+    "hydrobromic acid": (_WATERY, "hydrogen bromide and water"),
+    "hydroiodic acid": (_WATERY, "hydrogen iodide and water"),
+    "hydriodic acid": (_WATERY, "hydrogen iodide and water"),
+    "hydrofluoric acid": (_WATERY, "hydrogen fluoride and water"),
+    "ammonia water": (_WATERY, "ammonia and water"),
+    "ammonia solution": (_WATERY, "ammonia and water"),
+    "ammonium hydroxide": (_WATERY, "ammonia and water"),
+    "formalin": (_WATERY, "formaldehyde and water"),
+    "formol": (_WATERY, "formaldehyde and water"),
+    "vinegar": (_WATERY, "acetic acid and water"),
+    "brine": (_WATERY, "the shipped NaCl and water"),
+    "bleach": (_WATERY, ""),
+    "spirit": ("a mixture with water", "ethanol and water"),
+    "spirits": ("a mixture with water", "ethanol and water"),
+    "wood spirit": ("a mixture with water", "methanol and water"),
+    "denatured alcohol": ("a mixture", "ethanol"),
+    "methylated spirit": ("a mixture", "ethanol"),
+    "methylated spirits": ("a mixture", "ethanol"),
+    "rubbing alcohol": ("a mixture with water", "isopropanol and water"),
+    "turpentine": ("a mixture of terpenes", "alpha-pinene"),
+    "aqua regia": ("a mixture", "nitric acid, hydrogen chloride and water"),
+    "oleum": ("a mixture", "sulfuric acid"),
+    "piranha": ("a mixture", "sulfuric acid and hydrogen peroxide"),
+    "dowtherm": ("a mixture", "biphenyl and diphenyl ether"),
+    "dowtherm a": ("a mixture", "biphenyl and diphenyl ether"),
+    "air": ("a mixture", "the shipped air"),
+    "bf3 etherate": ("a complex", "diethyl ether, and a catalyst of your own"),
+    "raney nickel": ("a catalyst that is etched of an alloy", "nickel"),
+    "lindlar catalyst": (_SUPPORTED, "palladium"),
+    "lindlar's catalyst": (_SUPPORTED, "palladium"),
+    **dict.fromkeys(
+        ("celite", "kieselguhr", "diatomaceous earth", "molecular sieve", "molecular sieves", "zeolite", "florisil",
+         "silica gel", "silica sand", "sand", "glass"),
+        ("a mineral or an adsorbent", "the shipped silica"),
+    ),
+    **dict.fromkeys(
+        ("charcoal", "activated charcoal", "activated carbon", "norit", "carbon black", "coal"),
+        ("a material of carbon that varies", "carbon"),
+    ),
+    "sugar": ("a name for several compounds", "sucrose"),
+    "nak": ("an alloy", "sodium or potassium"),
+    **dict.fromkeys(("xylenes", "xylols"), ("a mixture of isomers", "o-xylene, m-xylene or p-xylene")),
+    "cresols": ("a mixture of isomers", "o-cresol, m-cresol or p-cresol"),
+    "cresol": ("a mixture of isomers", "o-cresol, m-cresol or p-cresol"),
+    "lutidine": ("a name for several isomers", "2,6-lutidine or another of them"),
+    "collidine": ("a name for several isomers", "2,4,6-collidine or another of them"),
+}  # fmt: skip
+"""What a name means, and what to take instead; names of which the list of chemicals thinks otherwise, and common ones
+that it does not have."""
+
+_CARRIERS = r"(?:c|al2o3|sio2|baso4|caco3|tio2|zro2|ceo2|mgo|zno)"
+_ACTIVE = ("Pd", "Pt", "Rh", "Ru", "Ni", "Ir", "Au", "Ag", "Cu", "Co", "Fe", "Re", "Os")
+_ON_FORMULA = re.compile(
+    rf"(?:\d+(?:\.\d+)?\s*(?:wt\.?)?\s*%\s*(?:wt\.?)?\s*)?({'|'.join(_ACTIVE)})(?:\(oh\)2|o2?)?\s*[/@-]\s*{_CARRIERS}",
+    re.IGNORECASE,
+)
+_ON_WORDS = re.compile(
+    r"\b(?:on|supported|-bound|bound to|loaded)\b.*\b(?:carbon|charcoal|alumina|silica|carbonate|sulfate|celite|"
+    r"graphite|kieselguhr|polymer|polystyrene|zeolite|clay|asbestos)\b|\bpolymer[- ](?:supported|bound)\b"
+)
+_COUPLE = re.compile(r"(Zn|Na|Al|Mg|K|Li|Sn|Cd)\s*[/(-]\s*(?:Hg|Cu|Zn)\)?", re.IGNORECASE)
+_WORDS = (
+    (r"\b(?:alloys?|amalgams?|brass|bronze|steel|solder|pewter|couple)\b", "an alloy"),
+    (r"\b(?:poly|co|homo|ter)polymers?\b|\bresins?\b|\brubbers?\b|\bplastics?\b|\bsilicones?\b", _POLYMER),
+    (r"\b(?:mixtures?|mixed|blends?|emulsions?|suspensions?|isomers)\b", "a mixture"),
+    (r"\b(?:solutions?|aqueous|aq|concentrated|conc|dilute)\b|\d\s*(?:%|m\b.*\bin\b)", "a solution"),
+    (r"\b(?:petroleum|naphtha|ligroine?|kerosene|kerosine|gasoline)\b", _ALKANES),
+    (r"\b(?:spirits?|oils?|oleoresin|essences?|extracts?|balsam|wax|waxes|tar|pitch|asphalt|bitumen|turpentine|"
+     r"fuels?)\b", "a mixture"),
+)  # fmt: skip
+_PLURAL = re.compile(r"[\w,' -]*(?:anes|enes|ynes|ols|ones|ines|alcohols|acids|ethers|esters)")
+_UNIQUE = frozenset((
+    "dioxane", "quinone", "benzoquinone", "naphthoquinone", "deet", "d2", "deta", "tyrosine", "salicylate", "oxedrine",
+    "orsellinic acid", "phthaloyl chloride", "phthalyl dichloride", "phthalodinitrile", "toluenesulfonyl chloride",
+    "acetaminophenol", "l-sarcolysin", "dl-sarcolysin", "arsanilic acid", "octopamine", "terphenyl",
+))  # fmt: skip
+"""Names that mean one isomer without saying which."""
+_PLACES = ("o-", "m-", "p-", "ortho-", "meta-", "para-")
+
+
+def is_metal(composition: Mapping[str, int]) -> bool:
+    """Whether it is an element whose solid is a metal, a semi-metal or graphite, which no liquid dissolves."""
+    element = next(iter(composition))
+    return len(composition) == 1 and (element in _SEMIMETALS or _metallic(element))
+
+
+def is_mineral(composition: Mapping[str, int]) -> bool:
+    """Whether it is a compound of a metal or an oxide of a semi-metal, without carbon: a salt or a mineral where it is
+    solid, however its structure is drawn."""
+    elements = composition.keys()
+    oxide = len(elements) == 2 and "O" in elements and not elements.isdisjoint(_SEMIMETALS)
+    return len(elements) > 1 and "C" not in elements and (oxide or any(map(_metallic, elements)))
+
+
+def _metallic(element: str) -> bool:
+    block = getattr(periodic_table, element).block
+    return element in _METALS or (block in ("s", "d", "f") and element not in ("H", "He"))
+
+
+def spellings(text: str) -> list[str]:
+    """How the list of chemicals may spell a name, the likeliest first: in lower case, Greek letters in words."""
+    found = [text.lower()]
+    plain = unicodedata.normalize("NFKC", text).translate(_SIGNS).lower()
+    plain = re.sub(r"\.([a-z]+)\.", lambda m: m[1] if m[1] in _GREEK else m[0], plain)
+    spelled = "".join(_LETTERS.get(letter, letter) for letter in plain)
+    dashed = re.sub(rf"\b({'|'.join(_GREEK)})[ ]?(?=\d)", r"\1-", spelled)
+    joined = re.sub(rf"\b({'|'.join(_GREEK)}) ", r"\1-", dashed)
+    for spelling in (spelled, dashed, joined):
+        if spelling not in found:
+            found.append(spelling)
+    return found
+
+
+def element_of(text: str) -> str | None:
+    """The CAS number of the metal that a text is the symbol of, None if it is none; capitals matter."""
+    known = text.isalpha() and len(text) <= 2 and hasattr(periodic_table, text) and text[0].isupper()
+    if not known or text in ("B", "C") or not is_metal({text: 1}):
+        return None
+    return str(getattr(periodic_table, text).CAS)
+
+
+def _formula(text: str) -> dict[str, float]:
+    """Atoms of a formula that begins with a metal, nothing if the text is none."""
+    parts = re.findall(r"[A-Z][a-z]?", text)
+    if not re.fullmatch(r"(?:[A-Z][a-z]?\d*)+", text) or not all(hasattr(periodic_table, part) for part in parts):
+        return {}
+    return dict(simple_formula_parser(text)) if is_metal({parts[0]: 1}) and parts[0] != "C" else {}
+
+
+def meaning(text: str, name: str, entry: Any, index: Mapping[str, Any]) -> tuple[str, str] | None:
+    """What a name means that means no single compound, and what to take instead ("" if there is nothing to propose).
+
+    Args:
+        text: as it was given.
+        name: the same in lower case, Greek letters spelled.
+        entry: what the list of chemicals has under this name or number, None if it has nothing.
+        index: that list, by name.
+    """
+    listed = str(entry.common_name) if entry else ""
+    same = listed.lower() in ("", name)
+    if name in _MEANINGS:
+        return _MEANINGS[name]
+    if found := _ON_FORMULA.fullmatch(name):
+        return _SUPPORTED, getattr(periodic_table, found[1].capitalize()).name.lower()
+    if _ON_WORDS.search(name):
+        return _SUPPORTED, "" if same else listed
+    if found := _COUPLE.fullmatch(name):
+        return "an alloy", getattr(periodic_table, found[1].capitalize()).name.lower()
+    if entry and re.fullmatch(r"[89]0\d\d-\d\d-\d", entry.CASs):
+        return f"a mixture or a polymer by its CAS number, {entry.CASs}", ""
+    if name.startswith("poly") and entry:
+        monomer = name[4:].strip("()[] -")
+        if monomer in index or not listed.lower().startswith("poly"):
+            return _POLYMER, monomer if same and monomer in index else "" if same else listed
+    for words, what in _WORDS:
+        if re.search(words, name):
+            rest = re.sub(rf"{words}|\d+(?:\.\d+)?\s*%", " ", name).strip(" ,()")
+            return what, (rest if rest in index else "") if same else listed
+    if singular := _singular(name, index):
+        return "a mixture of isomers or a class of compounds", singular
+    atoms = _formula(text)
+    if atoms and entry and dict(simple_formula_parser(entry.formula)) != atoms:
+        return "a formula, and in the list of chemicals a name of something else", ""
+    if entry and (several := _isomers(name, entry, index)):
+        return "a name of several isomers, which are sold as a mixture", " or ".join(sorted(several))
+    return None
+
+
+def _isomers(name: str, entry: Any, index: Mapping[str, Any]) -> list[str]:
+    """Names of the isomers that a name without a place may mean: of xylene, o-, m- and p-xylene; none if it is one."""
+    known = {str(entry.common_name).lower(), str(entry.iupac_name).lower()}
+    if name in known | _UNIQUE:
+        return []
+    found = {f"{place}{name}": index[f"{place}{name}"] for place in _PLACES if f"{place}{name}" in index}
+    first: dict[str, str] = {}
+    for key, other in found.items():
+        if other.formula == entry.formula:
+            first.setdefault(other.CASs, key)
+    return list(first.values()) if len(first) > 1 else []
+
+
+def _singular(name: str, index: Mapping[str, Any]) -> str | None:
+    """The singular of a name in the plural (hexanes), which means a mixture of isomers or a class; None of others."""
+    return name[:-1] if _PLURAL.fullmatch(name) and name[:-1] in index else None
