@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_target, write_text
+from ..files import check_apart, check_target, write_text, write_texts
 from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
@@ -35,12 +35,13 @@ NameOption = Annotated[
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
 
 
-def _free(path: Path, force: bool) -> None:
-    """Refuse to write over something."""
+def _free(path: Path, force: bool, *read: Path) -> None:
+    """Refuse to write over something, whatever is forced over what is ``read``."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
     if path.exists() and not force:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+    check_apart([path], read)
     check_target(path)
 
 
@@ -73,18 +74,17 @@ def _known(files: Sequence[Path] | None) -> dict[str, Material]:
     return {**shipped_materials(), **load_materials(files or ())}
 
 
-def _write_pairs(
-    path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str
-) -> list[dict[str, Any]]:
-    """Make some pairs and write them."""
+def _made_pairs(
+    two: list[tuple[str, str]], known: dict[str, Material], command: str
+) -> tuple[str, list[dict[str, Any]]]:
+    """Make some pairs; returns the text of their file, and its rows."""
     from ..openchem.activity import make_pairs
     from ..openchem.writing import pair_text
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
         rows = make_pairs(two, known, None, lambda _: progress.advance(task))
-    write_text(path, pair_text(rows, command))
-    return rows
+    return pair_text(rows, command), rows
 
 
 @app.command()
@@ -106,8 +106,11 @@ def material(
     from ..openchem import compounds
     from ..openchem.writing import material_text
 
-    for path in filter(None, (output, pairs)):
-        _free(path, force)
+    results = [path for path in (output, pairs) if path is not None]
+    check_apart(results)
+    for path in results:
+        _free(path, force, *(values or ()))
+    own = compounds.own_values(values or ())
     wanted = compounds.compounds(what or [], _named(name))
     if not wanted:
         raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
@@ -116,20 +119,27 @@ def material(
     for compound in new:
         if compound.key in _known(None):
             raise ValueError(f"{compound.key}: is another material that is shipped; give it an id with --name KEY=WHAT")
+    strangers = sorted(set(own) - {compound.key for compound in new})
+    if strangers:
+        raise ValueError(
+            f"--values: {strangers[0]}: is none of the materials that are written: "
+            f"{', '.join(compound.key for compound in new) or 'all that were asked for are shipped'}"
+        )
     words = [*(what or []), *_given({"--name": name, "--values": values})]
     tables: dict[str, Any] = {}
+    texts: dict[Path, str] = {}
     if new:
         with counting() as progress:
             task = progress.add_task("materials", total=len(new))
-            own = compounds.own_values(values or ())
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
-        write_text(output, material_text(tables, _command("material", *words)))
+        texts[output] = material_text(tables, _command("material", *words))
     keys = [*shipped.values(), *tables]
-    files = [output] if new else []
-    known = _known(files)
+    known = _known(None) | compounds.checked_materials(tables)
     two = _missing_pairs(keys, known)
     if pairs is not None:
-        _write_pairs(pairs, two, known, _command("pairs", *keys, *_given({"--materials": files})))
+        command = _command("pairs", *keys, *_given({"--materials": [output] if new else []}))
+        texts[pairs], _ = _made_pairs(two, known, command)
+    write_texts(texts)
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
         return
@@ -182,12 +192,13 @@ def pairs(
     as_json: JsonOption = False,
 ) -> None:
     """Write activity coefficients of every two of some materials, fitted to UNIFAC (needs the extra `chem`)."""
-    _free(output, force)
+    _free(output, force, *(materials or ()))
     if len(names) < 2:
         raise ValueError("a pair is of two materials; name one more")
     known = _known(materials)
     two = list(itertools.combinations(names, 2))
-    rows = _write_pairs(output, two, known, _command("pairs", *names, *_given({"--materials": materials})))
+    text, rows = _made_pairs(two, known, _command("pairs", *names, *_given({"--materials": materials})))
+    write_text(output, text)
     if as_json:
         typer.echo(json.dumps(rows))
         return
@@ -236,8 +247,10 @@ def reactions(
     from ..openchem import compounds, templates
     from ..openchem.writing import family_text, material_text
 
-    beside = output.with_name(f"{output.stem}_materials.toml")
-    _free(output, force)
+    read = [*(materials or ()), *(values or ())]
+    _free(output, force, *read)
+    beside = output.parent / f"{output.stem}_materials.toml"
+    own = compounds.own_values(values or ())
     texts = [*smarts, *(side or ())]
     rates = _rates(len(texts), rate, activation, equilibrium, source)
     made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(texts, rates, strict=True))]
@@ -252,14 +265,17 @@ def reactions(
     command = _command("reactions", *_given(given))
     tables: dict[str, Any] = {}
     if strangers:
-        _free(beside, force)
+        _free(beside, force, *read)
         wanted = compounds.compounds([], strangers)
-        tables = compounds.material_tables(wanted, compounds.own_values(values or ()))
+        tables = compounds.material_tables(wanted, own)
         known |= compounds.checked_materials(tables)
+    elif own:
+        raise ValueError(f"--values: {min(own)}: is none of the materials that are written: all of them are known")
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
+    texts = {output: family_text(family)}
     if strangers:
-        write_text(beside, material_text(tables, command))
-    write_text(output, family_text(family))
+        texts[beside] = material_text(tables, command)
+    write_texts(texts)
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
@@ -314,15 +330,18 @@ def new(
     from ..scenario import load_scenario
 
     path = output or Path(f"{name}.toml")
-    own = path.with_name(f"{path.stem}_pairs.toml")
-    _free(path, force)
+    read = [*(materials or ()), *(pairs or ())]
+    _free(path, force, *read)
+    own = path.parent / f"{path.stem}_pairs.toml"
     asking = sys.stdin.isatty()
     reactions = reactions or (typer.prompt("reaction file") if asking else "")
     if not reactions:
         raise ValueError("--reactions: name a reaction file (chemlab reactions makes one)")
     file = Path(reactions)
     files = list(materials or ())
-    made = file.with_name(f"{file.stem}_materials.toml")
+    made = file.parent / f"{file.stem}_materials.toml"
+    read += [file, made] if file.suffix == ".toml" else []
+    check_apart([path], read)
     if made.exists() and made not in files:
         files.append(made)
     known = _known(files)
@@ -347,7 +366,7 @@ def new(
         "new", name, "--reactions", reactions, "--goal", goal, "--solvent", solvent, *_given(given)
     )  # fmt: skip
     if missing:
-        _free(own, force)
+        _free(own, force, *read)
 
     def places(own_pairs: Path, name_of: Callable[[Path], str]) -> dict[str, Any]:
         pair_files = [*(pairs or ()), *([own_pairs] if missing else ())]
@@ -358,15 +377,18 @@ def new(
     # Everything is made and loaded before anything is written.
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "pairs.toml"
+        text = ""
         if missing:
-            _write_pairs(draft, missing, known, command)
+            text, _ = _made_pairs(missing, known, command)
+            write_text(draft, text)
             at_hand |= load_pairs([draft])
         beside = places(own, lambda other: designs.beside(other, path.parent))
         made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
         spec = load_scenario({**made_for.tables, **places(draft, lambda other: str(other.resolve()))})
-        if missing:
-            write_text(own, draft.read_text(encoding="utf-8"))
-    write_text(path, designs.scenario_text(made_for.tables, command))
+    texts = {path: designs.scenario_text(made_for.tables, command)}
+    if missing:
+        texts[own] = text
+    write_texts(texts)
     benches = ", ".join(spec.benches)
     play = plain(_command("run", path))
     out.print(f"{plain(path)}: {plain(goal)} in {plain(solvent)}; benches {benches}; play it: {play}")
