@@ -118,6 +118,8 @@ def _widths(rows: Sequence[Sequence[Text]], most: int) -> list[int] | None:
 def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
     for row in rows:
         grid = Table.grid(padding=(0, 1))
+        for _ in range(2):
+            grid.add_column(overflow="fold")  # no letter is left out
         for name, cell in zip(head, row, strict=True):
             grid.add_row(Text(f"  {name}:"), cell)
         page.print(grid)

@@ -91,12 +91,14 @@ class Witness:
         version: str = __version__,
     ) -> dict[str, Any]:
         """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
-        labs, hidden = self._labs, self._hidden()
+        labs = self._labs
         split: dict[str, Any] = {}
+        hidden: dict[str, Any] = {}
         if labs.worlds.active:
             # The salt of a private split is nobody else's; its worlds are told by their numbers.
             split = {"split": labs.worlds.split.name.partition(":")[0]}
             hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
+        hidden |= self._hidden()
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
             positions += [f"{agent}.{position}" for position in bench.positions]
