@@ -221,6 +221,9 @@ def write_datasets(
             no turn, or a dataset is there already.
     """
     minari = _minari()
+    twice = [path for number, path in enumerate(paths) if path.resolve() in [one.resolve() for one in paths[:number]]]
+    if twice:
+        raise ValueError(f"{twice[0]}: is given twice; its episodes would be in the datasets twice")
     records = [_verified(path, trust, tell) for path in paths]
     scenarios = [recorded_scenario(record) for record in records]
     for path, scenario in zip(paths, scenarios, strict=True):
@@ -241,6 +244,8 @@ def write_datasets(
             raise ValueError(f"agent: {agent} has no turn in these records")
         else:
             tell(f"{agent} has no turn in these records: no dataset")
+    if not chosen:
+        raise ValueError(f"{', '.join(map(str, paths))}: no agent has a turn; no dataset is written")
     ids = [f"{name}/{agent}-v0" for agent, _ in chosen]
     for id in ids:
         minari.dataset.minari_dataset.parse_dataset_id(id)

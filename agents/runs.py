@@ -19,10 +19,8 @@ Numbers are floats with full precision; `null` where there is none (no episode e
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shutil
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -36,7 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import chemlab
 from chemlab.datafile import DataError, bounded, parse_json, read_json, read_text
 from chemlab.datamodel import validated
-from chemlab.files import write_text
+from chemlab.files import locked, naming, write_text
 
 __all__ = [
     "RESULT_SEED",
@@ -237,7 +235,7 @@ class Run:
     def append(self, line: CurvePoint | Evaluation) -> None:
         """Add a line to the curve or to the evaluations."""
         file = self.curve_file if isinstance(line, CurvePoint) else self.evaluations_file
-        with file.open("a", encoding="utf-8") as handle:
+        with naming(file), file.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(asdict(line)) + "\n")
 
     def keep_lines(self, folder: Path) -> None:
@@ -282,7 +280,7 @@ class Run:
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         with (self.checkpoints / "lock").open("a+") as handle:
             until = time.monotonic() + patience
-            while not _lock(handle.fileno()):
+            while not locked(handle.fileno()):
                 if time.monotonic() >= until:
                     raise RunBusy(
                         f"{self.path}: another process is training this run; wait for it or give another --out"
@@ -299,23 +297,6 @@ class Run:
                 return False
         except RunBusy:
             return True
-
-
-def _lock(descriptor: int) -> bool:
-    """Take the system's lock on a file, if it is free."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            os.lseek(descriptor, 0, os.SEEK_SET)
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
 
 
 def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:

@@ -7,18 +7,22 @@ import errno
 import os
 import secrets
 import stat
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 __all__ = [
+    "check_apart",
     "check_folder",
     "check_marks",
     "check_target",
     "draft_of",
+    "locked",
+    "naming",
     "open_regular",
     "read_bytes",
     "replace_between",
@@ -26,12 +30,17 @@ __all__ = [
     "sync_folder",
     "write_bytes",
     "write_text",
+    "write_texts",
 ]
 
 _DRAFT = ".draft-"
 """What names of drafts begin with, so that those left by a killed process can be told from anything of the user's."""
 _ABANDONED_S = 60.0
 """A draft that nobody has written to for so long has no writer any more."""
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+"""Errors of file systems without locks."""
+_LOCKED_BYTE = 2**30
+"""Position of the byte that stands for a whole file, where a system locks bytes."""
 
 
 def open_regular(path: Path, limit: int) -> BinaryIO:
@@ -79,7 +88,7 @@ def draft_of(path: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be written; the error names ``path``.
     """
-    draft = path.with_name(f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}")
+    draft = path.parent / f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}"
     try:
         if path.exists() and not path.is_file():  # a device is not to be replaced by a file
             raise OSError(errno.EINVAL, "not a regular file", str(path))
@@ -107,6 +116,18 @@ def write_bytes(path: Path, content: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8, whole or not at all (see :func:`draft_of`)."""
     write_bytes(path, text.encode())
+
+
+def write_texts(texts: Mapping[Path, str]) -> None:
+    """Write several files that belong together: all of them, or none where one has no room (see :func:`draft_of`).
+
+    Every text is on the disk before the first file takes its name; the first in ``texts`` takes its name last.
+    """
+    with ExitStack() as drafts:
+        for path, text in texts.items():
+            draft = drafts.enter_context(draft_of(path))
+            draft.write_bytes(text.encode())
+            sync_file(draft)
 
 
 def sync_file(path: Path) -> None:
@@ -162,6 +183,65 @@ def check_target(path: Path) -> None:
     if path.exists() and not path.is_file():
         raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'not a regular file'}; give a file's name")
     check_folder(path.parent)
+
+
+def check_apart(outputs: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
+    """See that a command writes no file twice, and none that it reads.
+
+    Raises:
+        ValueError: it would; the message names the file.
+    """
+    written: list[Path] = []
+    for path in outputs:
+        if any(_same_file(path, other) for other in written):
+            raise ValueError(f"{path}: is given twice, as the file of two results; give each a file of its own")
+        written.append(path)
+    for path in inputs:
+        if any(_same_file(path, other) for other in written):
+            raise ValueError(f"{path}: is read by this command and would be replaced by its result; give another name")
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    """Whether two paths lead to the same file, by links or another spelling, too."""
+    with contextlib.suppress(OSError):  # one of them is not there yet
+        return one.samefile(other)
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def locked(descriptor: int) -> bool:
+    """Take the system's lock on an open file, which ends when that is closed; False where somebody else has it.
+
+    Some network file systems have no locks: there every process gets it.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            # Others cannot read a byte that is locked there: it is one that no file has.
+            position = os.lseek(descriptor, 0, os.SEEK_CUR)
+            os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+            try:
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            finally:
+                os.lseek(descriptor, position, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in _NO_LOCKS
+    return True
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Have errors of the system that name no file name ``path``."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def check_marks(path: Path, mark: str) -> tuple[str, int, int]:

@@ -19,6 +19,7 @@ from helpers import EVERY_SCENARIO, mapping, slow_but
 from rich.text import Text
 from typer.testing import CliRunner
 
+import chemlab.scenarios
 from chemlab import __version__
 from chemlab.cli import PANELS, app
 from chemlab.cli.screen import event_words, page, show_table
@@ -506,13 +507,134 @@ def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
     command = [sys.executable, "-m", "chemlab", "list", "--json"]
     with open("/dev/full", "w", encoding="utf-8") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert (done.returncode, done.stderr) == (2, f"error: {os.strerror(errno.ENOSPC)}\n")
+        for words in (["list"], ["--help"]):
+            more = subprocess.run([*command[:-2], *words], stdout=full, stderr=subprocess.PIPE, text=True)
+            assert (more.returncode, more.stderr) == (done.returncode, done.stderr)
+    assert (done.returncode, done.stderr) == (2, f"error: standard output: {os.strerror(errno.ENOSPC)}\n")
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
     assert "Traceback" not in done.stderr
     assert "error" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["run", ""], ""),
+        (["run", "fictitious", "--record", ""], "--record"),
+        (["train", "--out", ""], "--out"),
+        (["train", "--out="], "--out"),
+        (["train", "--config", ""], "--config"),
+        (["generate", "one", "-o", ""], "-o"),
+        (["plot", "timeline", ""], ""),
+        (["figures", "runs", "--out", ""], "--out"),
+        (["verify", ""], ""),
+    ],
+)
+def test_no_path_is_empty(arguments: list[str], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A variable of a script that is not set is no name for the current folder."""
+    monkeypatch.chdir(tmp_path)
+    done = runner.invoke(app, arguments)
+    assert done.exit_code == 2
+    assert f"{option}: must not be empty" in done.output if option else "must not be empty" in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A result under the name of a scenario, record, policy or run that the command reads, whatever is forced."""
+    monkeypatch.chdir(tmp_path)
+    assert runner.invoke(app, ["generate", "lab"]).exit_code == 0
+    assert runner.invoke(app, ["run", "fictitious", "--record", "a.jsonl", "--json"]).exit_code == 0
+    Path("link.json").symlink_to("lab.toml")
+    Path("plan.json").write_text("{}")
+    run = Path("run", "checkpoints", "best-1")
+    run.mkdir(parents=True)
+    Path("run", "config.json").write_text("{}")
+
+    def played(*_: object) -> None:
+        raise AssertionError("something is played, and lost")
+
+    monkeypatch.setattr(Laboratories, "reset", played)
+    monkeypatch.setattr(ExperimentBatch, "reset", played)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for words in (
+        ["replay", "a.jsonl", "-o", "a.jsonl", "--force"],
+        ["replay", "a.jsonl", "-o", "run/../a.jsonl", "--force"],
+        ["run", "lab.toml", "--record", "lab.toml", "--force"],
+        ["run", "lab.toml", "--record", "link.json", "--force"],
+        ["play", "lab.toml", "--record", "lab.toml", "--force"],
+        ["run", "fictitious", "--policy", "heuristic,manager=plan:plan.json", "--record", "plan.json", "--force"],
+        ["evaluate", "lab.toml", "--out", "lab.toml"],
+        ["evaluate", "fictitious", "--policy", "plan.json", "--out", "plan.json"],
+        ["audit", "lab.toml", "--out", "lab.toml"],
+        ["crossplay", "lab.toml", "--out", "lab.toml"],
+        ["plan", "lab.toml", "--out", "lab.toml"],
+        ["starts", "lab.toml", "--out", "lab.toml"],
+        ["export", "run", "--out", "run/config.json"],
+    ):
+        if words[0] == "export":
+            pytest.importorskip("torch")  # without it, that is what is said
+        done = runner.invoke(app, words)
+        assert isinstance(done.exception, SystemExit), (words, done.exception)
+        assert done.exit_code == 2
+        assert "is read by this command" in done.output.replace("\n", ""), (words, done.output)
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("what", ["pipe", "folder"])
+def test_a_record_that_cannot_be_written_is_said_before_anything_is_played(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / what
+    place.mkdir() if what == "folder" else os.mkfifo(place)
+
+    def played(*_: object) -> None:
+        raise AssertionError("something is played, and lost")
+
+    monkeypatch.setattr(Laboratories, "reset", played)
+    done = runner.invoke(app, ["run", "fictitious", "--record", str(place), "--force"])
+    assert done.exit_code == 2
+    assert "give a file's name" in done.output
+    assert place.is_fifo() or place.is_dir()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locales of POSIX")
+def test_a_terminal_that_knows_no_umlauts(tmp_path: Path) -> None:
+    """A name that it cannot show is no reason to lose an episode, or to find fault with a record."""
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    environment.pop("PYTHONIOENCODING", None)
+    text = Path(chemlab.scenarios.__path__[0], "salt_from_oil.toml").read_text(encoding="utf-8")
+    text = text.replace('name = "salt_from_oil"', 'name = "mine"')
+    text = re.sub("^title = .*", 'title = "Säure"', text, flags=re.M)
+    (tmp_path / "säure.toml").write_text(re.sub("^summary = .*", 'summary = "größer"', text, flags=re.M), "utf-8")
+    for words in (
+        ["run", "säure.toml", "--policy", "random", "--record", "é.jsonl"],
+        ["verify", "é.jsonl", "--scenario", "säure.toml"],
+        ["describe", "säure.toml"],
+    ):
+        command = [sys.executable, "-m", "chemlab", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    assert "S\\xe4ure" in done.stdout
+    assert (tmp_path / "é.jsonl").exists()
+
+
+def test_a_terminal_without_columns() -> None:
+    """Where there are none it has as many as usual, and where there are few no letter is left out."""
+    shown = {}
+    for columns in ("0", "1", "80"):
+        command = [sys.executable, "-m", "chemlab", "list"]
+        environment = {**os.environ, "COLUMNS": columns}
+        shown[columns] = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert shown["0"] == shown["80"]
+    for name in (*scenario_names(), *synthesis_names()):
+        assert name in shown["80"]
+        assert name in "".join(shown["1"].split())
+    helped = [sys.executable, "-m", "chemlab", "--help"]
+    environment = {**os.environ, "COLUMNS": "0"}
+    assert "laboratory" in subprocess.run(helped, env=environment, capture_output=True, text=True, check=True).stdout
 
 
 def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:

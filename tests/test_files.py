@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,7 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.files import draft_of, open_regular, read_bytes, replace_between, write_bytes, write_text
+from chemlab.files import (
+    check_apart,
+    draft_of,
+    locked,
+    naming,
+    open_regular,
+    read_bytes,
+    replace_between,
+    write_bytes,
+    write_text,
+    write_texts,
+)
 
 WRITER = """
 import sys
@@ -30,6 +42,18 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:
     write_bytes(Path(sys.argv[1]), b"x" * 5000)
+except OSError as error:
+    print(error)
+"""
+SMALL_DISK_FOR_TWO = """
+import resource, signal, sys
+from pathlib import Path
+from chemlab.files import write_texts
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+folder = Path(sys.argv[1])
+try:
+    write_texts({folder / "first": "a", folder / "second": "b" * 5000, folder / "third": "c"})
 except OSError as error:
     print(error)
 """
@@ -141,3 +165,55 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: No
         assert Path("/proc/self/maps").stat().st_size == 0
         with pytest.raises(OSError, match="is larger than 10 bytes"):
             read_bytes(Path("/proc/self/maps"), 10)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+def test_files_that_belong_together_are_all_there_or_none(tmp_path: Path) -> None:
+    (tmp_path / "third").write_text("kept")
+    command = [sys.executable, "-c", SMALL_DISK_FOR_TWO, tmp_path]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert f"File too large: '{tmp_path / 'second'}'" in found.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["third"]
+    assert (tmp_path / "third").read_text() == "kept"
+    write_texts({tmp_path / name: f"{name}: größer" for name in ("first", "third")})
+    assert {file.name: file.read_text(encoding="utf-8") for file in tmp_path.iterdir()} == {
+        "first": "first: größer",
+        "third": "third: größer",
+    }
+
+
+def test_no_file_is_given_twice(tmp_path: Path) -> None:
+    """Under whatever name: another spelling, a link, a file that is not there yet."""
+    file, other = tmp_path / "a.toml", tmp_path / "b.toml"
+    spelled = tmp_path / "below" / ".." / "a.toml"
+    check_apart([file, other], [tmp_path / "c.toml"])
+    for twice in (file, spelled):
+        with pytest.raises(ValueError, match=r"a\.toml: is given twice"):
+            check_apart([file, twice])
+        with pytest.raises(ValueError, match=r"a\.toml: is read by this command"):
+            check_apart([file], [other, twice])
+    file.write_text("x")
+    other.symlink_to(file)
+    hard = tmp_path / "hard.toml"
+    os.link(file, hard)
+    for link in (other, hard):
+        with pytest.raises(ValueError, match="is read by this command"):
+            check_apart([link], [file])
+
+
+def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    with path.open("ab") as one, path.open("ab") as other:
+        assert locked(one.fileno())
+        assert not locked(other.fileno())
+    with path.open("ab") as other:
+        assert locked(other.fileno())
+
+
+def test_errors_of_the_system_name_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with pytest.raises(OSError, match=r"No space.*a\.txt"), naming(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OSError, match=r"b\.txt") as caught, naming(path):
+        (tmp_path / "none" / "b.txt").read_text()
+    assert "a.txt" not in str(caught.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -22,6 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+import chemlab.files
 from chemlab.bench import reaction
 from chemlab.cli import app
 from chemlab.datafile import DataError
@@ -253,6 +255,32 @@ def test_seeds_are_different_chemistries_with_the_same_spaces() -> None:
         spaces.add(tuple(str(space(i)) for i in range(len(labs.agents)) for space in (labs.observation_space,
                                                                                      labs.action_space)))  # fmt: skip
     assert len(spaces) == 1
+
+
+def test_a_disk_without_room_has_all_files_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever of them has no room any more; what was there stays."""
+    made = generated(3, physics="real", name="one")
+    sync, count = chemlab.files.sync_file, len(made.files())
+    assert count == 4
+    folder = tmp_path / "made"
+    for last in range(count):
+        calls: list[Path] = []
+
+        def full(path: Path, last: int = last, calls: list[Path] = calls) -> None:
+            calls.append(path)
+            if len(calls) > last:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            sync(path)
+
+        with monkeypatch.context() as patch:
+            patch.setattr("chemlab.files.sync_file", full)
+            with pytest.raises(OSError, match=r"No space left on device: '.*one.*toml'"):
+                made.write(folder)
+        assert list(folder.iterdir()) == []
+    (folder / "one_pairs.toml").mkdir()
+    with pytest.raises(ValueError, match=r"one_pairs\.toml: is a folder"):
+        made.write(folder, force=True)
+    assert [file.name for file in folder.iterdir()] == ["one_pairs.toml"]
 
 
 def test_gymnasium_takes_a_generated_scenario() -> None:

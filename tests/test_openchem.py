@@ -33,7 +33,7 @@ for package in ("rdkit", "chemicals", "thermo", "ugropy"):
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of, molar_mass  # noqa: E402
-from chemlab.openchem.properties import Properties, fitted_vapor_pressure  # noqa: E402
+from chemlab.openchem.properties import Properties, Value, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
 from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
 
@@ -185,6 +185,50 @@ def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None
     assert real is not None
     assert (real.fusion_enthalpy_j_mol, real.source["fusion_enthalpy_j_mol"]) == (18700.0, "an example")
     assert "is already there" in run("material", "diphenyl sulfone", "-o", path, fails=True).output
+
+
+def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
+    """Of a file that is not there, and of materials that are not written: shipped ones have theirs already."""
+    path, values = tmp_path / "m.toml", tmp_path / "own.toml"
+    for words in (["material", "water"], ["reactions", "--smarts", WURTZ, "--reactants", "water"]):
+        done = run(*words, "-o", path, "--values", tmp_path / "nope.toml", fails=True)
+        assert "nope.toml: no such file" in " ".join(done.output.split())
+    values.write_text('[water]\ndensity_kg_l = 1.1\nsource.density_kg_l = "an example"\n')
+    done = run("material", "water", "-o", path, "--values", values, fails=True)
+    assert "water: is none of the materials that are written" in " ".join(done.output.split())
+    assert not path.exists()
+
+
+def test_a_result_never_replaces_another_or_what_is_read(tmp_path: Path) -> None:
+    """Whatever is forced: results of one command under one name, and files that it reads."""
+    materials, values = tmp_path / "m.toml", tmp_path / "own.toml"
+    done = run("material", "benzyl chloride", "-o", materials, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True)
+    assert "is given twice" in " ".join(done.output.split())
+    assert not list(tmp_path.iterdir())
+    values.write_text("")
+    run("material", "benzyl chloride", "-o", materials)
+    before = materials.read_text()
+    for words in (
+        ["material", "benzyl chloride", "-o", values, "--values", values],
+        ["material", "benzyl chloride", "-o", tmp_path / "n.toml", "--pairs", values, "--values", values],
+        ["pairs", "benzyl_chloride", "water", "-o", materials, "--materials", materials],
+        ["reactions", "--smarts", WURTZ, "--reactants", "water", "-o", materials, "--materials", materials],
+        ["new", "lab", "--reactions", materials, "-o", materials],
+        ["new", "lab", "--reactions", "wurtz_real", "-o", materials, "--materials", materials],
+    ):
+        done = run(*words, "--force", fails=True)
+        assert "is read by this command" in " ".join(done.output.split()), words
+    assert (values.read_text(), materials.read_text()) == ("", before)
+
+
+def test_a_molecule_that_estimates_are_not_made_for() -> None:
+    # Joback's polynomial for the critical temperature passes its pole at about 110 carbon atoms of a chain.
+    for carbons in (110, 150, 300):
+        with pytest.raises(DataError, match=rf"c{carbons}h{2 * carbons + 2}: .*critical_temperature_k"):
+            material_tables([compound_of("C" * carbons)])
+    given = {"critical_temperature_k": Value(500.0, "an example")}
+    with pytest.raises(DataError, match=r"critical_temperature_k = 500 must be above the boiling point"):
+        assert Properties(compound_of("C" * 20), given).critical_temperature
 
 
 def test_a_compilation_that_is_far_from_three_that_agree_is_not_taken() -> None:

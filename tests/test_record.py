@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -17,6 +18,7 @@ import pytest
 from helpers import Careless, four_solvents, slow_but
 from typer.testing import CliRunner
 
+import chemlab
 import chemlab.record as module
 import chemlab.record.format as format_module
 import chemlab.record.recorder as recorder_module
@@ -111,6 +113,48 @@ def test_a_record_says_what_happened(tmp_path: Path) -> None:
 
 def test_the_same_episode_gives_the_same_bytes(honest: Path, tmp_path: Path) -> None:
     assert play(tmp_path / "again.jsonl").read_bytes() == honest.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "relay"])
+def test_what_was_played_before_leaves_nothing_in_a_record(name: str, tmp_path: Path) -> None:
+    """Pictures, layers and supplies of an episode before are no state of this one."""
+    env = raw_env(name)
+    labs, records = env.laboratories, []
+    for number, seed in enumerate((3, 8, 3)):
+        path = tmp_path / f"{number}.jsonl"
+        with Recorder(path, labs) as recorder:
+            play_episode(env, make_policies("heuristic", labs, seed), seed, recorder=recorder)
+        records.append(path.read_bytes())
+    assert records[0] == records[2] != records[1]
+
+
+def test_the_hash_of_the_state_has_every_field_of_a_running_experiment(tmp_path: Path) -> None:
+    """Jacket and supplies of a reaction, pictures and layers of an extraction: another value is another hash."""
+    env = raw_env("wurtz_dodecane")
+    labs = env.laboratories
+    tried: set[str] = set()
+
+    def watch(turn: Any) -> None:
+        if not turn.agent.startswith(("rxn", "ext")):
+            return
+        experiments = labs.experiments[labs.bench_agents.index(turn.agent)]
+        if not experiments.busy[0]:
+            return
+        witness = recorder_module.Witness(labs, 0)
+        before = witness._state()
+        for declared in experiments.table._fields:
+            array = getattr(experiments, declared.name)
+            if f"{turn.agent} {declared.name}" in tried or declared.name == "places" or not array.size:
+                continue
+            tried.add(f"{turn.agent} {declared.name}")
+            kept = array.copy()
+            array[...] = ~array if array.dtype == bool else array + 1
+            assert witness._state() != before or declared.name == "life", declared.name  # which is infinite
+            array[...] = kept
+            assert witness._state() == before
+
+    play_episode(env, make_policies("heuristic", labs, 3), 3, watch=watch)
+    assert {"rxn_0 jacket", "rxn_0 supply", "rxn_0 baseline", "ext_0 image", "ext_0 profile", "ext_0 events"} <= tried
 
 
 def test_records_are_small(honest: Path) -> None:
@@ -605,7 +649,7 @@ def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     lines[0]["format"]["version"] = 1
     result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "other"
-    assert "format 1, made by chemlab 9.9; this chemlab reads format 2" in result.message
+    assert "format 1, made by chemlab 9.9; this chemlab reads format 3" in result.message
 
 
 def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -664,14 +708,14 @@ def test_a_torn_record_can_be_read_up_to_the_tear(honest: Path, tmp_path: Path) 
     content, path = honest.read_bytes(), tmp_path / "a.jsonl"
     ends = [i + 1 for i, byte in enumerate(content) if byte == ord("\n")]
     # In the middle of lines, at their ends, just before those.
-    for length in (*range(ends[0], len(content), 1777), *ends[:-1:7], ends[-1] - 1, ends[-2] + 1):
+    for length in (*range(ends[0], len(content), 1777), *ends[:-1:7], ends[-1] - 2, ends[-2] + 1):
         path.write_bytes(content[:length])
         whole = sum(end <= length for end in ends)
         record = read_record(path)
         assert record.torn
         assert record.broken is None
         assert len(record.turns) == whole - 1
-    for length in (ends[0], ends[30], ends[30] + 5, ends[-2], ends[-1] - 1):
+    for length in (ends[0], ends[30], ends[30] + 5, ends[-2], ends[-1] - 2):
         path.write_bytes(content[:length])
         result = verify_record(path)
         assert (result.status, result.exit_code) == ("torn", 3)
@@ -680,6 +724,179 @@ def test_a_torn_record_can_be_read_up_to_the_tear(honest: Path, tmp_path: Path) 
     lines = load(honest)[:40]
     reward(lines)
     assert verify_record(store(path, lines)).status == "tampered"
+
+
+def test_line_ends_of_another_system(honest: Path, tmp_path: Path) -> None:
+    """Version control and editors change them; what the lines say is as it was, and nothing else is let through."""
+    content, path = honest.read_bytes(), tmp_path / "a.jsonl"
+    windows = content.replace(b"\n", b"\r\n")
+    cases = {
+        "CR LF": windows,
+        "no newline": content[:-1],
+        "both": windows[:-2],
+        "half": windows[:-1],
+    }
+    for name, changed in cases.items():
+        path.write_bytes(changed)
+        result = verify_record(path)
+        assert (result.status, result.score) == ("ok", verify_record(honest).score), (name, result.message)
+        noted = " ".join(result.notes)
+        assert ("CR LF" in noted) == (name != "no newline")
+        assert ("no newline" in noted) == (name != "CR LF")
+    first = content.index(b"\n")
+    later = content.index(b"\n", first + 1)
+    for changed in (
+        content[:first] + b"\r" + content[first:],  # of one line alone
+        content[:later] + b"\r" + content[later:],
+        content.replace(b"\n", b"\r\r\n"),
+        windows + b"\r\n",
+        windows[:-2] + b" ",
+    ):
+        path.write_bytes(changed)
+        assert verify_record(path).status == "tampered"
+    # A tear, a tear in the last line, and tampering are what they were.
+    for length in (windows.index(b"\n", windows.index(b"\n") + 1) + 9, len(windows) - 3):
+        path.write_bytes(windows[:length])
+        assert verify_record(path).status == "torn"
+    path.write_bytes(windows.replace(b'"turns":', b'"turns":1', 1))
+    assert verify_record(path).status == "tampered"
+
+
+def test_a_file_has_one_writer(tmp_path: Path) -> None:
+    """Whoever comes second hears of it before anything is played, and spoils nothing."""
+    path = tmp_path / "a.jsonl"
+    env, other = raw_env("wurtz_dodecane"), raw_env("wurtz_dodecane")
+    labs = env.laboratories
+    left = tmp_path / "a.jsonl.part"
+    left.write_text("of a process that was killed")
+    second = Recorder(path, other.laboratories, force=True)
+
+    def watch(turn: Any) -> None:
+        if turn.tick == 5:
+            other.reset(seed=1)
+            with pytest.raises(ValueError, match=r"a\.jsonl\.part: another process is recording there"):
+                second.begin(1)
+
+    with Recorder(path, labs, force=True) as recorder:
+        play_episode(env, make_policies("heuristic", labs, 3), 3, watch=watch, recorder=recorder)
+    assert verify_record(path).status == "ok"
+    assert not left.exists()
+    # It may be had now, and the record stays until there is another whole one.
+    other.reset(seed=1)
+    second.begin(1)
+    assert verify_record(path).status == "ok"
+    second.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+    """A pipe, a device, a folder; also where the unfinished record would be. Nobody waits for a reader."""
+    labs = raw_env("wurtz_dodecane").laboratories
+    for name in ("pipe", "other.part"):
+        os.mkfifo(tmp_path / name)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("/dev/null")
+    for name in ("pipe", "other", "folder", "link", "."):
+        with pytest.raises(ValueError, match=r"(is a folder|not a regular file); give a file's name"):
+            Recorder(tmp_path / name if name != "." else Path(), labs, force=True)
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "other.part").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_a_full_disk_is_told_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.jsonl"
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"a\.jsonl\.part"):
+        play(path, "salt_from_oil")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.jsonl.part"]
+
+
+def test_names_of_any_bytes(tmp_path: Path) -> None:
+    """A name from a command line may have bytes that are no characters there: the record has the text that it is."""
+    labs = raw_env("salt_from_oil").laboratories
+    names = dict.fromkeys(labs.agents, os.fsencode("säure").decode("ascii", "surrogateescape"))
+    recorder = Recorder(tmp_path / "a.jsonl", labs, policies=names)
+    labs.seed(0, 1)
+    labs.reset(labs.members)
+    recorder.begin(1)
+    recorder.close()
+    assert set(read_record(recorder.part).header["policies"].values()) == {"säure"}
+
+
+# -- worlds ---------------------------------------------------------------------------------------------------
+
+
+def in_a_world(path: Path, world: Any, seed: int = 3, split: str = "train", name: str = "unlabelled") -> Lines:
+    """The lines of a scripted episode in a world that was asked for, or in its seed's."""
+    env = raw_env(name, split=split)
+    options = None if world is None else {"world": world}
+    with Recorder(path, env.laboratories, force=True) as recorder:
+        policies = make_policies("heuristic", env.laboratories, seed)
+        play_episode(env, policies, seed, options=options, recorder=recorder)
+    return load(path)
+
+
+def test_a_world_that_was_asked_for_is_a_verdict_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    drawn = in_a_world(path, None)[0]["hidden"]["world"]["values"]
+    assert verify_record(path).status == "ok"
+    for world in (5, drawn, {name: drawn[name] for name in list(drawn)[:1]}):
+        lines = in_a_world(path, world)
+        result = verify_record(path)
+        assert (result.status, result.exit_code) == ("chosen", 7), result.message
+        assert "asked for" in result.message
+        assert result.score is not None
+        # Also without a seed, on another platform, torn, and never to be had as ok by taking the options out.
+        lines[0]["seed"] = None
+        assert verify_record(store(path, lines)).status == "chosen"
+        assert verify_record(store(path, lines[:-1])).status == "chosen"
+        lines[0]["environment"]["machine"] = "abacus"
+        assert verify_record(store(path, lines)).status == "chosen"
+        lines[0]["chemlab"] = "9.9"
+        assert verify_record(store(path, lines)).status == "other"
+        lines[-1]["end"]["score"] += 1.0
+        lines[0]["chemlab"] = chemlab.__version__
+        assert verify_record(store(path, lines)).status == "tampered"
+
+
+@pytest.mark.parametrize("split", ["train", "private:salt"])
+def test_a_world_is_its_numbers(split: str, tmp_path: Path) -> None:
+    """Without a seed, or without the salt of a split, a world's values follow from its number all the same."""
+    path, seed = tmp_path / "a.jsonl", None if split == "train" else 3
+    other = in_a_world(path, None, 4, split)[0]["hidden"]["world"]
+    lines = in_a_world(path, None, 3, split)
+    lines[0]["seed"] = seed
+    result = verify_record(store(path, lines))
+    assert result.status == "ok"
+    assert any("world's number" in note for note in result.notes)
+    # The values of another world, played honestly, under its own number and under that of this one.
+    honest = in_a_world(path, other["values"], 3, split)
+    for number, status in ((other["number"], "ok"), (lines[0]["hidden"]["world"]["number"], "tampered")):
+        forged = json.loads(json.dumps(honest))
+        forged[0].update(seed=seed, options={})
+        forged[0]["hidden"]["world"]["number"] = number
+        result = verify_record(store(path, forged))
+        assert result.status == status, result.message
+        assert result.key.startswith("hidden.world.values") == (status == "tampered")
+    # A number of another split, and none at all.
+    for number in (lines[0]["hidden"]["world"]["number"] ^ 1, -1, 2**64, 1.5, "1", None, True):
+        forged = json.loads(json.dumps(lines))
+        forged[0]["hidden"]["world"]["number"] = number
+        result = verify_record(store(path, forged))
+        assert (result.status, result.where) == ("tampered", "header"), (number, result.message)
+
+
+def test_a_goal_that_was_asked_for_is_the_goal(tmp_path: Path) -> None:
+    lines = load(play(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"}))
+    lines[0]["seed"] = None
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).status == "ok"
+    lines[0]["goals"] = ["dodecane"]
+    assert verify_record(store(tmp_path / "a.jsonl", lines)).where == "header"
 
 
 def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from chemlab.files import draft_of, open_regular, sync_file, sync_folder
+from chemlab.files import draft_of, naming, open_regular, sync_file, sync_folder
 
 from ..learners import load_learner, save_learner
 from ..runs import Run
@@ -68,7 +68,8 @@ def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: 
     draft = run.checkpoints / f"new-{step}"
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)
-    write(draft)
+    with naming(draft):
+        write(draft)
     run.keep_lines(draft)
     if best:
         copy = run.checkpoints / f"new-best-{step}"

@@ -6,17 +6,18 @@ learns is evaluated, and checkpoints are written.
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from chemlab.files import write_text
+from chemlab.files import naming, write_text
 from chemlab.laboratory.core import Laboratories
 from chemlab.scenario import Scenario, load_scenario
 
@@ -281,21 +282,41 @@ def open_run(
 
 
 class _Purging(TensorBoardOutputFormat):
-    """Hides what a run that was killed had logged past its last checkpoint."""
+    """Hides what a run that was killed had logged past its last checkpoint; errors of the disk name its folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
+        self._folder = folder
         # The point at the checkpoint's own step has been logged; a hidden one would be a gap.
-        self.writer = SummaryWriter(str(folder), purge_step=step + 1 if step else 0)
+        with naming(folder):
+            self.writer = SummaryWriter(str(folder), purge_step=step + 1 if step else 0)
         self._is_closed = False
+
+    def write(self, *args: Any, **more: Any) -> None:
+        """See :class:`stable_baselines3.common.logger.KVWriter`."""
+        with naming(self._folder):
+            super().write(*args, **more)
+
+    def close(self) -> None:
+        """See :class:`stable_baselines3.common.logger.KVWriter`."""
+        with naming(self._folder):
+            super().close()
 
 
 @contextmanager
 def _tensorboard(run: Run, step: int) -> Iterator[Logger]:
-    logger = Logger(str(run.tensorboard), [_Purging(run.tensorboard, step)])
+    others = threading.excepthook
+
+    def told(error: threading.ExceptHookArgs) -> None:
+        # TensorBoard's thread writes the file; what it could not write is an error of the next call, too.
+        if type(error.thread).__name__ != "_AsyncWriterThread":
+            others(error)
+
+    threading.excepthook = told
     try:
-        yield logger
+        with closing(Logger(str(run.tensorboard), [_Purging(run.tensorboard, step)])) as logger:
+            yield logger
     finally:
-        logger.close()
+        threading.excepthook = others
 
 
 def train_in_rounds(

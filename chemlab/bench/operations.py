@@ -90,10 +90,10 @@ class ImageState(NamedTuple):
 
     changed: Annotated[BoolArray, Array("N P", first=True)]
     """[N, P] whether the last action changed a vessel, so that its layers have to be worked out again"""
-    layers: Annotated[IntArray, Array("N P C+1", first=None)]
+    layers: Annotated[IntArray, Array("N P C+1")]
     """[N, P, C + 1] and profile [N, P, C, pixels]: the layers of its vessels"""
-    profile: Annotated[FloatArray, Array("N P C pixels", first=None)]
-    image: Annotated[FloatArray, Array("N P pixels", first=None)]
+    profile: Annotated[FloatArray, Array("N P C pixels")]
+    image: Annotated[FloatArray, Array("N P pixels")]
     """[N, P, pixels] what the camera saw last"""
     elapsed: Annotated[FloatArray, Array("N", kept=False)]
     """[N] how far the vessels settle during the action that is being carried out"""

@@ -8,8 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, check_target, write_text
-from .common import AddressOption, JsonOption, ProcessesOption, ScenarioArgument, app, out, readable_errors
+from ..files import check_folder, write_text
+from .common import (
+    AddressOption,
+    JsonOption,
+    ProcessesOption,
+    ScenarioArgument,
+    app,
+    check_result,
+    out,
+    readable_errors,
+)
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -45,7 +54,7 @@ def audit(
         if keep is not None:
             check_folder(keep)
         if output is not None:
-            check_target(output)
+            check_result(output, scenario)
         with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=job_count(spec, chosen))
             found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task))

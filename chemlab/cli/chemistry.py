@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_target, write_text
+from ..files import check_apart, check_target, write_text, write_texts
 from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
@@ -51,12 +51,13 @@ RateOption = Annotated[
 ]
 
 
-def _free(path: Path, force: bool) -> None:
-    """Refuse to write over something."""
+def _free(path: Path, force: bool, *read: Path) -> None:
+    """Refuse to write over something, whatever is forced over what is ``read``."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
     if path.exists() and not force:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+    check_apart([path], read)
     check_target(path)
 
 
@@ -89,18 +90,17 @@ def _known(files: Sequence[Path] | None) -> dict[str, Material]:
     return {**shipped_materials(), **load_materials(files or ())}
 
 
-def _write_pairs(
-    path: Path, two: list[tuple[str, str]], known: dict[str, Material], command: str, ideal: bool
-) -> list[dict[str, Any]]:
-    """Make some pairs and write them."""
+def _made_pairs(
+    two: list[tuple[str, str]], known: dict[str, Material], command: str, ideal: bool
+) -> tuple[str, list[dict[str, Any]]]:
+    """Make some pairs; returns the text of their file, and its rows."""
     from ..openchem.activity import make_pairs
     from ..openchem.writing import pair_text
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
         rows = make_pairs(two, known, None, lambda _: progress.advance(task), ideal)
-    write_text(path, pair_text(rows, command))
-    return rows
+    return pair_text(rows, command), rows
 
 
 def _show_ideal(rows: Iterable[Mapping[str, Any]]) -> None:
@@ -132,8 +132,11 @@ def material(
     from ..openchem import compounds
     from ..openchem.writing import material_text
 
-    for path in filter(None, (output, pairs)):
-        _free(path, force)
+    results = [path for path in (output, pairs) if path is not None]
+    check_apart(results)
+    for path in results:
+        _free(path, force, *(values or ()))
+    own = compounds.own_values(values or ())
     wanted = compounds.compounds(what or [], _named(name))
     if not wanted:
         raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
@@ -142,22 +145,28 @@ def material(
     for compound in new:
         if compound.key in _known(None):
             raise ValueError(f"{compound.key}: is another material that is shipped; give it an id with --name KEY=WHAT")
+    strangers = sorted(set(own) - {compound.key for compound in new})
+    if strangers:
+        raise ValueError(
+            f"--values: {strangers[0]}: is none of the materials that are written: "
+            f"{', '.join(compound.key for compound in new) or 'all that were asked for are shipped'}"
+        )
     words = [*(what or []), *_given({"--name": name, "--values": values})]
     tables: dict[str, Any] = {}
+    texts: dict[Path, str] = {}
     if new:
         with counting() as progress:
             task = progress.add_task("materials", total=len(new))
-            own = compounds.own_values(values or ())
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
-        write_text(output, material_text(tables, _command("material", *words)))
+        texts[output] = material_text(tables, _command("material", *words))
     keys = [*shipped.values(), *tables]
-    files = [output] if new else []
-    known = _known(files)
+    known = _known(None) | compounds.checked_materials(tables)
     two = _missing_pairs(keys, known)
     rows: list[dict[str, Any]] = []
     if pairs is not None:
-        words = [*keys, *_given({"--materials": files}), *(["--ideal"] if ideal else ())]
-        rows = _write_pairs(pairs, two, known, _command("pairs", *words), ideal)
+        words = [*keys, *_given({"--materials": [output] if new else []}), *(["--ideal"] if ideal else ())]
+        texts[pairs], rows = _made_pairs(two, known, _command("pairs", *words), ideal)
+    write_texts(texts)
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
         return
@@ -227,7 +236,7 @@ def pairs(
     """
     from ..pairs import shipped_pairs
 
-    _free(output, force)
+    _free(output, force, *(materials or ()))
     if len(names) < 2:
         raise ValueError("a pair is of two materials; name one more")
     known = _known(materials)
@@ -236,7 +245,8 @@ def pairs(
     if not two:
         raise ValueError(f"all {len(every)} pairs are shipped, and scenarios have them without a file; name others")
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
-    rows = _write_pairs(output, two, known, _command("pairs", *words), ideal)
+    text, rows = _made_pairs(two, known, _command("pairs", *words), ideal)
+    write_text(output, text)
     if as_json:
         typer.echo(json.dumps(rows))
         return
@@ -285,11 +295,15 @@ def reactions(
     from ..openchem.identity import compound_of
     from ..openchem.writing import family_text, material_text
 
-    beside = output.with_name(f"{output.stem}_materials.toml")
-    _free(output, force)
-    texts = [*smarts, *(side or ())]
-    rates, own = _rates(len(texts), {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium}, source)
-    made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(texts, rates, strict=True))]
+    read = [*(materials or ()), *(values or ())]
+    _free(output, force, *read)
+    beside = output.parent / f"{output.stem}_materials.toml"
+    given_values = compounds.own_values(values or ())
+    smarts_of = [*smarts, *(side or ())]
+    rates, own = _rates(
+        len(smarts_of), {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium}, source
+    )
+    made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(smarts_of, rates, strict=True))]
     known, named = _known(materials), _named(name)
     everybody = [*reactants, *(more or ())]
     found, species = templates.expand(made, everybody, known, named, generations)
@@ -303,14 +317,19 @@ def reactions(
     tables: dict[str, Any] = {}
     wanted: list[Compound] = []
     if strangers:
-        _free(beside, force)
+        _free(beside, force, *read)
         wanted = [compound_of(smiles, key, structure=True) for key, smiles in strangers.items()]
-        tables = compounds.material_tables(wanted, compounds.own_values(values or ()))
+        tables = compounds.material_tables(wanted, given_values)
         known |= compounds.checked_materials(tables)
+    elif given_values:
+        raise ValueError(
+            f"--values: {min(given_values)}: is none of the materials that are written: all of them are known"
+        )
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
+    texts = {output: family_text(family)}
     if strangers:
-        write_text(beside, material_text(tables, command))
-    write_text(output, family_text(family))
+        texts[beside] = material_text(tables, command)
+    write_texts(texts)
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
@@ -418,15 +437,18 @@ def new(
     from ..scenario import load_scenario
 
     path = output or Path(f"{name}.toml")
-    own = path.with_name(f"{path.stem}_pairs.toml")
-    _free(path, force)
+    read = [*(materials or ()), *(pairs or ())]
+    _free(path, force, *read)
+    own = path.parent / f"{path.stem}_pairs.toml"
     asking = sys.stdin.isatty()
     reactions = reactions or (typer.prompt("reaction file") if asking else "")
     if not reactions:
         raise ValueError("--reactions: name a reaction file (chemlab reactions makes one)")
     file = Path(reactions)
     files = list(materials or ())
-    made = file.with_name(f"{file.stem}_materials.toml")
+    made = file.parent / f"{file.stem}_materials.toml"
+    read += [file, made] if file.suffix == ".toml" else []
+    check_apart([path], read)
     if made.exists() and made not in files:
         files.append(made)
     known = _known(files)
@@ -452,7 +474,7 @@ def new(
         *(["--ideal"] if ideal else ()),
     )  # fmt: skip
     if missing:
-        _free(own, force)
+        _free(own, force, *read)
 
     def places(own_pairs: Path, name_of: Callable[[Path], str]) -> dict[str, Any]:
         pair_files = [*(pairs or ()), *([own_pairs] if missing else ())]
@@ -464,15 +486,18 @@ def new(
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "pairs.toml"
+        text = ""
         if missing:
-            rows = _write_pairs(draft, missing, known, command, ideal)
+            text, rows = _made_pairs(missing, known, command, ideal)
+            write_text(draft, text)
             at_hand |= load_pairs([draft])
         beside = places(own, lambda other: designs.beside(other, path.parent))
         made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
         spec = load_scenario({**made_for.tables, **places(draft, lambda other: str(other.resolve()))})
-        if missing:
-            write_text(own, draft.read_text(encoding="utf-8"))
-    write_text(path, designs.scenario_text(made_for.tables, command))
+    texts = {path: designs.scenario_text(made_for.tables, command)}
+    if missing:
+        texts[own] = text
+    write_texts(texts)
     _show_ideal(rows)
     benches = ", ".join(spec.benches)
     play = plain(_command("run", path))

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 from typer.core import TyperGroup
 
 from .. import __version__
 from ..datafile import DataError
+from ..files import check_apart, check_target
 from ..parts import strangers_code
 from .screen import err, out, page, plain
 
@@ -29,6 +34,8 @@ __all__ = [
     "SplitOption",
     "TrustOption",
     "app",
+    "check_apart_from",
+    "check_result",
     "chosen_agents",
     "err",
     "out",
@@ -37,6 +44,7 @@ __all__ = [
 ]
 
 _shown = {"traceback": False}
+_RICH = Console.print.__code__.co_filename
 
 
 @contextmanager
@@ -63,12 +71,31 @@ def _message(error: Exception) -> str:
     """One line; of what the system says, the file first."""
     if isinstance(error, OSError) and error.strerror:
         files = [str(file) for file in (error.filename, error.filename2) if file is not None]
+        if not files and _was_printing(error):
+            files = ["standard output"]
         return ": ".join([" -> ".join(files), error.strerror] if files else [error.strerror])
     return str(error) or type(error).__name__
 
 
+def _was_printing(error: BaseException) -> bool:
+    """Whether an error comes from printing something."""
+    frames = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return any(code.co_name == "echo" or code.co_filename == _RICH for code in frames)
+
+
 class _Commands(TyperGroup):
     """The commands; whatever one of them ends with can be read."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        # As a path, nothing would be the current folder.
+        for before, word in zip(["", *args], args, strict=False):
+            option = before if word == "" else word[:-1]
+            if word == "" or re.fullmatch("--[a-z-]+=", word):
+                given = f"{option}: " if option.startswith("-") else ""
+                raise typer.BadParameter(f"{given}must not be empty; give a value, or leave it out for the default")
+        with readable_errors():  # of --help, whose text is printed here
+            parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
 
     def invoke(self, ctx: Any) -> Any:
         with readable_errors():
@@ -177,3 +204,29 @@ def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> li
     if unknown:
         raise ValueError(f"{what}: nobody is called {', '.join(sorted(unknown))}; known: {', '.join(kinds)}, all")
     return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(wanted)]
+
+
+def check_apart_from(path: Path, *read: str | Path) -> None:
+    """See that a result replaces none of the files that a command reads.
+
+    Args:
+        path: of the result.
+        read: paths, or words with paths in them: scenarios and policies as a command takes them.
+
+    Raises:
+        ValueError: it would; the message names the file.
+    """
+    words = [word for one in read for word in ([str(one)] if isinstance(one, Path) else re.split("[,=]", one))]
+    # A word without a suffix is a name, though a file may be called so.
+    check_apart([path], [file for word in words if (file := Path(word.removeprefix("plan:"))).suffix])
+
+
+def check_result(path: Path, *read: str | Path) -> None:
+    """See that a result can be written, and replaces none of the files that the command reads.
+
+    Raises:
+        ValueError: it cannot, or would (see :func:`check_apart_from`).
+        OSError: no file can be called so.
+    """
+    check_apart_from(path, *read)
+    check_target(path)

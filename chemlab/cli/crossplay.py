@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, check_target, write_text
+from ..files import check_folder, write_text
 from .common import (
     AddressOption,
     JsonOption,
@@ -17,6 +17,7 @@ from .common import (
     SplitOption,
     TrustOption,
     app,
+    check_result,
     readable_errors,
 )
 from .screen import counting, page, show_table
@@ -69,7 +70,7 @@ def crossplay(
         if keep is not None:
             check_folder(keep)
         if output is not None:
-            check_target(output)
+            check_result(output, scenario, *(manager or ()), *(benches or ()))
         managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
         with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))

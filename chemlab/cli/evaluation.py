@@ -8,8 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, check_target, write_text
-from .common import AddressOption, JsonOption, SeedOption, SplitOption, TrustOption, app, out, readable_errors
+from ..files import check_folder, write_text
+from .common import (
+    AddressOption,
+    JsonOption,
+    SeedOption,
+    SplitOption,
+    TrustOption,
+    app,
+    check_result,
+    out,
+    readable_errors,
+)
 from .screen import counting, plain, show_table
 
 __all__: list[str] = []
@@ -54,7 +64,7 @@ def evaluate(
         from ..agents.executors import executor
 
         if output is not None:
-            check_target(output)
+            check_result(output, target, baseline, *(policy or ()))
         chosen = find_target(target, bench, starts, split)
         policies = policy or ["heuristic", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_marks, check_target, replace_between
+from ..files import check_marks, replace_between
 from .common import (
     EpisodesOption,
     JsonOption,
@@ -20,6 +20,8 @@ from .common import (
     SplitOption,
     TrustOption,
     app,
+    check_apart_from,
+    check_result,
     chosen_agents,
     prepare,
 )
@@ -192,6 +194,8 @@ def run(
     _, env = prepare(scenario, quiet=as_json, split=split)
     seeds = range(seed, seed + episodes)
     recorders = _recorders(env, policy, seeds, record, force)
+    for recorder in recorders.values():
+        check_apart_from(recorder.path, scenario, policy)
     if as_json:
         for result in _play(env, policy, seeds, recorders=recorders):
             typer.echo(json.dumps(result.as_dict()))
@@ -308,7 +312,7 @@ def compare(
     rows: list[dict[str, Any]] = []
     if update is not None:
         check_marks(update, "results")
-        check_target(update)
+        check_result(update, *(scenarios or ()), *policies)
     with Progress(console=err, transient=True) as progress:
         prepared = [prepare(name, quiet=True, split=split) for name in scenarios or scenario_names()]
         for _, env in prepared:  # who cannot play is found before anybody has
@@ -402,7 +406,7 @@ def starts(
         from ..laboratory.starts import starts_file, write_starts
 
         path = output or starts_file(spec)
-        check_target(path)
+        check_result(path, scenario)
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
         write_starts(path, spec, vessels)

@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..files import check_target
-from .common import EpisodesOption, JsonOption, ScenarioArgument, SeedOption, TrustOption, app, out, readable_errors
+from .common import (
+    EpisodesOption,
+    JsonOption,
+    ScenarioArgument,
+    SeedOption,
+    TrustOption,
+    app,
+    check_result,
+    out,
+    readable_errors,
+)
 from .screen import counting, plain
 
 if TYPE_CHECKING:
@@ -50,7 +59,7 @@ def plan(
         spec = load_scenario(scenario)
         most = plan_budget(budget)
         if output is not None:
-            check_target(output)
+            check_result(output, scenario, benches)
         with counting() as progress:
             task = progress.add_task("plans", total=most)
             search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import JsonOption, ScenarioArgument, SeedOption, SplitOption, TrustOption, app, chosen_agents, prepare
+from .common import (
+    JsonOption,
+    ScenarioArgument,
+    SeedOption,
+    SplitOption,
+    TrustOption,
+    app,
+    check_apart_from,
+    chosen_agents,
+    prepare,
+)
 from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
@@ -127,6 +137,8 @@ def play(
     policies: dict[str, Policy] = {agent: policy for agent, (_, policy) in others.items()}
     names = {agent: "human" if agent in people else others[agent][0] for agent in labs.agents}
     recorder = None if record is None else Recorder(record, labs, policies=names, force=force)
+    if record is not None:
+        check_apart_from(record, scenario, background)
     told = _Told(env, people)
     for agent in people:
         policies[agent] = HumanPolicy(labs, labs.agents.index(agent), _ask(), page, told.flush)

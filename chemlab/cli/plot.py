@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_target
-from .common import TrustOption, app
+from .common import TrustOption, app, check_result
 from .screen import out, plain
 
 __all__: list[str] = []
@@ -25,7 +24,7 @@ OutputOption = Annotated[
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace the picture if it is there already.")]
 
 
-def _save(path: Path, force: bool, draw: Callable[[], Any]) -> None:
+def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None:
     """Draw into a file; what is in the way or has no such format is found before anything is drawn."""
     from ..render.figure import FORMATS, SETTINGS, import_matplotlib, save_figure
 
@@ -33,14 +32,14 @@ def _save(path: Path, force: bool, draw: Callable[[], Any]) -> None:
         raise ValueError(f"{path}: ends with {path.suffix or 'nothing'}; known: {', '.join(FORMATS)}")
     if path.exists() and not force:
         raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
-    check_target(path)
+    check_result(path, *read)
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)
     out.print(plain(path))
 
 
 def _beside(record: Path, kind: str) -> Path:
-    return record.with_name(f"{record.name.removesuffix('.part').rpartition('.')[0] or record.name}-{kind}.png")
+    return record.parent / (f"{record.name.removesuffix('.part').rpartition('.')[0] or record.name}-{kind}.png")
 
 
 @plot.command()
@@ -65,7 +64,7 @@ def timeline(
     from ..record import read_record
     from ..render.charts import draw_timeline
 
-    _save(output or _beside(record, "timeline"), force, lambda: draw_timeline(read_record(record), trust))
+    _save(output or _beside(record, "timeline"), force, lambda: draw_timeline(read_record(record), trust), record)
 
 
 @plot.command()
@@ -76,7 +75,7 @@ def spectra(
     from ..record import read_record
     from ..render.charts import draw_spectra
 
-    _save(output or _beside(record, "spectra"), force, lambda: draw_spectra(read_record(record), trust))
+    _save(output or _beside(record, "spectra"), force, lambda: draw_spectra(read_record(record), trust), record)
 
 
 @plot.command()
@@ -93,4 +92,5 @@ def moles(
     from ..record import read_record
     from ..render.charts import draw_moles
 
-    _save(output or _beside(record, "moles"), force, lambda: draw_moles(read_record(record), trust, only or ()))
+    picture = output or _beside(record, "moles")
+    _save(picture, force, lambda: draw_moles(read_record(record), trust, only or ()), record)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import JsonOption, TrustOption, app, err, out, readable_errors
+from .common import JsonOption, TrustOption, app, check_result, err, out, readable_errors
 from .screen import counting, plain
 
 if TYPE_CHECKING:
@@ -22,9 +22,10 @@ _COLORS = {
     "torn": "yellow",
     "other": "yellow",
     "foreign": "yellow",
+    "chosen": "yellow",
     "unchecked": "red",
 }
-_WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "torn", "ok")
+_WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
 @app.command()
@@ -50,8 +51,8 @@ def verify(
 
     Ends with 0 if every record is right, 1 if something in one is not what happens (the first difference is named),
     3 if the end is missing, 4 if it is of another version or platform, 5 if it is no record or cannot be played here,
-    6 if it is right but on a scenario that is neither shipped nor given; of several records, with the first of 1, 5, 4,
-    6, 3 there is.
+    6 if it is right but on a scenario that is neither shipped nor given, 7 if it is right but in a world that was asked
+    for; of several records, with the first of 1, 5, 4, 6, 7, 3 there is.
     """
     from ..record import EXIT_CODES, verify_record
 
@@ -103,14 +104,14 @@ def replay(
 ) -> None:
     """Make a page of a record: one HTML file to look through the episode with, which needs no network."""
     with readable_errors():
-        from ..files import check_target, write_text
+        from ..files import write_text
         from ..record import read_record
         from ..render.replay import replay_page
 
-        path = output or file.with_suffix(".html")
+        path = output or file.parent / f"{file.stem}.html"
         if path.exists() and not force:
             raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
-        check_target(path)
+        check_result(path, file)
         record = read_record(file)
         if record.torn:
             err.print(f"{plain(file)}: the end is missing; the page shows the episode as far as it goes")

@@ -16,6 +16,8 @@ from rich.text import Text
 
 __all__ = ["TextConsole", "counting", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
 
+_NARROWEST, _USUAL = 20, 80
+"""Columns of text below which a terminal's word is not taken, and where it says none."""
 _NOISE = 1e-9
 """Safety events below this (mol, L or whatever they are in) are what rounding leaves of none."""
 
@@ -26,6 +28,8 @@ class TextConsole(Console):
 
     def __init__(self, *, stderr: bool = False, soft_wrap: bool = False) -> None:
         super().__init__(stderr=stderr, soft_wrap=soft_wrap, highlight=False, emoji=False)
+        if self.width < _NARROWEST:  # where it is 0, nothing would be shown at all
+            self.width = _NARROWEST if self.width else _USUAL
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """See :meth:`rich.console.Console.render`."""
@@ -114,6 +118,8 @@ def _widths(rows: Sequence[Sequence[Text]], most: int) -> list[int] | None:
 def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
     for row in rows:
         grid = Table.grid(padding=(0, 1))
+        for _ in range(2):
+            grid.add_column(overflow="fold")  # no letter is left out
         for name, cell in zip(head, row, strict=True):
             grid.add_row(Text(f"  {name}:"), cell)
         page.print(grid)

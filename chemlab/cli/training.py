@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
-from ..files import check_target
+from ..files import check_apart, check_target
 from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
 
@@ -307,7 +307,9 @@ def export(
         from ..agents.training.export import export_run
 
         for ending in (".json", ".safetensors"):
-            check_target(to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}"))
+            target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
+            check_target(target)
+            check_apart([target], (file for file in run.rglob("*") if file.is_file()))
         card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))

@@ -21,6 +21,7 @@ from ..world import (
     BOTTLE,
     DEVICE_QUANTITIES,
     ORDER_QUANTITIES,
+    SPLITS,
     VESSEL_QUANTITIES,
     Draw,
     Split,
@@ -36,10 +37,25 @@ from ..world import (
 )
 from .manager import rest_on_shelf
 
-__all__ = ["World", "Worlds", "world_chemistry"]
+__all__ = ["NumberedWorld", "World", "Worlds", "world_chemistry"]
 
-World = int | Mapping[str, Any]
-"""Which world an episode is to have: the one of a seed, or one with some of its values given, by draw and target."""
+
+@dataclass(frozen=True)
+class NumberedWorld:
+    """The world with a number, as a record names it.
+
+    Attributes:
+        number: of the world, which says its split, too (see :mod:`chemlab.world`).
+        given: values in the place of those drawn, by draw and target.
+    """
+
+    number: int
+    given: Mapping[str, Any] | None = None
+
+
+World = int | Mapping[str, Any] | NumberedWorld
+"""Which world an episode is to have: the one of a seed, one with some of its values given, by draw and target, or the
+one that a record names."""
 
 _SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point", "bottle_share", "bottle_rest"})
 """Parameters that may not be drawn: they hang together, order materials, or are drawn as what is in a bottle."""
@@ -296,12 +312,18 @@ class Worlds:
         Raises:
             ValueError: the scenario draws nothing, or not what was given; nothing has changed.
         """
-        if world is not None:
+        if isinstance(world, NumberedWorld):
+            self._check_number(world.number)
+            self.check(world.given or {})
+        elif world is not None:
             self.check(world)
         if not self.active:
             return
         drawn = self.table.arrays
-        if isinstance(world, Mapping) or world is None:
+        if isinstance(world, NumberedWorld):
+            drawn.work[members, 0] = np.uint64(world.number)
+            world = world.given
+        elif isinstance(world, Mapping) or world is None:
             next_numbers(members, self.table.handle, self.split.number)
         else:
             drawn.work[members, 0] = np.uint64(self.split.world(int(world)))
@@ -323,6 +345,14 @@ class Worlds:
             given_values(self._spec, world, self._shelf.layout.materials)
         elif isinstance(world, bool) or not isinstance(world, (int, np.integer)) or world < 0:
             raise ValueError(f"world: must be a seed, or a table of values, given {world!r:.100}")
+
+    def _check_number(self, number: Any) -> None:
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**64:
+            raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
+        if number & 3 != self.split.number:
+            of = [*SPLITS, "private"][number & 3]
+            name = self.split.name.partition(":")[0]
+            raise ValueError(f"world: number {number} is of split {of} and must be of {name}")
 
     def _set_parameters(self, members: IntArray) -> None:
         parameters, rows = self._shelf.chemistry.parameters, 1 + members
@@ -405,16 +435,6 @@ class Worlds:
     def number(self, member: int) -> int:
         """Number of a laboratory's world."""
         return int(self.table.arrays.number[member, 0])
-
-    def renumber(self, member: int, number: Any) -> None:
-        """Say which world it is whose values a laboratory has been given.
-
-        Raises:
-            ValueError: no world has this number.
-        """
-        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**64:
-            raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
-        self.table.arrays.number[member, 0] = np.uint64(number)
 
     def values(self, member: int) -> dict[str, Any]:
         """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.world.named_values`)."""

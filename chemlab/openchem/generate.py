@@ -21,7 +21,7 @@ from typing import Any
 
 from ..datafile import DataError
 from ..datamodel import validated
-from ..files import write_text
+from ..files import check_target, write_texts
 from ..inherit import completed
 from ..materials import Material, shipped_materials
 from ..physics.constants import GAS_CONSTANT
@@ -122,7 +122,7 @@ class Generated:
         return texts
 
     def write(self, folder: str | Path, force: bool = False) -> Path:
-        """Write the files next to each other.
+        """Write the files next to each other, all or none.
 
         Args:
             folder: where; made if it is not there.
@@ -132,15 +132,15 @@ class Generated:
             Path of the scenario.
 
         Raises:
-            ValueError: a file is there already.
+            ValueError: a file is there already, or one cannot be written there.
         """
         texts = {Path(folder) / name: text for name, text in self.files().items()}
         there = [path for path in texts if path.exists()]
         if there and not force:
             raise ValueError(f"{there[0]}: is already there; choose another name or folder, or replace it with --force")
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        for path, text in texts.items():
-            write_text(path, text)
+        for path in texts:
+            check_target(path)
+        write_texts(texts)
         return next(iter(texts))
 
 

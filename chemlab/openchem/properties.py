@@ -385,15 +385,23 @@ class Properties:
         """K"""
         boils = self.boiling_point
         given = self.given.get("critical_temperature_k")
+        if given and boils is not None and given.number <= boils.number:
+            raise DataError(
+                f"{self.compound.key}: critical_temperature_k = {given.number:g} must be above the boiling point, "
+                f"{boils.number:g} K [{boils.source}]; give another value, or boiling_point_k, too"
+            )
         known = given or (None if self._boils_by_estimate() else self._constant("Tc"))
         if known is not None and (given or boils is None or known.number > 1.1 * boils.number):
             return known
         if boils is None:
             return None
         if self._joback:
-            return self._estimate("Tc", _JOBACK, self._joback.Tc(self._joback.counts, boils.number))
-        wilson = chemicals.Tc(self.compound.cas, method="WILSON_JASPERSON") if self.compound.cas else None
-        return self._estimate("Tc", "Wilson and Jasperson (1996)", wilson)
+            found = self._estimate("Tc", _JOBACK, self._joback.Tc(self._joback.counts, boils.number))
+        else:
+            wilson = chemicals.Tc(self.compound.cas, method="WILSON_JASPERSON") if self.compound.cas else None
+            found = self._estimate("Tc", "Wilson and Jasperson (1996)", wilson)
+        # Of very large molecules Joback's polynomial makes a critical point that is below the boiling point, or 0 K.
+        return found if found is not None and found.number > boils.number else None
 
     @functools.cached_property
     def critical_pressure(self) -> Value | None:

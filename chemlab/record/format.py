@@ -22,6 +22,7 @@ from ..scenario import Scenario, dump_scenario, restore_scenario
 __all__ = [
     "FORMAT",
     "LIMITS",
+    "FormatError",
     "Header",
     "HeaderError",
     "Record",
@@ -35,8 +36,9 @@ __all__ = [
     "to_text",
 ]
 
-FORMAT = {"name": "chemlab-episode", "version": 2}
-"""What the first line of every record begins with; the version counts up when a reader would have to change."""
+FORMAT = {"name": "chemlab-episode", "version": 3}
+"""What the first line of every record begins with; the version counts up when a reader would have to change, or the
+same episode would have another record."""
 
 _HASH_BYTES = 8
 
@@ -66,6 +68,10 @@ LIMITS = _Limits()
 
 class RecordError(ValueError):
     """A file is no record, or cannot be played again here; the message says why."""
+
+
+class FormatError(RecordError):
+    """A record is of another format than the one that is read here."""
 
 
 class HeaderError(RecordError):
@@ -156,6 +162,7 @@ class Record:
         turns: one a turn, up to the first line that is not one.
         end: the result, or None where the file ends before it.
         broken: (number of the first line that is none of a record, what is the matter), or None.
+        notes: how the file's line ends differ from a recorder's, where all lines are there.
         lines: the bytes that header, turns and end were read from.
     """
 
@@ -164,6 +171,7 @@ class Record:
     turns: list[dict[str, Any]] = field(default_factory=list)
     end: dict[str, Any] | None = None
     broken: tuple[int, str] | None = None
+    notes: list[str] = field(default_factory=list)
     lines: list[bytes] = field(default_factory=list, repr=False)
 
     @property
@@ -175,16 +183,16 @@ class Record:
         """The first line, checked key by key.
 
         Raises:
-            RecordError: it is of another format.
+            FormatError: it is of another format.
             HeaderError: a key is missing, unknown or out of bounds; the message names it.
         """
         form = self.header["format"]
         if form != FORMAT:
             made = self.header.get("chemlab")
             by = f", made by chemlab {short(made)}" if made else ""
-            raise RecordError(
-                f"{self.path}: is of format {short(form.get('version'))}{by}; "
-                f"this chemlab reads format {FORMAT['version']}: use the one it was made by"
+            raise FormatError(
+                f"{self.path}: is of format {short(form.get('version'))}{by}; this chemlab reads format "
+                f"{FORMAT['version']}: read it with the chemlab that made it, or record the episode again"
             )
         try:
             header: Header = validated(Header, self.header, f"{self.path}: header")
@@ -196,6 +204,8 @@ class Record:
 def read_record(path: str | Path) -> Record:
     """Read a record, or as much of one as there is.
 
+    Line ends may be those of another system, as version control and editors make them, and the last may be missing.
+
     Raises:
         RecordError: there is no such file, it is no record of an episode, or it is larger than :data:`LIMITS`.
     """
@@ -203,10 +213,19 @@ def read_record(path: str | Path) -> Record:
     content = _content(path)
     lines = content.split(b"\n", LIMITS.turns + 3)
     whole, tail = lines[:-1], lines[-1]
-    if len(whole) > LIMITS.turns + 2:
-        raise RecordError(f"{path}: has more than {LIMITS.turns} turns")
     if sum(content.count(mark) for mark in (b",", b":", b"[", b"{")) > LIMITS.values:
         raise RecordError(f"{path}: has more than {LIMITS.values} values")
+    notes = []
+    if whole and all(line.endswith(b"\r") for line in whole):
+        whole, tail = [line[:-1] for line in whole], tail.removesuffix(b"\r")
+        notes.append(
+            "has lines that end with CR LF instead of LF, as version control or an editor may have changed them"
+        )
+    if _whole(tail):
+        whole, tail = [*whole, tail], b""
+        notes.append("has no newline at the end of its last line")
+    if len(whole) > LIMITS.turns + 2:
+        raise RecordError(f"{path}: has more than {LIMITS.turns} turns")
     record: Record | None = None
     for number, text in enumerate(whole, start=1):
         try:
@@ -220,7 +239,7 @@ def read_record(path: str | Path) -> Record:
             form = line.get("format")
             if not isinstance(form, dict) or form.get("name") != FORMAT["name"]:
                 break
-            record = Record(path, line)
+            record = Record(path, line, notes=notes)
         elif record.end is not None:
             record.broken = number, "stands after the end of the episode"
             return record
@@ -234,6 +253,15 @@ def read_record(path: str | Path) -> Record:
     if record.end is not None and tail:
         record.broken = len(whole) + 1, "stands after the end of the episode"
     return record
+
+
+def _whole(text: bytes) -> bool:
+    """Whether a line without its newline is all there: what is left of an object that was cut off is none."""
+    try:
+        _parse(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _content(path: Path) -> bytes:

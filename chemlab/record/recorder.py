@@ -17,7 +17,7 @@ import numpy as np
 from .. import __version__
 from ..arrays import IntArray, MaskArray, ObservationArray
 from ..chemistry import AMOUNTS, PRESENT, TEMPERATURE
-from ..files import sync_folder
+from ..files import check_target, locked, naming, sync_folder
 from ..laboratory.actions import MEASURE
 from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING, STATUS_WORDS
@@ -36,10 +36,6 @@ class Play(NamedTuple):
     observation: ObservationArray
     mask: MaskArray | None
     action: Any
-
-
-_RUNNING = ("goal", "steps", "supply")
-"""What an experiment that runs keeps besides its stream, where its bench has such."""
 
 
 def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,8 +69,9 @@ class Witness:
                 parts += [array[member : member + 1] for array in condition]
         # Views, which stay: that they are looked up once makes a turn cheaper by a tenth.
         self._parts = [memoryview(part) if part.flags.c_contiguous else part for part in parts if part.size]
+        # All that a bench keeps of an experiment; where its vessels stand in the shelf's rows is no part of it.
         self._running = [
-            (one.busy, one.stream[member], [getattr(one, name) for name in _RUNNING if hasattr(one, name)])
+            (one.busy, one.stream[member], one.table.member(member, without="places"))
             for one in laboratories.experiments
         ]
 
@@ -94,12 +91,14 @@ class Witness:
         version: str = __version__,
     ) -> dict[str, Any]:
         """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
-        labs, hidden = self._labs, self._hidden()
+        labs = self._labs
         split: dict[str, Any] = {}
+        hidden: dict[str, Any] = {}
         if labs.worlds.active:
             # The salt of a private split is nobody else's; its worlds are told by their numbers.
             split = {"split": labs.worlds.split.name.partition(":")[0]}
             hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
+        hidden |= self._hidden()
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
             positions += [f"{agent}.{position}" for position in bench.positions]
@@ -187,10 +186,11 @@ class Witness:
 
     def _state(self) -> str:
         parts = [part if isinstance(part, memoryview) else part.tobytes() for part in self._parts]
-        for busy, stream, others in self._running:
-            parts.append(stream.tobytes())
-            if busy[self._m]:  # an idle bench's other numbers are left over from experiments before
-                parts += [array[self._m].tobytes() for array in others]
+        for busy, stream, fields in self._running:
+            if busy[self._m]:
+                parts += [field.tobytes() for field in fields]
+            else:  # an idle bench's other numbers are left over from experiments before
+                parts.append(stream.tobytes())
         return digest(b"".join(parts))
 
     @property
@@ -214,6 +214,11 @@ class Witness:
             "turns": self.turns,
         }
         return {"end": result}
+
+
+def _is_at(file: BinaryIO, path: Path) -> bool:
+    """Whether an open file is the one at a path."""
+    return os.path.samestat(os.fstat(file.fileno()), path.stat())
 
 
 def environment_here() -> dict[str, str]:
@@ -254,10 +259,10 @@ class Recorder:
         member: which of them.
         policies: names of who plays each agent, for information.
         rounds: turns are rounds, in which all busy benches act on what they saw when the tick began (parallel API).
-        force: replace what is at ``path``.
+        force: replace the file at ``path``.
 
     Raises:
-        ValueError: ``path`` is there already.
+        ValueError: ``path`` is there already, or is no file that can be written.
     """
 
     def __init__(
@@ -270,15 +275,21 @@ class Recorder:
         force: bool = False,
     ) -> None:
         self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
+        self.part = self.path.parent / f"{self.path.name}.part"
         self._labs, self._member = laboratories, member
-        self._policies, self._rounds, self._force = dict(policies or {}), rounds, force
+        self._rounds, self._force = rounds, force
+        # A path from the command line may have bytes that are no text.
+        self._policies = {
+            agent: name.encode(errors="surrogateescape").decode(errors="replace")
+            for agent, name in (policies or {}).items()
+        }
         self._file: BinaryIO | None = None
         self._witness: Witness | None = None
         self._tick = 0
-        for there in () if force else (self.path, self.part):
-            if there.exists():
+        for there in (self.path, self.part):
+            if there.is_file() and not force:
                 raise ValueError(f"{there}: is already there; give another name, or --force to replace it")
+            check_target(there)
 
     def __enter__(self) -> Recorder:
         return self
@@ -298,6 +309,7 @@ class Recorder:
         Raises:
             DataError: a policy's name or the seed is longer than a record may have it.
             OSError: the file cannot be written.
+            ValueError: another process is recording there.
         """
         if self._file is not None:
             raise ValueError(f"{self.path}: its episode is not over; a record holds one episode")
@@ -313,9 +325,26 @@ class Recorder:
         )
         validated(Header, opening, f"{self.path}: header")  # what could not be read again is not written either
         self.part.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self.part.open("wb" if self._force else "xb")
+        self._file = self._opened()
         self._tick = 0
         self._write(opening)
+
+    def _opened(self) -> BinaryIO:
+        """Open the file for this record alone.
+
+        Raises:
+            ValueError: another process is recording there.
+        """
+        file = self.part.open("ab" if self._force else "xb")
+        try:
+            # The process that held the lock may have moved the file to its final name by now.
+            if not (locked(file.fileno()) and self.part.exists() and _is_at(file, self.part)):
+                raise ValueError(f"{self.part}: another process is recording there; wait for it or give another name")
+            file.truncate(0)
+        except BaseException:
+            file.close()
+            raise
+        return file
 
     def turn(self, plays: Sequence[Play]) -> None:
         """Write a turn that has just been played (a round, where the recorder is one of rounds).
@@ -329,12 +358,22 @@ class Recorder:
         self._tick = int(self._labs.state.ticks[self._member])
         if self._witness.over:
             self._write(self._witness.closing())
+            self._finish()
+
+    def _finish(self) -> None:
+        """Give the whole record its final name."""
+        assert self._file is not None
+        with naming(self.part):
             os.fsync(self._file.fileno())
+        if os.name != "posix":  # elsewhere an open file keeps its name
             self.close()
-            if self.path.exists() and not self._force:
-                raise ValueError(f"{self.path}: somebody else has put a file there; the record is {self.part}")
-            self.part.replace(self.path)
-            sync_folder(self.path.parent)
+        if self.path.exists() and not self._force:
+            self.close()
+            raise ValueError(f"{self.path}: somebody else has put a file there; the record is {self.part}")
+        # Before the file is closed, which ends the lock: another process must not empty it in between.
+        self.part.replace(self.path)
+        self.close()
+        sync_folder(self.path.parent)
 
     def _write(self, line: dict[str, Any]) -> None:
         assert self._file is not None
@@ -343,14 +382,13 @@ class Recorder:
         except ValueError as error:
             where = f"turn {line['turn']}" if "turn" in line else "the beginning or the end"
             raise ValueError(f"{self.part}: {where} has a number that is not finite; it cannot be recorded") from error
-        try:
+        with naming(self.part):
             self._file.write(text.encode() + b"\n")
             self._file.flush()
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self.part)) from error
 
     def close(self) -> None:
         """Close the file; the record of an unfinished episode stays ``FILE.part``."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        file, self._file = self._file, None
+        if file is not None:
+            with naming(self.part):
+                file.close()

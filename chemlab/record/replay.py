@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ..bench.models import ReactionModel, SeparationModel
 from ..laboratory.core import Laboratories
 from ..laboratory.state import RUNNING
+from ..laboratory.worlds import NumberedWorld
 from ..materials import DataError
 from ..parts import strangers_code
 from ..world import SPLITS
@@ -74,23 +75,26 @@ class Replay:
         labs, world = self.laboratories, header.options.get("world")
         if world is not None:
             labs.worlds.check(world)
-        told = labs.worlds.active and (header.seed is None or not self.split_known)
-        hidden: Any = header.hidden.get("world") if told else None
-        if told:
-            if not isinstance(hidden, dict) or not isinstance(hidden.get("values"), dict):
-                raise ValueError("hidden.world: says nothing of its values")
-            world = hidden["values"]
+        # Where a world's number does not follow from the seed, it is the record's; its values follow from the number.
+        # A world that was asked for by its seed follows from that, if its split is known.
+        unknown = not self.split_known or (header.seed is None and not isinstance(world, int))
+        if labs.worlds.active and unknown:
+            hidden: Any = header.hidden.get("world")
+            if not isinstance(hidden, dict):
+                raise ValueError("hidden.world: says nothing of its number")
+            number: Any = hidden.get("number")
+            world = NumberedWorld(number, None if isinstance(world, int) else world)
         labs.seed(0, header.seed or 0)
         labs.reset(labs.members, header.options.get("goal"), world)
-        if told:
-            labs.worlds.renumber(0, hidden.get("number"))
-            labs.equip(labs.members)  # whose streams are those of the world with that number
         if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
             streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:
                 raise ValueError(f"streams: must be of {', '.join(labs.agents)}, given {short(list(header.streams))}")
             if len(header.goals) != labs.scenario.orders:
                 raise ValueError(f"goals: must be {labs.scenario.orders}, given {len(header.goals)}")
+            goal = header.options.get("goal")
+            if goal is not None and set(header.goals) != {goal}:
+                raise ValueError(f"goals: must be {goal}, which was asked for, given {short(header.goals)}")
             for agent, stream in zip(labs.agents, streams, strict=True):
                 stream[0, 0] = header.streams[agent]
             labs.state.goal[0] = [labs.goal_index(name) for name in header.goals]

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from .. import __version__
 from ..bench.models import ReactionModel, SeparationModel
 from ..scenario import Scenario, load_scenario, shipped_file
-from .format import Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
+from .format import FormatError, Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
 from .recorder import Witness, environment_here
 from .replay import Replay
 
@@ -21,8 +21,16 @@ __all__ = ["EXIT_CODES", "Status", "Verification", "verify_record"]
 _ROUNDING = 1e-6
 """Relative difference that another processor or compiler may leave in a number by the end of an episode."""
 
-Status = Literal["ok", "tampered", "torn", "other", "unchecked", "foreign"]
-EXIT_CODES: dict[Status, int] = {"ok": 0, "tampered": 1, "torn": 3, "other": 4, "unchecked": 5, "foreign": 6}
+Status = Literal["ok", "tampered", "torn", "other", "unchecked", "foreign", "chosen"]
+EXIT_CODES: dict[Status, int] = {
+    "ok": 0,
+    "tampered": 1,
+    "torn": 3,
+    "other": 4,
+    "unchecked": 5,
+    "foreign": 6,
+    "chosen": 7,
+}
 """What ``chemlab verify`` ends with; 2 is a mistake on the command line."""
 assert set(EXIT_CODES) == set(get_args(Status))
 
@@ -34,8 +42,8 @@ class Verification:
     Attributes:
         status: ``ok``; ``tampered`` (something in it is not what happens); ``torn`` (the end is missing, the rest is
             right); ``other`` (of another version or platform, where numbers may differ: see ``message``); ``foreign``
-            (right, but on a scenario that is neither a shipped one nor the one asked for); ``unchecked`` (no record, or
-            it cannot be played here).
+            (right, but on a scenario that is neither a shipped one nor the one asked for); ``chosen`` (right, but in a
+            world that was asked for and not drawn); ``unchecked`` (no record, or it cannot be played here).
         message: the finding in words.
         turns: number of turns that were played again and found right.
         turn: the first turn that is not, None where there is none or it is the first or the last line.
@@ -128,7 +136,9 @@ class _Check:
                 continue
             self.found = (where, key, one, other)
             return False
-        if same:
+        if same and self.record.lines[number].endswith(b"\r"):
+            self.found = (where, "", "CR LF at the end of the line", "LF, as other lines have")
+        elif same:
             self.found = (where, "", "the line as it is", "the same values, but written otherwise")
         return not same
 
@@ -217,6 +227,8 @@ def verify_record(
         messages, where = [_plain(error, name)], "header" if isinstance(error, HeaderError) else ""
         if record.broken is not None:
             status, messages = "tampered", [_broken(record), *messages]
+        elif isinstance(error, FormatError):
+            status = "other"
         elif other:
             status, messages = "other", [other, *messages]
         return Verification(name, status, "; ".join(messages), where=where)
@@ -259,6 +271,7 @@ def _shipped(name: str) -> tuple[str, str]:
 def _verdict(check: _Check, other: str, foreign: str) -> Verification:
     """The findings as one result, the worst first."""
     record = check.record
+    chosen = "its world was asked for (options.world), not drawn" if "world" in check.header.options else ""
     result = Verification(str(record.path), "ok", "", turns=check.good, score=check.score)
     problems = []
     if check.found is not None:
@@ -281,15 +294,17 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
             f"{check.hashes} hashes of what was seen or hidden differ, which only that platform can tell from invented"
         )
     if problems and (record.broken is not None or not other):
-        result.status, result.message = "tampered", "; ".join([*problems, *filter(None, (other, foreign))])
+        result.status, result.message = "tampered", "; ".join([*problems, *filter(None, (other, foreign, chosen))])
     elif other or deviations:
         result.status = "other"
         elsewhere = f"made on another platform: {', '.join(deviations)}" if deviations else ""
         agree = problems or ["nothing differs by more" if deviations else f"played on it, {played} agree"]
         missing = "the end is missing" if record.torn else ""
-        result.message = "; ".join(filter(None, [other, foreign, elsewhere, *agree, missing]))
+        result.message = "; ".join(filter(None, [other, foreign, chosen, elsewhere, *agree, missing]))
     elif foreign:
-        result.status, result.message = "foreign", f"{foreign}; on it {right}"
+        result.status, result.message = "foreign", "; ".join(filter(None, (foreign, chosen, f"on it {right}")))
+    elif chosen:
+        result.status, result.message = "chosen", f"{chosen}; in it {right}"
     else:
         result.status, result.message = "torn" if record.torn else "ok", right
     result.notes = _notes(check)
@@ -298,7 +313,7 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
 
 def _notes(check: _Check) -> list[str]:
     """What a record claims, and no playing of it can prove."""
-    header, notes = check.header, []
+    header, notes = check.header, [*check.record.notes]
     if check.elsewhere:
         differing = [
             f"{key} {short(header.environment.get(key))} (here {value})"
@@ -314,9 +329,9 @@ def _notes(check: _Check) -> list[str]:
     for key, name in header.models.items():
         notes.append(f"played with the {key} that was given, for what it calls {short(name)}")
     if header.split == "private" and not check.replay.split_known:
-        notes.append("is of a private split: without its salt, its world is what whoever made it wanted")
+        notes.append("is of a private split: without its salt, whoever made it may have chosen its world's number")
     if header.seed is None:
-        notes.append("has no seed: its random streams and goals are what whoever made it wanted")
+        notes.append("has no seed: whoever made it may have chosen its random streams, goals and its world's number")
     elif header.options:
         asked = [f"{key} {short(value)}" for key, value in header.options.items()]
         notes.append(f"was asked for: {', '.join(asked)}")

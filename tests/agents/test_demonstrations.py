@@ -303,6 +303,12 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
 
 
 def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is given twice"):
+        write_datasets([scripted, scripted.parent / "." / scripted.name], "chemlab/none")
+    empty = tmp_path / "empty.jsonl"
+    empty.write_text(scripted.read_text(encoding="utf-8").splitlines()[0] + "\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"empty\.jsonl: no agent has a turn"):
+        write_datasets([empty], "chemlab/none")
     edited = tmp_path / "edited.jsonl"
     text = scripted.read_text().splitlines(keepends=True)
     changed = text[1].replace('"tick":0', '"tick":1')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -222,6 +223,31 @@ def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
     shown = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     assert [event.step for event in shown.Scalars("rollout/ep_rew_mean")] == [64 * i for i in range(1, 7)]
     assert [event.step for event in shown.Scalars("eval/mean_reward")] == [64 * i for i in (2, 4, 6)]
+
+
+FULL = """
+import resource, signal, sys
+from pathlib import Path
+from chemlab.agents.runs import Run
+from chemlab.agents.training.loop import _tensorboard
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+try:
+    with _tensorboard(Run(Path(sys.argv[1])), 0) as logger:
+        for step in range(1_000_000):
+            logger.record("rollout/ep_rew_mean", 1.0)
+            logger.dump(step)
+except OSError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_tensorboard_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    """Its thread dies of it, too, and says nothing of its own."""
+    done = subprocess.run([sys.executable, "-c", FULL, tmp_path], capture_output=True, text=True, check=True)
+    assert done.stdout == f"[Errno {errno.EFBIG}] {os.strerror(errno.EFBIG)}: '{tmp_path / 'tensorboard'}'\n"
+    assert "Traceback" not in done.stderr
 
 
 def test_a_checkpoint_of_another_version_is_not_gone_on_with(tmp_path: Path) -> None:

@@ -46,11 +46,14 @@ def text_of(value: dict[str, Any], like: str) -> str:
     return text[:-1] + ',"chain":""}' if ',"chain":"' in like else text
 
 
-def record(path: Path, scenario: Any, seed: int, policy: str = "random") -> Lines:
+def record(
+    path: Path, scenario: Any, seed: int, policy: str = "random", options: dict[str, Any] | None = None
+) -> Lines:
     """An honest episode's lines."""
     env = raw_env(scenario)
     with Recorder(path, env.laboratories, force=True) as recorder:
-        play_episode(env, make_policies(policy, env.laboratories, seed), seed, policy, recorder=recorder)
+        policies = make_policies(policy, env.laboratories, seed)
+        play_episode(env, policies, seed, policy, options=options, recorder=recorder)
     return path.read_text(encoding="utf-8").splitlines()
 
 
@@ -125,7 +128,22 @@ def paid_more(lines: Lines, path: Path) -> Iterator[Path]:
                 yield store(path, [*lines[:number], texts[0], *lines[number + 1 : -1], texts[1]])
 
 
-FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more)
+def invented_world(lines: Lines, path: Path) -> Iterator[Path]:
+    """Played honestly in a world that was asked for; then nothing was asked, and the seed is not known."""
+    header = json.loads(lines[0])
+    world = header["hidden"].get("world")
+    if not world or not world["values"]:
+        return
+    values = json.loads(record(path, header["scenario"]["scenario"]["name"], header["seed"] + 1)[0])
+    options = {"world": values["hidden"]["world"]["values"]}
+    asked = record(path, header["scenario"]["scenario"]["name"], header["seed"], "heuristic", options)
+    for seed in (None, header["seed"]):
+        forged = json.loads(asked[0])
+        forged |= {"seed": seed, "options": {}}
+        yield store(path, [text_of(forged, asked[0]), *asked[1:]])
+
+
+FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world)
 
 
 def forge(seeds: int, folder: Path, scenario: str = "wurtz_dodecane") -> dict[str, Counter[str]]:
