@@ -298,12 +298,12 @@ def reactions(
     read = [*(materials or ()), *(values or ())]
     _free(output, force, *read)
     beside = output.parent / f"{output.stem}_materials.toml"
-    given_values = compounds.own_values(values or ())
-    smarts_of = [*smarts, *(side or ())]
+    given_here = compounds.own_values(values or ())
+    patterns = [*smarts, *(side or ())]
     rates, own = _rates(
-        len(smarts_of), {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium}, source
+        len(patterns), {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium}, source
     )
-    made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(smarts_of, rates, strict=True))]
+    made = [templates.Template(t, r, n >= len(smarts)) for n, (t, r) in enumerate(zip(patterns, rates, strict=True))]
     known, named = _known(materials), _named(name)
     everybody = [*reactants, *(more or ())]
     found, species = templates.expand(made, everybody, known, named, generations)
@@ -319,11 +319,11 @@ def reactions(
     if strangers:
         _free(beside, force, *read)
         wanted = [compound_of(smiles, key, structure=True) for key, smiles in strangers.items()]
-        tables = compounds.material_tables(wanted, given_values)
+        tables = compounds.material_tables(wanted, given_here)
         known |= compounds.checked_materials(tables)
-    elif given_values:
+    elif given_here:
         raise ValueError(
-            f"--values: {min(given_values)}: is none of the materials that are written: all of them are known"
+            f"--values: {min(given_here)}: is none of the materials that are written: all of them are known"
         )
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
     texts = {output: family_text(family)}
