@@ -19,7 +19,7 @@ from ....jit import helper, inner, opened
 from ...constants import GAS_CONSTANT
 from ...kinetics import arrhenius as rate_constant
 from ...surroundings import Surroundings
-from ...transfer import heat_capacity, liquid_volume
+from ...transfer import heat_capacity, liquid_volume, within_range
 from .chemistry import RealChemistry
 from .fields import STANDARD_K
 
@@ -29,6 +29,8 @@ _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15
 """mol; a reactant of which there is less is used up."""
+_LEAST_MOL = 1e-200
+"""mol; a ratio to less, as to a denormal number, may be infinite."""
 _ROUNDING = 4e-15
 """mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
 where what a species catalyses itself would run away."""
@@ -139,7 +141,7 @@ def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surrounding
         if at < hottest < jacket:
             passed = min(dt, capacity / transfer * math.log((jacket - at) / (jacket - hottest)))
         left = math.exp(-transfer * passed / capacity)
-    row[TEMPERATURE] = jacket + (at - jacket) * left
+    row[TEMPERATURE] = within_range(jacket + (at - jacket) * left)
     return passed
 
 
@@ -159,7 +161,7 @@ def _add_species(row: FloatArray, chem: Handle, j: int, change: float) -> None:
     row[AMOUNTS + i] = max(row[AMOUNTS + i] - before, 0.0) + after
     layers = (row.shape[0] - AMOUNTS - m) // n_dissolved
     first = AMOUNTS + m + k * layers
-    if before > 0.0:
+    if before > _LEAST_MOL:
         for layer in range(layers):
             row[first + layer] *= after / before
         return
@@ -655,5 +657,5 @@ def integrate(
         change = _change(chem, work[_EXTENT], j)
         if change != 0.0:
             _add_species(row, chem, j, litres * change)
-    row[TEMPERATURE] = temperature
+    row[TEMPERATURE] = within_range(temperature)
     return steps, passed
