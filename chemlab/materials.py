@@ -234,7 +234,7 @@ class Material(Grown):
         melting = self.melting_point_k
         if melting is not None and self.boiling_point_k <= melting and self.role != "gas":
             raise ValueError(f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {melting}")
-        if self.role in ("solvent", "solute") and not COLDEST_K <= self.boiling_point_k:
+        if self.role in ("solvent", "solute") and not self.boiling_point_k >= COLDEST_K:
             raise ValueError(
                 f"boiling_point_k = {self.boiling_point_k} must be at least {COLDEST_K:g} K, the coldest that a vessel "
                 f"can be, for role {self.role!r}; give what boils below it the role 'gas'"

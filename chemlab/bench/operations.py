@@ -20,7 +20,7 @@ from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, Chemi
 from ..jit import helper, inner, kernel, opened
 from ..materials import COLDEST_K, HOTTEST_K, DataError
 from ..operations import OPERATIONS, Operation, Turn
-from ..parts import PartError, blamed, checked_numbers, load_part
+from ..parts import blamed, checked_numbers, load_part
 from ..physics.constants import SOLIDS
 from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, solid_volume, vapor_pressure
 from ..physics.layers import camera, profile

@@ -251,7 +251,7 @@ class Worlds:
                 raise DataError(f"{where}: {draw.what} has no bounds; give low and high")
         elif not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
             raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
-        if draw.what == "ambient_temperature" and not (COLDEST_K <= np.min(ends) and np.max(ends) <= HOTTEST_K):
+        if draw.what == "ambient_temperature" and not (np.min(ends) >= COLDEST_K and np.max(ends) <= HOTTEST_K):
             raise DataError(
                 f"{where}: {draw.what} could come to {np.min(ends):g} or {np.max(ends):g} K, and must stay from "
                 f"{COLDEST_K:g} to {HOTTEST_K:g} K; give low and high"
