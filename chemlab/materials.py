@@ -21,8 +21,11 @@ from .datafile import DataError, read_toml, toml_key
 from .datamodel import Grown, validated
 
 __all__ = [
+    "COLDEST_K",
+    "HOTTEST_K",
     "AbsorptionPeak",
     "DataError",
+    "Dimerization",
     "Material",
     "RealProperties",
     "Role",
@@ -47,6 +50,10 @@ _FILES = 100
 LOCK = "lock"
 """The table of a data file that says by what it was made: a command, and versions."""
 _ATMOSPHERE_KPA = 101.325
+_GAS_CONSTANT = 8.31446261815324
+COLDEST_K, HOTTEST_K = 50.0, 5000.0
+"""Physical range of temperatures: files set none beyond it, and no vessel leaves it. Rates, vapour pressures and
+activity coefficients are finite in it."""
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or a formula."""
@@ -119,10 +126,33 @@ class VaporPressure(BaseModel):
         return np.asarray(np.exp(self._log(at_end) + slope * (1.0 / temperature - 1.0 / at_end)))
 
 
-class RealProperties(BaseModel):
+class Dimerization(BaseModel):
+    """Dimers in a vapour, 2 A = A2: their pressure is K times the square of the monomers' pressure, in atmospheres,
+    with ln K = (entropy - enthalpy / T) / R."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    enthalpy_j_mol: float = Field(ge=-2e5, le=-1e3)
+    """Of a mol of dimers."""
+    entropy_j_mol_k: float = Field(ge=-500.0, le=0.0)
+
+    def log_root_constant(self) -> tuple[float, float]:
+        """a and b (K) of ln sqrt(K) = a + b / T, with K in 1/kPa."""
+        a = 0.5 * (self.entropy_j_mol_k / _GAS_CONSTANT - math.log(_ATMOSPHERE_KPA))
+        return a, -0.5 * self.enthalpy_j_mol / _GAS_CONSTANT
+
+    def monomer(self, temperature_k: FloatArray, pressure_kpa: FloatArray) -> FloatArray:
+        """Pressure of the monomers (kPa) in a pure vapour of ``pressure_kpa``."""
+        a, b = self.log_root_constant()
+        constant = np.exp(2.0 * (a + b / temperature_k))
+        return np.asarray(2.0 * pressure_kpa / (1.0 + np.sqrt(1.0 + 4.0 * constant * pressure_kpa)))
+
+
+class RealProperties(Grown):
     """What the laws of the tier ``real`` need to know of a material besides; every number has a ``source``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    _later: ClassVar[tuple[str, ...]] = ("dimerization",)
 
     vapor_pressure: VaporPressure | None = None
     """Of the liquid, also where the pure material is a solid; without one it never evaporates. The heat of vaporization
@@ -135,18 +165,24 @@ class RealProperties(BaseModel):
     """What that is the enthalpy of: the liquid, solid, gas, or the ion in water at infinite dilution (with H+ at 0)."""
     fusion_enthalpy_j_mol: float | None = Field(default=None, ge=1.0, le=1e6)
     """At the material's melting point; without one it does not crystallize."""
+    dimerization: Dimerization | None = None
+    """Of the vapour of carboxylic acids; the vapour pressure is that of monomers and dimers together."""
     source: dict[Text, str] = Field(max_length=50)
     """Where each number is from, by its key."""
 
     @model_validator(mode="after")
     def _cited(self) -> RealProperties:
-        optional = ("vapor_pressure", "critical_temperature_k", "fusion_enthalpy_j_mol")
+        optional = ("vapor_pressure", "critical_temperature_k", "fusion_enthalpy_j_mol", "dimerization")
         cited = ["formation_enthalpy_j_mol", *(key for key in optional if getattr(self, key) is not None)]
         missing = [key for key in cited if not self.source.get(key)]
         if missing:
             raise ValueError(f"source must cite {', '.join(missing)}")
         if self.vapor_pressure is not None and self.critical_temperature_k is None:
             raise ValueError("critical_temperature_k is needed: what evaporates takes its heat of vaporization along")
+        if self.dimerization is not None and self.vapor_pressure is None:
+            raise ValueError(
+                "dimerization: what never evaporates has no dimers in its vapour; give vapor_pressure, too"
+            )
         return self
 
 
@@ -178,6 +214,7 @@ class Material(Grown):
     """No law of the paper's physics reads it, so a material may do without; if given, it is cited and below the boiling
     point (but for gases, which may sublime)."""
     boiling_point_k: float = Field(ge=1.0, le=7000.0)
+    """Of what can be liquid in a vessel at least :data:`COLDEST_K`: boiling contents have it."""
     vaporization_enthalpy_j_mol: float = Field(ge=1.0, le=1e6)
     polarity: float | None = Field(default=None, ge=0.0, le=2.0)
     """Reichardt's normalized solvent polarity E_T^N; above 1 for ions. Only the tier ``paper`` reads it, and refuses a
@@ -197,6 +234,11 @@ class Material(Grown):
         melting = self.melting_point_k
         if melting is not None and self.boiling_point_k <= melting and self.role != "gas":
             raise ValueError(f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {melting}")
+        if self.role in ("solvent", "solute") and not self.boiling_point_k >= COLDEST_K:
+            raise ValueError(
+                f"boiling_point_k = {self.boiling_point_k} must be at least {COLDEST_K:g} K, the coldest that a vessel "
+                f"can be, for role {self.role!r}; give what boils below it the role 'gas'"
+            )
         if (self.role == "ion") != (self.charge != 0):
             raise ValueError(f"role {self.role!r} does not fit charge {self.charge}: ions, and only ions, are charged")
         optional = [key for key in ("melting_point_k", "polarity") if getattr(self, key) is not None]

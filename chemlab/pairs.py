@@ -27,6 +27,7 @@ from .materials import Text
 
 __all__ = [
     "REFERENCE_K",
+    "STRONGEST",
     "Pair",
     "PairTable",
     "load_pairs",
@@ -38,7 +39,8 @@ __all__ = [
 REFERENCE_K = 300.0
 """Where ln(T / 300 K) is 0."""
 _SHOWN = 3
-_STRONGEST = 100.0
+STRONGEST = 100.0
+"""Largest absolute value of tau: of a file's at the ends of its range, and what kernels extrapolate it to."""
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 Both = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
@@ -70,8 +72,8 @@ class Pair(BaseModel):
         if self.low_k >= self.high_k:
             raise ValueError(f"high_k = {self.high_k} must be above low_k = {self.low_k}")
         for temperature in (self.low_k, self.high_k):
-            if max(abs(tau) for tau in self.tau(temperature)) > _STRONGEST:
-                raise ValueError(f"tau is beyond {_STRONGEST:g} at {temperature} K")
+            if max(abs(tau) for tau in self.tau(temperature)) > STRONGEST:
+                raise ValueError(f"tau is beyond {STRONGEST:g} at {temperature} K")
         return self
 
     def tau(self, temperature_k: float) -> tuple[float, float]:

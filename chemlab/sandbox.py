@@ -33,7 +33,7 @@ from .arrays import FloatArray, Handle
 from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .datafile import read_text
 from .instruments.table import InstrumentTable
-from .materials import DataError, load_materials, shipped_materials
+from .materials import COLDEST_K, HOTTEST_K, DataError, load_materials, shipped_materials
 from .physics import laws, transfer
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
@@ -434,7 +434,9 @@ class Flask:
         stages = int(_number("stages", stages, 1, 16))
         if stages > 1 and self._setting.physics == "paper":
             raise ValueError(f"stages = {stages}: a column needs physics='real'")
-        limits = np.array([_number("hottest_k", hottest_k, 0.0), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)])
+        limits = np.array(
+            [_number("hottest_k", hottest_k, COLDEST_K, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
+        )
         lost = self.another(capacity_l=100.0) if receiver is None else receiver
         self._join(lost)
         row, target = self._row, lost._row
@@ -453,7 +455,7 @@ class Flask:
         Returns:
             J taken: less than was asked for once it is as cold as the coolant.
         """
-        limits = np.array([0.0, _number("coolest_k", coolest_k, 0.0), 1.0, 0.0])
+        limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
         asked = -_number("joules", joules, 0.0)
         taken, _ = laws.heat(self._row, self._row, asked, limits, self._chem, self._shelf.waste[0], self._events)
         self._after()

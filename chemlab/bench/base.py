@@ -25,10 +25,10 @@ from ..arrays import (
     StreamArray,
     merged,
 )
-from ..chemistry import AMOUNTS, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
+from ..chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
 from ..compiling import Rehearsal
 from ..jit import helper, kernel, opened
-from ..materials import DataError, validated
+from ..materials import COLDEST_K, HOTTEST_K, DataError, validated
 from ..parts import Part, PartError, blamed, checked_numbers, load_part
 from ..physics.laws import partition, settle_phases, work_size
 from ..physics.transfer import place
@@ -54,13 +54,18 @@ __all__ = [
     "channel_slices",
     "check_box",
     "check_discrete",
+    "check_vessels",
     "goal_amount",
     "load_observations",
     "load_terms",
+    "on_scale",
     "weighted_amount",
 ]
 
 CAMERA_PIXELS = 100
+
+_ROUNDING_MOL = 1e-9
+"""By which amounts that somebody's own code leaves may be below 0."""
 
 STIR, HEAT = range(2)
 """Actuators of a bench that may err."""
@@ -225,6 +230,35 @@ class BenchRules(NamedTuple):
     """[5] how it wears: actuator, gain, spread, drift, life (see :class:`chemlab.scenario.WearSpec`)"""
     work: Annotated[FloatArray, Field("A B")]
     """scratch of the bench's kernels, which allocate nothing"""
+
+
+@helper
+def on_scale(value: float, low: float, high: float) -> float:
+    """A gauge's reading from 0 to 1: where a value stands between ``low`` and ``high``; 0 if it is no number."""
+    share = (value - low) / (high - low)
+    if 0.0 <= share <= 1.0:
+        return share
+    return 1.0 if share > 1.0 else 0.0
+
+
+def check_vessels(rows: FloatArray, name: str) -> None:
+    """Refuse contents that no vessel can have.
+
+    Args:
+        rows: [B, W] vessel rows, some of them possibly empty places.
+        name: of what has worked on them, for error messages.
+
+    Raises:
+        PartError: an amount is negative or not finite, or a temperature beyond the physical range.
+    """
+    if not np.isfinite(rows).all() or rows[:, AMOUNTS:].min(initial=0.0) < -_ROUNDING_MOL:
+        raise PartError(f"{name} has left amounts that are negative or not finite in a vessel")
+    standing = rows[rows[:, PRESENT] > 0.0, TEMPERATURE]
+    wrong = standing[(standing < COLDEST_K) | (standing > HOTTEST_K)]
+    if len(wrong):
+        raise PartError(
+            f"{name} has left a vessel at {wrong[0]:g} K; temperatures must be from {COLDEST_K:g} to {HOTTEST_K:g} K"
+        )
 
 
 @helper
@@ -444,6 +478,11 @@ class Bench(ABC):
         return self.spec.kind
 
     @property
+    def _is_shipped(self) -> bool:
+        """Whether the bench is one of chemlab's, of which all that it does is known to be within bounds."""
+        return type(self).__module__.startswith(f"{__package__}.")
+
+    @property
     def action_count(self) -> int:
         """Number of discrete actions; 0 where actions are continuous."""
         return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
@@ -530,6 +569,12 @@ class Bench(ABC):
     def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
         self.see(shelf, experiments, members, out)
+        if not self._is_shipped:
+            name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
+            seen = out[:, : self._graded_from]
+            seen[:] = checked_numbers(seen, seen.shape, f"{name}: see()", 0.0, 1.0)
+            vessels = shelf.rows[experiments.places[members]]
+            check_vessels(vessels.reshape(-1, vessels.shape[-1]), f"{name}: act()")
         if self._added_from > self._graded_from:
             self._observe_graded(experiments, members, out)
         if self._added:
@@ -586,7 +631,7 @@ class Bench(ABC):
     def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
         """What happens in an experiment, of no laboratory: see :mod:`chemlab.compiling`. Nothing, if the bench is not
         one of chemlab's: it may not expect that."""
-        if not type(self).__module__.startswith(f"{__package__}."):
+        if not self._is_shipped:
             return []
         none: IntArray = np.zeros(0, dtype=np.int64)
         seen = np.empty((0, *(self.observation_space.shape)), dtype=np.float32)

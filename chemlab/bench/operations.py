@@ -18,16 +18,28 @@ from ..arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, Observa
 from ..arrays import Field as Array
 from ..chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, ChemistryTable
 from ..jit import helper, inner, kernel, opened
-from ..materials import DataError
+from ..materials import COLDEST_K, HOTTEST_K, DataError
 from ..operations import OPERATIONS, Operation, Turn
-from ..parts import PartError, blamed, checked_numbers, load_part
+from ..parts import blamed, checked_numbers, load_part
 from ..physics.constants import SOLIDS
 from ..physics.laws import elapse, find_layers, layer_density, partition, settle_phases, solid_volume, vapor_pressure
 from ..physics.layers import camera, profile
 from ..physics.transfer import turn_clock, volume
 from ..scenario import Scenario
 from ..shelf import Shelf, ShelfArrays
-from .base import CAMERA_PIXELS, HEAT, STIR, Bench, BenchRules, Channel, Experiments, ExperimentState, check_discrete
+from .base import (
+    CAMERA_PIXELS,
+    HEAT,
+    STIR,
+    Bench,
+    BenchRules,
+    Channel,
+    Experiments,
+    ExperimentState,
+    check_discrete,
+    check_vessels,
+    on_scale,
+)
 from .models import SeparationModel
 
 __all__ = ["OperationBench", "OperationOptions", "Process"]
@@ -68,8 +80,8 @@ class OperationOptions(BaseModel):
     """Capacity of the clean vessels the bench provides."""
     settle_per_step: float = Field(default=0.0, ge=0.0, le=100.0)
     """How far every vessel settles in each step by itself."""
-    hottest_k: float = Field(default=800.0, gt=0.0, le=5000.0)
-    coolest_k: float = Field(default=273.15, gt=0.0, le=5000.0)
+    hottest_k: float = Field(default=800.0, ge=COLDEST_K, le=HOTTEST_K)
+    coolest_k: float = Field(default=273.15, ge=COLDEST_K, le=HOTTEST_K)
     stages: int = Field(default=1, ge=1, le=16)
     """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics ``real``)."""
     reflux: float = Field(default=1.0, ge=0.0, le=100.0)
@@ -246,8 +258,7 @@ def _observe(
             solid = solid_volume(row, chem) / filled if filled > 0.0 else 0.0
             readings = (row[TEMPERATURE], filled, min(vapor_pressure(row, chem), ambient), solid)
             for g in range(rules.gauges.shape[0]):
-                value = (readings[g] - rules.gauges[g, 0]) / (rules.gauges[g, 1] - rules.gauges[g, 0])
-                out[b, at] = min(max(value, 0.0), 1.0)
+                out[b, at] = on_scale(readings[g], rules.gauges[g, 0], rules.gauges[g, 1])
                 at += 1
         out[b, at + state.goal[m]] = 1.0
 
@@ -431,9 +442,7 @@ class OperationBench(Bench):
             experiments.elapsed[m] = checked_numbers(
                 elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)"
             )
-            for row in (turn.row, turn.target):
-                if not (np.isfinite(row).all() and row[AMOUNTS:].min() >= -1e-9):
-                    raise PartError(f"{name}: act() has left amounts that are negative or not finite in a vessel")
+            check_vessels(np.stack([turn.row, turn.target]), f"{name}: act()")
 
     def _show(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         """Bring layers and pictures up to date."""

@@ -28,11 +28,12 @@ from ..chemistry import (
     element_matrix,
 )
 from ..jit import inner, kernel, opened
+from ..materials import COLDEST_K, HOTTEST_K
 from ..physics.laws import partition, react, settle_phases, vent
 from ..physics.spectra import spectrum
 from ..physics.surroundings import Surroundings
 from ..physics.thermal import pressure, seal_vessel
-from ..physics.transfer import heat_capacity, liquid_volume, spill, volume
+from ..physics.transfer import heat_capacity, liquid_volume, spill, volume, within_range
 from ..scenario import Scenario
 from ..shelf import T_MIX, Shelf, ShelfArrays
 from .base import (
@@ -45,6 +46,7 @@ from .base import (
     ExperimentState,
     check_box,
     goal_amount,
+    on_scale,
     weighted_amount,
 )
 from .models import ReactionModel, checked_reaction
@@ -72,6 +74,13 @@ class Span(BaseModel):
         return self
 
 
+class TemperatureSpan(Span):
+    """A temperature the agent moves, in K."""
+
+    low: float = Field(ge=COLDEST_K, le=HOTTEST_K)
+    high: float = Field(ge=COLDEST_K, le=HOTTEST_K)
+
+
 class ReactionOptions(BaseModel):
     """Scenario keys of a reaction bench."""
 
@@ -79,7 +88,7 @@ class ReactionOptions(BaseModel):
 
     reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1, max_length=100)
     """mol of each reagent an experiment may take from stock."""
-    temperature_k: Span
+    temperature_k: TemperatureSpan
     volume_l: Span
     vessel_volume_l: float = Field(default=1.0, gt=0.0, le=100.0)
     """Where the piston stands when an experiment begins and ends."""
@@ -179,7 +188,7 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
         after = heat_capacity(row, chem)
         if after > 0.0:
             ambient = chemistry.ambient_temperature
-            row[TEMPERATURE] = ambient + (row[TEMPERATURE] - ambient) * before / after
+            row[TEMPERATURE] = within_range(ambient + (row[TEMPERATURE] - ambient) * before / after)
     spill(row, chem, shelf.waste[m], state.events[m])
     if not jacketed:
         row[TEMPERATURE] = temperature
@@ -261,16 +270,16 @@ def _observe(
         spectrum(row, chem, light)
         for w in range(at):
             out[b, w] = light[w]
-        out[b, at] = min(max((row[TEMPERATURE] - rules.coldest) / (rules.hottest - rules.coldest), 0.0), 1.0)
-        out[b, at + 1] = min(max((row[CAPACITY] - rules.smallest) / (rules.largest - rules.smallest), 0.0), 1.0)
-        out[b, at + 2] = min(pressure(row, chem) / rules.pressure_scale, 1.0)
+        out[b, at] = on_scale(row[TEMPERATURE], rules.coldest, rules.hottest)
+        out[b, at + 1] = on_scale(row[CAPACITY], rules.smallest, rules.largest)
+        out[b, at + 2] = on_scale(pressure(row, chem), 0.0, rules.pressure_scale)
         at += 3
         for i in range(rules.reagents.shape[0]):
             left = min(state.supply[m, i], arrays.stock[m, rules.reagents[i]])
-            out[b, at] = min(max(left / rules.full[i], 0.0), 1.0)
+            out[b, at] = on_scale(left, 0.0, rules.full[i])
             at += 1
         if rules.transfer >= 0.0:
-            out[b, at] = (state.jacket[m] - rules.coldest) / (rules.hottest - rules.coldest)
+            out[b, at] = on_scale(state.jacket[m], rules.coldest, rules.hottest)
             at += 1
         out[b, at + state.goal[m]] = 1.0
 

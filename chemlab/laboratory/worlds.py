@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, Handle, IntArray, StreamArray
 from ..chemistry import AMOUNTS, Chemistry, ChemistryTable, build_chemistry
 from ..jit import inner, kernel, opened
-from ..materials import DataError
+from ..materials import COLDEST_K, HOTTEST_K, DataError
 from ..physics.laws import work_size
 from ..reactions import equation
 from ..scenario import Scenario
@@ -267,6 +267,11 @@ class Worlds:
                 raise DataError(f"{where}: {draw.what} has no bounds; give low and high")
         elif not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
             raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
+        if draw.what == "ambient_temperature" and not (np.min(ends) >= COLDEST_K and np.max(ends) <= HOTTEST_K):
+            raise DataError(
+                f"{where}: {draw.what} could come to {np.min(ends):g} or {np.max(ends):g} K, and must stay from "
+                f"{COLDEST_K:g} to {HOTTEST_K:g} K; give low and high"
+            )
         return _Parameter(draw.what, entries if axis else None, columns if axis else np.array([first]), draw.change)
 
     def _add_contents(self, scenario: Scenario, draw: Draw, columns: IntArray) -> None:

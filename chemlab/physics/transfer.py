@@ -19,6 +19,7 @@ from ..chemistry import (
     Chemistry,
 )
 from ..jit import helper, kernel, opened
+from ..materials import COLDEST_K, HOTTEST_K
 from ..shelf import CLOCK_SETTLED, T_MIX
 from .constants import SOLIDS, TRACE_MOL
 from .events import SPILL
@@ -41,6 +42,7 @@ __all__ = [
     "take",
     "turn_clock",
     "volume",
+    "within_range",
 ]
 
 
@@ -72,6 +74,13 @@ def heat_capacity(row: FloatArray, chem: Handle) -> float:
 
 
 @helper
+def within_range(kelvin: float) -> float:
+    """A temperature, or the bound of the physical range (:data:`chemlab.materials.COLDEST_K`,
+    :data:`~chemlab.materials.HOTTEST_K`) that it is beyond."""
+    return min(max(kelvin, COLDEST_K), HOTTEST_K)
+
+
+@helper
 def _stir(row: FloatArray, volume_before: float, volume_after: float) -> None:
     if volume_after > 0.0:
         row[CLOCK] = T_MIX + (row[CLOCK] - T_MIX) * min(volume_before / volume_after, 1.0)
@@ -81,7 +90,9 @@ def _stir(row: FloatArray, volume_before: float, volume_after: float) -> None:
 def _mix_temperature(row: FloatArray, capacity_before: float, capacity_added: float, temperature_added: float) -> None:
     both = capacity_before + capacity_added
     if both > 0.0:
-        row[TEMPERATURE] = (capacity_before * row[TEMPERATURE] + capacity_added * temperature_added) / both
+        row[TEMPERATURE] = within_range(
+            (capacity_before * row[TEMPERATURE] + capacity_added * temperature_added) / both
+        )
 
 
 @helper

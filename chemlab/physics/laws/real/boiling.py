@@ -12,11 +12,12 @@ from typing import NamedTuple
 from ....arrays import FloatArray, Handle
 from ....chemistry import TEMPERATURE
 from ....jit import inner, kernel, opened, scratch
-from ...constants import TRACE_MOL
+from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
-from ...transfer import add, heat_capacity
+from ...transfer import add, heat_capacity, within_range
 from .chemistry import MOST_FLUIDS, RealChemistry
 from .column import LADDER, MOST_STAGES, overhead
+from .heats import add_heat
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .partition import crystallizes
 from .salts import let_salts_fall_out
@@ -91,7 +92,7 @@ def _boil(
         for a in range(n):
             i = int(liquids.who[a])
             gone = before[a] - liquids.mol[a]
-            spent += gone * on_curve(chemistry.vaporizing, i, boiling + 0.5 * rise, chem)
+            spent += gone * (on_curve(chemistry.vaporizing, i, boiling + 0.5 * rise, chem) + liquids.parting[a])
             warming -= 0.5 * rise * gone * chemistry.heat_capacity[i]
         spent *= 1.0 + still.returned
         if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
@@ -100,17 +101,26 @@ def _boil(
         for a in range(n):
             liquids.mol[a] = before[a]
         bubble_point(n, ambient, boiling, chem, liquids, partial)
+    taken = spent
+    for a in range(n):
+        capacity = chemistry.heat_capacity[int(liquids.who[a])]
+        taken += 0.5 * rise * (before[a] - liquids.mol[a]) * capacity
+    if taken > left:
+        # What little else is in the pot has no heat to give: as much evaporates as there is heat for.
+        for a in range(n):
+            liquids.mol[a] = before[a] - left / taken * (before[a] - liquids.mol[a])
+        spent *= left / taken
     return spent, rise
 
 
 @inner
 def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: float, chem: Handle) -> float:
     """Warm (> 0) or cool (< 0) the contents, not beyond the limits; returns the joules that went in."""
-    capacity = heat_capacity(row, chem)
-    if capacity <= 0.0:
-        return 0.0
-    was = row[TEMPERATURE]
-    row[TEMPERATURE] = max(min(was + joules / capacity, max(hottest, was)), min(coolest, was))
+    capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
+    if capacity <= LEAST_CAPACITY:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature
+    else:
+        row[TEMPERATURE] = within_range(max(min(was + joules / capacity, max(hottest, was)), min(coolest, was)))
     return float(capacity * (row[TEMPERATURE] - was))
 
 
@@ -127,7 +137,7 @@ def heat(
     """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature."""
     chemistry = opened(RealChemistry, chem)
     hottest, coolest = limits[0], limits[1]
-    if joules == 0.0 or heat_capacity(row, chem) <= 0.0:
+    if joules == 0.0 or heat_capacity(row, chem) <= LEAST_CAPACITY:
         if joules > 0.0:
             events[DRY_HEATING] += 1.0
         return 0.0, 0.0
@@ -173,10 +183,12 @@ def heat(
         left -= spent
         boiled = True
         write_back(row, n, chem, liquids)
-        capacity = max(heat_capacity(row, chem), 1e-9)
-        warming = min(rise * capacity, left)  # below 0 if the vapour took more than there was: from the pot's own heat
-        left -= warming
-        row[TEMPERATURE] += warming / capacity
+        capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
+        add_heat(row, min(rise * capacity, left), chem)
+        left -= capacity * (row[TEMPERATURE] - was)
+        if capacity <= LEAST_CAPACITY:
+            dry = True
+            break
         let_salts_fall_out(row, chem)
     if boiled:
         for a in range(n):
@@ -190,4 +202,4 @@ def heat(
         left -= _change_warmth(row, left, 0.0, hottest, chem)
     # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
     refused = min(max(left, 0.0), joules)
-    return joules - refused, condenser + max(left - refused, 0.0)
+    return joules - refused, condenser + (left - refused)

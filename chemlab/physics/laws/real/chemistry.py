@@ -41,6 +41,8 @@ _LEAST_SOLUBILITY = 0.01
 salt. A guess; ethanol dissolves 0.011 mol/kg of NaCl."""
 _NEVER = -700.0
 """ln of what counts as nothing."""
+_HIGHEST = 100.0
+"""ln of the highest vapour pressure in kPa that a curve goes to: sums over mixtures stay finite."""
 
 
 class FluidFields(NamedTuple):
@@ -54,7 +56,10 @@ class FluidFields(NamedTuple):
     nrtl: Annotated[FloatArray, Structure("M M 4")]
     """[M, M, 4] a, b (K), c and alpha of tau_ij = a + b / T + c ln(T / 300 K)"""
     vapor: Annotated[FloatArray, Structure("M G")]
-    """[M, G] ln of the vapour pressure in kPa, at points evenly spaced in 1 / T; what never flies has -700"""
+    """[M, G] ln of the vapour pressure in kPa, at points evenly spaced in 1 / T; of what forms dimers, of its monomers;
+    what never evaporates has -700"""
+    dimer: Annotated[FloatArray, Structure("M 2")]
+    """[M, 2] a, b (K) of ln sqrt(K) = a + b / T, K in 1/kPa, of the vapour's dimers; 0, 0: it has none"""
     vaporizing: Annotated[FloatArray, Structure("M G")]
     """[M, G] J/mol, heat of vaporization at the same points"""
     curve: Annotated[FloatArray, Structure("2")]
@@ -85,17 +90,23 @@ def _curves(materials: list[Material]) -> dict[str, FloatArray]:
     """Vapour pressures and heats of vaporization of all materials, at points evenly spaced in 1 / T."""
     temperature = 1.0 / _INVERSE
     vapor = np.full((len(materials), CURVE_POINTS), _NEVER)
-    vaporizing = np.zeros_like(vapor)
+    vaporizing, dimer = np.zeros_like(vapor), np.zeros((len(materials), 2))
     for i, material in enumerate(materials):
         real = material.real
         if real is None or real.vapor_pressure is None or real.critical_temperature_k is None:
             continue
-        vapor[i] = np.log(np.maximum(real.vapor_pressure.pascal(temperature) * _KILOPASCAL, math.exp(_NEVER)))
+        with np.errstate(over="ignore"):  # far beyond its range a formula may say anything
+            pressure = np.minimum(real.vapor_pressure.pascal(temperature) * _KILOPASCAL, math.exp(_HIGHEST))
+        if real.dimerization is not None:
+            dimer[i] = real.dimerization.log_root_constant()
+            pressure = real.dimerization.monomer(temperature, pressure)
+        vapor[i] = np.log(np.maximum(pressure, math.exp(_NEVER)))
         # Close to the critical point nothing is left of it; a floor keeps the energy balance in hand.
         left = np.maximum(1.0 - temperature / real.critical_temperature_k, 0.02)
         boiling = 1.0 - material.boiling_point_k / real.critical_temperature_k
         vaporizing[i] = material.vaporization_enthalpy_j_mol * (left / boiling) ** _WATSON
-    return {"vapor": vapor, "vaporizing": vaporizing, "curve": np.array([_INVERSE[0], _INVERSE[1] - _INVERSE[0]])}
+    curve = np.array([_INVERSE[0], _INVERSE[1] - _INVERSE[0]])
+    return {"vapor": vapor, "dimer": dimer, "vaporizing": vaporizing, "curve": curve}
 
 
 def _heats(names: list[str], materials: list[Material], ambient: float, where: str) -> dict[str, FloatArray]:

@@ -14,7 +14,7 @@ from ....arrays import FloatArray, Handle
 from ....jit import inner, opened, routine, scratch
 from ...constants import GAS_CONSTANT
 from .chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
-from .liquids import Liquids, clear_liquids, nrtl, on_curve, prepare
+from .liquids import Liquids, clear_liquids, dimer_root, nrtl, on_curve, prepare
 
 __all__ = ["LADDER", "MOST_STAGES", "overhead"]
 
@@ -24,6 +24,8 @@ _CLOSE = 1e-4
 """Of every ln K."""
 _MOST_ROUNDS = 60
 _DAMPING = 0.9
+_STEEPEST = 40.0
+"""Largest ln K, either way: the product of those of all stages is a number, and as good as none or all."""
 
 
 @inner
@@ -35,21 +37,32 @@ def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, 
     # Activities are those at the guess: it is the result of the round before.
     prepare(n, temperature, chem, tray)
     nrtl(n, ORGANIC, tray)
+    mol = 1.0
     for _round in range(20):
-        total, slope = 0.0, 0.0
+        total, slope, bound, mol = 0.0, 0.0, 0.0, 0.0
         for a in range(n):
-            i = int(tray.who[a])
-            out[at + a] = on_curve(chemistry.vapor, i, temperature, chem) + tray.log_gamma[n + a]
-            part = tray.x[n + a] * math.exp(out[at + a])
-            total += part
-            slope += part * on_curve(chemistry.vaporizing, i, temperature, chem)
+            out[at + a] = on_curve(chemistry.vapor, int(tray.who[a]), temperature, chem) + tray.log_gamma[n + a]
+            tray.work[a] = tray.x[n + a] * math.exp(out[at + a])
+            tray.work[n + a] = dimer_root(int(tray.who[a]), temperature, chem)
+            total += tray.work[a]
+            bound += tray.work[n + a] * tray.work[a]
+        bound = min(bound, 1e100)
+        total += bound * bound
+        for a in range(n):  # as if there were no dimers, see :func:`.liquids.partial_pressures`
+            if tray.work[n + a] > 0.0:
+                pairs = 2.0 * tray.work[n + a] * bound
+                out[at + a] += math.log1p(pairs)
+                tray.work[a] *= 1.0 + pairs
+            mol += tray.work[a]
+            slope += tray.work[a] * on_curve(chemistry.vaporizing, int(tray.who[a]), temperature, chem)
+        mol /= max(total, 1e-300)
         slope /= GAS_CONSTANT * temperature * temperature * max(total, 1e-300)
         step = math.log(pressure / max(total, 1e-300)) / max(slope, 1e-6)
         temperature = max(min(temperature + max(min(step, 50.0), -50.0), 890.0), 160.0)
         if abs(step) < 1e-2:
             break
     for a in range(n):
-        out[at + a] -= math.log(pressure)
+        out[at + a] = min(max(out[at + a] - math.log(pressure * mol), -_STEEPEST), _STEEPEST)
     return temperature
 
 

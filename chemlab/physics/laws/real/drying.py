@@ -8,7 +8,7 @@ from ....jit import kernel, scratch
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
 from .chemistry import MOST_FLUIDS
-from .liquids import clear_liquids, gather, partial_pressures, split
+from .liquids import clear_liquids, gather, partial_pressures, split, vapor_mol
 from .salts import settle_salts
 from .vapor import write_back
 
@@ -34,7 +34,8 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
         if everything <= 10.0 * n * TRACE_MOL or left <= 1e-9 * litres:
             break
         split(n, temperature, chem, liquids)
-        rate = partial_pressures(n, temperature, chem, liquids, partial) / (GAS_CONSTANT * temperature)  # mol/L
+        partial_pressures(n, temperature, chem, liquids, partial)
+        rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)  # mol/L
         mol = min(_STEP * everything, rate * left)
         for a in range(n):
             before[a] = liquids.mol[a]
@@ -42,7 +43,8 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
         for a in range(n):
             halfway[a] = liquids.mol[a]
         split(n, temperature, chem, liquids)
-        rate = partial_pressures(n, temperature, chem, liquids, partial) / (GAS_CONSTANT * temperature)
+        partial_pressures(n, temperature, chem, liquids, partial)
+        rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)
         if rate <= 0.0:
             break
         evaporate(n, min(mol, rate * left), partial, before, halfway, liquids)

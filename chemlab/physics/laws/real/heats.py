@@ -5,11 +5,12 @@ from __future__ import annotations
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, TEMPERATURE
 from ....jit import helper, opened
-from ...transfer import heat_capacity
+from ...constants import LEAST_CAPACITY
+from ...transfer import heat_capacity, within_range
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
 
-__all__ = ["crystals", "dissolved", "enthalpy", "set_enthalpy"]
+__all__ = ["add_heat", "crystals", "dissolved", "enthalpy", "set_enthalpy"]
 
 
 @helper
@@ -48,9 +49,22 @@ def enthalpy(row: FloatArray, chem: Handle) -> float:
 
 
 @helper
-def set_enthalpy(row: FloatArray, value: float, chem: Handle) -> None:
-    """Give the contents of a vessel the temperature at which they have an enthalpy of ``value`` J; an empty vessel has
-    none."""
+def add_heat(row: FloatArray, joules: float, chem: Handle) -> None:
+    """Warm (> 0) or cool (< 0) the contents of a vessel. Contents with next to no heat capacity take the ambient
+    temperature; no others leave the range of temperatures."""
     capacity = heat_capacity(row, chem)
-    if capacity > 0.0:
-        row[TEMPERATURE] = STANDARD_K + (value - _standard_enthalpy(row, chem)) / capacity
+    if capacity > LEAST_CAPACITY:
+        row[TEMPERATURE] = within_range(row[TEMPERATURE] + joules / capacity)
+    else:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature
+
+
+@helper
+def set_enthalpy(row: FloatArray, value: float, chem: Handle) -> None:
+    """Give the contents of a vessel the temperature at which they have an enthalpy of ``value`` J, within the range of
+    temperatures; contents with next to no heat capacity take the ambient temperature."""
+    capacity = heat_capacity(row, chem)
+    if capacity > LEAST_CAPACITY:
+        row[TEMPERATURE] = within_range(STANDARD_K + (value - _standard_enthalpy(row, chem)) / capacity)
+    else:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature

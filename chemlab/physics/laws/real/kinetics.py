@@ -20,7 +20,7 @@ from ....jit import helper, inner, opened
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...kinetics import arrhenius as rate_constant
 from ...surroundings import Surroundings
-from ...transfer import heat_capacity, liquid_volume
+from ...transfer import heat_capacity, liquid_volume, within_range
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
 from .heats import dissolved
@@ -49,6 +49,8 @@ _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15
 """mol; a reactant of which there is less is used up."""
+_LEAST_MOL = 1e-200
+"""mol; a ratio to less, as to a denormal number, may be infinite."""
 _ROUNDING = 4e-15
 """mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
 where what a species catalyses itself would run away."""
@@ -194,7 +196,7 @@ def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surrounding
         if at < hottest < jacket:
             passed = min(dt, capacity / transfer * math.log((jacket - at) / (jacket - hottest)))
         left = math.exp(-transfer * passed / capacity)
-    row[TEMPERATURE] = jacket + (at - jacket) * left
+    row[TEMPERATURE] = within_range(jacket + (at - jacket) * left)
     return passed
 
 
@@ -219,7 +221,7 @@ def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bo
     row[AMOUNTS + i] = max(row[AMOUNTS + i] - before, 0.0) + after
     layers = (row.shape[0] - AMOUNTS - m) // n_dissolved
     first = AMOUNTS + m + k * layers
-    if before > 0.0:
+    if before > _LEAST_MOL:
         for layer in range(layers):
             row[first + layer] *= after / before
         return
@@ -794,7 +796,7 @@ def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
             change = _made(chem, extent, j)
             if change != 0.0:
                 add_species(row, chem, j, litres * change, vessel.ways.shifts)
-    row[TEMPERATURE] = temperature
+    row[TEMPERATURE] = within_range(temperature)
     for j in range(chemistry.species.shape[0]):
         work[PREDICTED, j] = litres * work[_NOW, j]
 

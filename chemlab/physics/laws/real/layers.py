@@ -67,7 +67,7 @@ def layer_shade(row: FloatArray, code: int, chem: Handle) -> float:
         part = row[at + 2 * k] * chemistry.molar_volume[i]
         litres += part
         shade += part * chemistry.shade[i]
-    return shade / litres if litres > 0.0 else 0.0
+    return min(shade / litres, 1.0) if litres > 0.0 else 0.0
 
 
 @helper

@@ -12,20 +12,22 @@ from typing import NamedTuple
 from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS
 from ....jit import helper, inner, opened, routine, scratch
-from ....pairs import REFERENCE_K
-from ...constants import TRACE_MOL
+from ....pairs import REFERENCE_K, STRONGEST
+from ...constants import GAS_CONSTANT, TRACE_MOL
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 
 __all__ = [
     "Liquids",
     "activities",
     "clear_liquids",
+    "dimer_root",
     "gather",
     "nrtl",
     "on_curve",
     "partial_pressures",
     "prepare",
     "split",
+    "vapor_mol",
 ]
 
 _ROOM = MOST_FLUIDS * MOST_FLUIDS
@@ -41,6 +43,8 @@ _CLOSE = 1e-6
 _SAME = 1e-4
 """ln K of everything below which two phases are one."""
 _STEEPEST = 300.0
+_MOST_BOUND = 1e100
+"""Square root of a pressure of dimers, kPa: far beyond any, and its square is a number."""
 
 
 class Liquids(NamedTuple):
@@ -61,6 +65,9 @@ class Liquids(NamedTuple):
     """[2 * n] mole fractions among the molecules of each phase"""
     work: FloatArray
     """[2 * n]"""
+    parting: FloatArray
+    """[n] J/mol, what a molecule's heat of vaporization has more in the mixture's vapour than in its own, which has
+    more dimers"""
     ions: FloatArray
     """[2] mol of ions; and what ln gamma of a molecule in water gains by them"""
 
@@ -77,6 +84,7 @@ def clear_liquids() -> Liquids:
         scratch(_BOTH),
         scratch(_BOTH),
         scratch(_BOTH),
+        scratch(MOST_FLUIDS),
         scratch(2),
     )
 
@@ -118,6 +126,7 @@ def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
         for b in range(n):
             j = int(liquids.who[b])
             tau = chemistry.nrtl[i, j, 0] + chemistry.nrtl[i, j, 1] * inverse + chemistry.nrtl[i, j, 2] * rest
+            tau = min(max(tau, -STRONGEST), STRONGEST)
             liquids.tau[a * n + b] = tau
             liquids.g[a * n + b] = math.exp(-chemistry.nrtl[i, j, 3] * tau) if a != b else 1.0
 
@@ -304,15 +313,60 @@ def on_curve(curves: FloatArray, material: int, temperature: float, chem: Handle
     return float(curves[material, low] * (1.0 - part) + curves[material, low + 1] * part)
 
 
+@helper
+def dimer_root(material: int, temperature: float, chem: Handle) -> float:
+    """Square root of the dimerization constant of a material's vapour (1/kPa) at a temperature (K); 0 without dimers.
+
+    Of two materials, mixed dimers have twice the product of their roots (the rule of the double geometric mean)."""
+    dimer = opened(RealChemistry, chem).dimer
+    if dimer[material, 1] == 0.0:
+        return 0.0
+    return math.exp(dimer[material, 0] + dimer[material, 1] / temperature)
+
+
 @inner
 def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids, out: FloatArray) -> float:
-    """[n] kPa of every molecule over the liquids, by its activity in the phase that holds most of it; returns their
-    sum. Layers that do not mix add up (steam distillation)."""
+    """Vapour over the liquids, each molecule by its activity in the phase that holds most of it; layers that do not mix
+    add up (steam distillation).
+
+    Carboxylic acids form dimers: activities are those of the monomers (chemical theory: Prausnitz, Lichtenthaler and
+    de Azevedo, Molecular Thermodynamics of Fluid-Phase Equilibria, 3rd ed. 1999, section 5.9). With the monomers'
+    pressures p and r the roots of their constants, all dimers have the pressure s^2 of s = sum of r p.
+
+    Args:
+        n, liquids: the liquids.
+        temperature: K.
+        chem: the chemistry.
+        out: [n] kPa of every molecule as if there were no dimers: proportional to the mol in the vapour.
+
+    Returns:
+        Pressure of the vapour, kPa: a dimer counts as one.
+    """
     vapor = opened(RealChemistry, chem).vapor
-    total = 0.0
+    total, bound = 0.0, 0.0
     for a in range(n):
         at = n + a if liquids.share[a] > 0.5 else a
         power = on_curve(vapor, int(liquids.who[a]), temperature, chem) + liquids.log_gamma[at]
         out[a] = liquids.x[at] * math.exp(power)
         total += out[a]
+        liquids.parting[a] = dimer_root(int(liquids.who[a]), temperature, chem)
+        bound += liquids.parting[a] * out[a]
+    bound = min(bound, _MOST_BOUND)
+    for a in range(n):
+        root = liquids.parting[a]
+        if root > 0.0:
+            i = int(liquids.who[a])
+            out[a] *= 1.0 + 2.0 * root * bound
+            alone = 2.0 * root * root * math.exp(on_curve(vapor, i, temperature, chem))
+            apart = alone / (1.0 + alone) - 2.0 * root * bound / (1.0 + 2.0 * root * bound)
+            liquids.parting[a] = apart * GAS_CONSTANT * opened(RealChemistry, chem).dimer[i, 1]
+    return total + bound * bound
+
+
+@inner
+def vapor_mol(n: int, partial: FloatArray) -> float:
+    """Sum of the pressures of all molecules as if there were no dimers."""
+    total = 0.0
+    for a in range(n):
+        total += partial[a]
     return total

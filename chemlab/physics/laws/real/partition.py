@@ -7,7 +7,7 @@ from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from ....jit import helper, inner, kernel, opened
 from ....shelf import CLOCK_SETTLED, T_MIX
 from ...constants import TRACE_MOL
-from ...transfer import heat_capacity
+from ...transfer import heat_capacity, within_range
 from .acids import settle_acids
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .liquids import clear_liquids, gather, split
@@ -107,6 +107,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     push = 1.0
     for _ in range(_MOST_ROUNDS):
         settle_acids(row, chem, work)
+        row[TEMPERATURE] = within_range(row[TEMPERATURE])
         before = moved
         moved = _share_out(row, way, 0.0, push, chem)
         if abs(moved) < _CLOSE:

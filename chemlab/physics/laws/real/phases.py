@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 from ....arrays import FloatArray, Handle
-from ....chemistry import AIR, AMOUNTS, ROLE_GAS
+from ....chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
 from ....jit import inner, kernel, opened
-from ...constants import TRACE_MOL
+from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
 from ...surroundings import Surroundings
-from ...transfer import heat_capacity, spill, volume
+from ...transfer import heat_capacity, spill, volume, within_range
 from .. import react
 from .acids import acid_work_size, settle_acids
 from .chemistry import RealChemistry
@@ -77,6 +77,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     changed = _react_violently(row, chem, events)
     if chemistry.ionization[0] >= 0:
         settle_acids(row, chem, work)
+        row[TEMPERATURE] = within_range(row[TEMPERATURE])
     if settle_salts(row, chem):
         changed = True
     if changed:
@@ -96,8 +97,10 @@ def elapse(
     """Time passes for an open vessel: slow reactions go on, crystals grow or dissolve, heat goes to the room; what is
     above its boiling point by then boils off."""
     chemistry = opened(RealChemistry, chem)
-    seconds = ticks * chemistry.tick_seconds
-    if heat_capacity(row, chem) <= 0.0:
+    seconds, capacity = ticks * chemistry.tick_seconds, heat_capacity(row, chem)
+    if capacity <= LEAST_CAPACITY:
+        row[TEMPERATURE] = chemistry.ambient_temperature
+    if capacity <= 0.0:
         return False
     place_new(row, chem)
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)

@@ -18,7 +18,7 @@ from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
 from .. import vapor_pressure
 from .chemistry import RealChemistry
-from .heats import enthalpy
+from .heats import add_heat, enthalpy
 from .kinetics import KEPT, integrate
 from .spans import drifted, lengthened, prepare
 from .vapor import boiling_point, flash_off
@@ -165,7 +165,7 @@ def react(
             row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
         climb = max(row[TEMPERATURE] - at, 0.0) / part
         if row[TEMPERATURE] >= hot - 1e-9:  # nothing boils any more
-            row[TEMPERATURE] -= ahead / heat_capacity(row, chem)
+            add_heat(row, -ahead, chem)
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
             part, ahead, climb, known = shortest, 0.0, 0.0, False

@@ -7,11 +7,21 @@ import math
 from ....arrays import FloatArray, Handle
 from ....chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
 from ....jit import helper, inner, kernel, opened, routine, scratch
-from ...constants import GAS_CONSTANT, TRACE_MOL
+from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
-from ...transfer import heat_capacity, volume
+from ...transfer import heat_capacity, volume, within_range
 from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
-from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split
+from .heats import add_heat
+from .liquids import (
+    Liquids,
+    activities,
+    clear_liquids,
+    gather,
+    on_curve,
+    partial_pressures,
+    split,
+    vapor_mol,
+)
 from .salts import let_salts_fall_out
 
 __all__ = [
@@ -69,7 +79,7 @@ def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, l
     total, latent = 0.0, 0.0
     for a in range(n):
         total += partial[a]
-        latent += partial[a] * on_curve(vaporizing, int(liquids.who[a]), temperature, chem)
+        latent += partial[a] * (on_curve(vaporizing, int(liquids.who[a]), temperature, chem) + liquids.parting[a])
     return latent / max(total, 1e-300)
 
 
@@ -78,7 +88,8 @@ def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids
     """K at which the vapour has ``pressure`` by its pressure and its heat ``at`` a temperature (K): of a
     vapour pressure the logarithm falls with the inverse of the temperature (Clausius and Clapeyron)."""
     total = max(partial_pressures(n, at, chem, liquids, partial), 1e-300)
-    latent = max(latent_heat(n, at, partial, chem, liquids), 1.0)
+    # Of a mol of vapour: with dimers, more than a mol of molecules.
+    latent = max(latent_heat(n, at, partial, chem, liquids) * (vapor_mol(n, partial) / total), 1.0)
     inverse = 1.0 / at + GAS_CONSTANT * math.log(total / pressure) / latent
     there = 1.0 / inverse if inverse > 0.0 else _HOTTEST_K
     return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
@@ -143,7 +154,7 @@ def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handl
     for a in range(n):
         held = liquids.mol[a]
         gone = held * -math.expm1(-mol * partial[a] / (total * held)) if mol < everything else held
-        taken += gone * on_curve(vaporizing, int(liquids.who[a]), row[TEMPERATURE], chem)
+        taken += gone * (on_curve(vaporizing, int(liquids.who[a]), row[TEMPERATURE], chem) + liquids.parting[a])
         liquids.work[a] = gone
         liquids.mol[a] -= gone
     write_back(row, n, chem, liquids)
@@ -159,18 +170,22 @@ def flash_off(
     ``waste`` [M]. Returns mol lost."""
     liquids, partial = clear_liquids(), scratch(MOST_FLUIDS)
     n, capacity = gather(row, chem, liquids), heat_capacity(row, chem)
-    warm = row[TEMPERATURE] + heat / capacity if capacity > 0.0 else row[TEMPERATURE]
+    if capacity <= LEAST_CAPACITY and heat == 0.0:
+        return 0.0  # as warm as what it stands in
+    warm = within_range(row[TEMPERATURE] + heat / max(capacity, LEAST_CAPACITY))
     # Most of the time nothing boils, which one look at the pressure tells.
     if n > 0:
         activities(n, warm, chem, liquids)
     if n == 0 or partial_pressures(n, warm, chem, liquids, partial) <= pressure:
-        row[TEMPERATURE] = warm
+        add_heat(row, heat, chem)
         return 0.0
     lost, mol, left, boiling = 0.0, 0.0, heat, row[TEMPERATURE]
     for flashed in range(_MOST_FLASHES):
         before = boiling
         boiling = bubble_point(n, pressure, boiling, chem, liquids, partial)
         capacity = heat_capacity(row, chem)
+        if capacity <= LEAST_CAPACITY:
+            break
         excess = left + (row[TEMPERATURE] - boiling) * capacity
         if flashed == 0:
             left -= min(max(excess, 0.0), condenser)
@@ -192,14 +207,13 @@ def flash_off(
             lost += liquids.work[a]
         spent = max(min(left, taken), 0.0)
         left -= spent
-        row[TEMPERATURE] -= (taken - spent) / max(heat_capacity(row, chem), 1e-9)
+        add_heat(row, spent - taken, chem)
         # While the solvent goes and not after it: salts take heat, which then is not there to boil off more.
         let_salts_fall_out(row, chem)
         n = gather(row, chem, liquids)
         if n == 0:
             break
-    capacity = heat_capacity(row, chem)
-    row[TEMPERATURE] += left / capacity if capacity > 0.0 else 0.0
+    add_heat(row, left, chem)
     return lost
 
 
