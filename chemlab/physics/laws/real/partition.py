@@ -6,7 +6,7 @@ from ....arrays import FloatArray, Handle
 from ....chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from ....jit import helper, inner, kernel, opened
 from ....shelf import CLOCK_SETTLED, T_MIX
-from ...constants import TRACE_MOL
+from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...transfer import heat_capacity, within_range
 from .acids import settle_acids
 from .chemistry import AQUEOUS, ORGANIC, RealChemistry
@@ -38,6 +38,8 @@ def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> fl
     if fusion <= 0.0:
         return crystals
     capacity = heat_capacity(row, chem)
+    if capacity <= LEAST_CAPACITY:
+        return crystals
     excess = capacity * (row[TEMPERATURE] - chemistry.melting[material])
     melted = min(crystals, excess / fusion)
     row[TEMPERATURE] -= melted * fusion / capacity
