@@ -376,6 +376,8 @@ class Laboratories:
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         if not self._rehearsed:
             self._compile()
+        if world is not None:
+            self.worlds.check(world)
         self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start

@@ -196,6 +196,8 @@ class ExperimentBatch:
         """
         if not self._rehearsed:
             self._compile()
+        if world is not None:
+            self.worlds.check(world)
         self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
