@@ -524,9 +524,7 @@ def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
         (["verify", ""], ""),
     ],
 )
-def test_no_path_is_empty(
-    arguments: list[str], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_path_is_empty(arguments: list[str], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A variable of a script that is not set is no name for the current folder."""
     monkeypatch.chdir(tmp_path)
     done = runner.invoke(app, arguments)
@@ -600,8 +598,8 @@ def test_a_terminal_that_knows_no_umlauts(tmp_path: Path) -> None:
     environment.pop("PYTHONIOENCODING", None)
     text = Path(chemlab.scenarios.__path__[0], "salt_from_oil.toml").read_text(encoding="utf-8")
     text = text.replace('name = "salt_from_oil"', 'name = "mine"')
-    text = re.sub('^title = .*', 'title = "Säure"', text, flags=re.M)
-    (tmp_path / "säure.toml").write_text(re.sub('^summary = .*', 'summary = "größer"', text, flags=re.M), "utf-8")
+    text = re.sub("^title = .*", 'title = "Säure"', text, flags=re.M)
+    (tmp_path / "säure.toml").write_text(re.sub("^summary = .*", 'summary = "größer"', text, flags=re.M), "utf-8")
     for words in (
         ["run", "säure.toml", "--policy", "random", "--record", "é.jsonl"],
         ["verify", "é.jsonl", "--scenario", "säure.toml"],

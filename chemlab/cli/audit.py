@@ -9,7 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from ..files import check_folder, write_text
-from .common import AddressOption, JsonOption, ProcessesOption, ScenarioArgument, app, check_result, out, readable_errors
+from .common import (
+    AddressOption,
+    JsonOption,
+    ProcessesOption,
+    ScenarioArgument,
+    app,
+    check_result,
+    out,
+    readable_errors,
+)
 from .screen import counting, show_table
 
 __all__: list[str] = []

@@ -218,7 +218,9 @@ def read_record(path: str | Path) -> Record:
     notes = []
     if whole and all(line.endswith(b"\r") for line in whole):
         whole, tail = [line[:-1] for line in whole], tail.removesuffix(b"\r")
-        notes.append("has lines that end with CR LF instead of LF, as version control or an editor may have changed them")
+        notes.append(
+            "has lines that end with CR LF instead of LF, as version control or an editor may have changed them"
+        )
     if _whole(tail):
         whole, tail = [*whole, tail], b""
         notes.append("has no newline at the end of its last line")
