@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Careless, four_solvents, slow_but
+from helpers import Careless, four_solvents, script, slow_but
 from typer.testing import CliRunner
 
 import chemlab
@@ -1226,3 +1226,39 @@ def test_reactions_that_are_too_stiff_are_words_in_a_verdict_and_a_command(
 
     monkeypatch.setattr(Laboratories, "act", defect)
     assert isinstance(CliRunner().invoke(app, ["run", "fictitious"]).exception, ZeroDivisionError)
+
+
+# -- records of before ----------------------------------------------------------------------------------------
+
+
+COMMITTED = sorted((Path(__file__).parents[1] / "docs" / "results" / "records").rglob("*.jsonl"))
+
+
+@pytest.mark.skipif(not COMMITTED, reason="not a checkout")
+def test_committed_records_can_be_read() -> None:
+    """With another format of records they have to be made again: python docs/rerecord.py."""
+    for path in COMMITTED:
+        record = read_record(path)
+        assert record.checked_header().split == "test", path
+        assert (record.torn, record.broken, record.notes) == (False, None, []), path
+
+
+@pytest.mark.skipif(not COMMITTED, reason="not a checkout")
+def test_a_record_of_another_format_is_told_and_can_be_made_again(tmp_path: Path) -> None:
+    path = play(tmp_path / "a.jsonl", "salt_from_oil")
+    content, lines = path.read_bytes(), load(path)
+    lines[0]["format"]["version"] = 2
+    for line in lines[:-1]:
+        line["hidden"]["state"] = "0" * 16
+    result = verify_record(store(path, lines))
+    assert (result.status, result.exit_code) == ("other", 4)
+    assert "is of format 2" in result.message
+    assert "record the episode again" in result.message
+    rerecord = script("docs/rerecord.py")
+    assert rerecord.record_again(path) == ""
+    assert path.read_bytes() == content
+    lines[-1]["end"]["score"] += 0.1
+    changed = store(path, lines).read_bytes()
+    assert "has the score" in rerecord.record_again(path)
+    assert path.read_bytes() == changed
+    assert [file.name for file in tmp_path.iterdir()] == ["a.jsonl"]

@@ -326,10 +326,10 @@ def reactions(
             f"--values: {min(given_here)}: is none of the materials that are written: all of them are known"
         )
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
-    texts = {output: family_text(family)}
+    results = {output: family_text(family)}
     if strangers:
-        texts[beside] = material_text(tables, command)
-    write_texts(texts)
+        results[beside] = material_text(tables, command)
+    write_texts(results)
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return

@@ -17,13 +17,14 @@ agents whose action was not possible; `events` the safety events; `scores` the e
 the manager has measured (`slot`, `instrument`, `values` as the manager sees them, from 0 to 1).
 `hidden.vessels` has the vessels that changed, by position: `[temperature in K, mol of each of the header's materials]`,
 or null where no vessel stands any more; `hidden.stock` and `hidden.waste` likewise [mol of each material] when they
-changed; `hidden.state` is a hash of everything the rest of the episode depends on.
+changed; `hidden.state` is a hash of everything the rest of the episode depends on, with every field of each experiment
+that is running. The header's `hidden.world` has the number of the world and what follows from it (its values).
 
 ### What a record proves
 :func:`verify_record` plays the recorded actions on the simulator and compares every line with what a recorder would
 write there, byte by byte. So a record that is found right says what these actions lead to, and nothing else. Who chose
 them, knowing what, no record can prove: `policies` is a claim, and so are `environment`, `models` and, where `seed` is
-null, the random streams.
+null, the random streams and which of all worlds of its split it is.
 """
 
 from .format import (

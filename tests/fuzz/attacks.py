@@ -69,7 +69,8 @@ def forged(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
             found = forgeries.forge(tries, Path(folder), scenario)
         failures += [f"{scenario}: {name}: {n} found right" for name, counter in found.items() if (n := counter["ok"])]
         for name, counter in found.items():
-            outcomes[f"{name.replace('_', ' ')}: {scenario}"] = dict(sorted(counter.items()))
+            if counter:  # not every scenario has what is forged
+                outcomes[f"{name.replace('_', ' ')}: {scenario}"] = dict(sorted(counter.items()))
     return outcomes, failures
 
 
