@@ -91,8 +91,8 @@ class Template:
             agents = self.smarts.split(">")[1]
             raise DataError(
                 f"template {self.smarts!r}: {agents} over the arrow takes no part in a template; write "
-                "REACTANTS>>PRODUCTS, name what the reaction does not run without with --catalyst, and put what is used "
-                "up on the left"
+                "REACTANTS>>PRODUCTS, name what the reaction does not run without with --catalyst, and put what is "
+                "used up on the left"
             )
         object.__setattr__(self, "reaction", made)
 
