@@ -171,6 +171,145 @@ def test_what_is_no_compound_is_refused(text: str, parts: list[str]) -> None:
         assert part in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "instead"),
+    [
+        ("petroleum ether", "take hexane"),
+        ("hexanes", "take hexane"),
+        ("Xylene", "take m-xylene or o-xylene or p-xylene"),
+        ("polystyrene", "take styrene"),
+        ("PEG", "take ethylene glycol"),
+        ("9002-89-5", "polymer by its CAS number"),
+        ("Pd/C", "take palladium"),
+        ("10% Pd/C", "take palladium"),
+        ("platinum on alumina", "take platinum"),
+        ("Raney nickel", "take nickel"),
+        ("Zn/Hg", "take zinc"),
+        ("sodium amalgam", "take sodium"),
+        ("96% ethanol", "take ethanol"),
+        ("hydrochloric acid", "take hydrogen chloride and water"),
+        ("oil of wintergreen", "take methyl salicylate"),
+        ("NaH", "a formula"),
+        ("NBS", "CAS number 128-08-5"),
+    ],
+)
+def test_a_name_of_no_single_compound_is_refused_with_a_proposal(text: str, instead: str) -> None:
+    with pytest.raises(DataError) as caught:
+        compound_of(text)
+    assert instead in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "cas"),  # CAS numbers by the CAS registry
+    [
+        ("\u03b1-pinene", "80-56-8"),
+        ("alpha-pinene", "80-56-8"),
+        ("\u03b2-pinene", "127-91-3"),
+        ("\u03b3-butyrolactone", "96-48-0"),
+        ("\u03b3\u2010butyrolactone", "96-48-0"),
+        ("\u03b5-caprolactam", "105-60-2"),
+        ("\u03943-carene", "13466-78-9"),
+        ("\u0394\u00b3-carene", "13466-78-9"),
+        ("Li", "7439-93-2"),
+        ("Sn", "7440-31-5"),
+        ("butanol", "71-36-3"),
+        ("dioxane", "123-91-1"),
+        ("vanillin", "121-33-5"),
+    ],
+)
+def test_names_are_understood(text: str, cas: str) -> None:
+    assert compound_of(text).cas == cas
+
+
+def test_a_structure_of_a_template_is_never_taken_for_a_name() -> None:
+    # CN is methylamine as a structure, and in the list of chemicals a name of 2-chloroacetophenone.
+    assert compound_of("CN", structure=True).cas == "74-89-5"
+    with pytest.raises(DataError, match="both a name of 2-chloroacetophenone"):
+        compound_of("CN")
+    ammonolysis = Template("[CH3:1][Br:2].[NH3:3]>>[CH3:1][N:3].[Br:2]")
+    _, species = expand([ammonolysis], ["bromomethane", "ammonia"], shipped_materials(), generations=1)
+    assert "methylamine" in {s.key for s in species}
+
+
+def test_the_table_shows_what_was_taken(tmp_path: Path) -> None:
+    shown = " ".join(run("material", "isohexane", "ethanol", "-o", tmp_path / "m.toml").output.split())
+    assert "107-83-5" in shown
+    assert "2-Methylpentane" in shown.replace("- ", "-")
+    assert "is shipped as ethanol (ethanol, 64-17-5)" in shown
+
+
+METALS = ["Li", "Be", "Ba", "Ni", "Co", "Cr", "Mn", "Al", "Sn", "Pb", "Si", "Ge", "B", "As", "Sb"]
+
+
+@pytest.mark.parametrize("symbol", METALS)
+def test_metals_and_semimetals_are_solids(symbol: str) -> None:
+    from chemicals.elements import periodic_table
+
+    element = getattr(periodic_table, symbol)
+    (table,) = material_tables([compound_of(element.CAS)]).values()
+    assert (table["role"], table["composition"]) == ("solid", {symbol: 1})
+    assert "fusion_enthalpy_j_mol" not in table["real"]
+    # Dulong and Petit: 3 R for each mol of atoms, for heavy elements; light and hard ones stay below.
+    assert table["heat_capacity_j_mol_k"] < 1.2 * 3 * 8.314
+    assert table["heat_capacity_j_mol_k"] > (0.4 if symbol in ("Be", "B") else 0.75) * 3 * 8.314
+
+
+def test_tin_is_white_and_carbon_graphite() -> None:
+    # CRC Handbook: 7.287 and 5.769 kg/L for white and grey tin, which is stable below 286 K; graphite 2.2.
+    made = material_tables([compound_of("tin"), compound_of("7440-44-0")])
+    assert [table["density_kg_l"] for table in made.values()] == [7.287, 2.2]
+    with pytest.raises(DataError, match="salt or a mineral"):
+        material_tables([compound_of("lead iodide")])
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "right", "bound", "says"),
+    [
+        # 4-chloro-1-butanol boils at 84-89 C at 16-21 hPa (data sheets); by Trouton's rule from there near 450 K.
+        ("4-chloro-1-butanol", "boiling_point_k", 445.0, 30.0, "estimate: "),
+        # Melting points of 287 C (data sheets, sealed tube); three other numbers are in compilations.
+        ("fumaric acid", "melting_point_k", 560.0, 3.0, "doubtful: "),
+        # 166-170 J/mol/K by calorimetry at 298 K; one compilation has 307.8.
+        ("NMP", "heat_capacity_j_mol_k", 168.0, 9.0, "estimate: "),
+        # One compilation alone has these, and they are right: 151-152 C and 120-122 C on data sheets.
+        ("prenyl acetate", "boiling_point_k", 424.6, 2.0, "CAS Common Chemistry"),
+        ("3-penten-2-ol", "boiling_point_k", 394.0, 3.0, "CAS Common Chemistry"),
+        # 315 K below Joback's estimate, but a measured vapour pressure reaches an atmosphere there.
+        ("tridodecylamine", "boiling_point_k", 721.0, 3.0, "Yaws"),
+    ],
+)
+def test_what_compilations_have_wrong_is_flagged(
+    name: str, field: str, right: float, bound: float, says: str
+) -> None:
+    found = Properties(compound_of(name))
+    value = getattr(found, field.removesuffix("_k").removesuffix("_j_mol"))
+    assert value.number == pytest.approx(right, abs=bound)
+    assert value.source.startswith(says)
+
+
+def test_what_is_wrong_is_said(tmp_path: Path) -> None:
+    shown = " ".join(run("material", "4-chloro-1-butanol", "-o", tmp_path / "m.toml").output.split())
+    assert "check 4-chloro-1-butanol: boiling_point_k" in shown
+    assert "not taken: 357.65 K" in shown
+    # By hand it is what it is, without a flag.
+    values = tmp_path / "own.toml"
+    values.write_text(
+        '["4-chloro-1-butanol"]\nboiling_point_k = 357.65\nsource = { boiling_point_k = "at 21 hPa" }\n'
+    )
+    shown = run("material", "4-chloro-1-butanol", "-o", tmp_path / "n.toml", "--values", values).output
+    assert "check" not in shown
+
+
+def test_what_is_asked_for_is_a_file_to_fill_in(tmp_path: Path) -> None:
+    wanted = "5-methyl-3a,4,7,7a-tetrahydro-2-benzofuran-1,3-dione"  # a key that needs quotes
+    refused = CliRunner(env={"COLUMNS": "500"}).invoke(app, ["material", wanted, "-o", str(tmp_path / "m.toml")])
+    assert refused.exit_code != 0
+    text = refused.output[refused.output.index('["') :]
+    asked = tomllib.loads(text)
+    assert asked[wanted]["fusion_enthalpy_j_mol"] == 0.0
+    assert set(asked[wanted]["source"]) == set(asked[wanted]) - {"source"}
+
+
 def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None:
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
     done = run("material", "diphenyl sulfone", "-o", path, fails=True)
@@ -368,6 +507,7 @@ def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
         ("xyz", ["no reaction SMARTS", "REACTANTS>>PRODUCTS"]),
         ("[C:1][Cl>>[C:1]", ["no reaction SMARTS"]),
         ("[C:1]>>", ["no reactants or no products"]),
+        ("[C:1][Cl:2]>[Pd]>[C:1].[Cl:2]", ["[Pd] over the arrow", "--catalyst"]),
         ("[C:1][Br:2].[Na:3]>>[C:1].[Na:3][Br:2]", ["fits none of 1-chlorohexane, Na"]),
         ("[C:1][Cl].[C:2][Cl].[Na].[Na]>>[C:1][C:2]", ["not balanced: Cl 2 -> 0, Na 2 -> 0", "template"]),
         ("[C:1][Cl:3].[Na:5]>>[C:1][Na+:5].[Cl-:3]", ["charge of +1", "pair of brackets"]),
@@ -380,6 +520,27 @@ def test_a_wrong_template_is_refused(smarts: str, parts: list[str]) -> None:
         expand([Template(smarts)], ["1-chlorohexane", "Na"], shipped_materials())
     for part in parts:
         assert part in str(caught.value)
+
+
+def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "snar.toml"
+    words = ["reactions", "--smarts", "[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]", "-o", path]
+    words += ["--reactants", "2,4-difluoronitrobenzene", "pyrrolidine", "--rate", 3e-4]
+    second = "para_pyrrolidinyl + pyrrolidine -> bis_pyrrolidinyl + hydrofluoric_acid"
+    shown = " ".join(run(*words, "--rate", f"{second}=2e-6", "--activation", f"{second} = 80000").output.split())
+    assert "4 reactions share" not in shown
+    known = shipped_materials() | load_materials([tmp_path / "snar_materials.toml"])
+    constants = {}
+    for step in load_reactions("snar.toml", known, tmp_path).reaction:
+        constants[step.words] = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (8.314462618 * 298.15))
+        assert step.activation_energy_j_mol == (80_000.0 if step.words == second else 60_000.0)
+    assert constants.pop(second) == pytest.approx(2e-6, rel=1e-5)
+    assert list(constants.values()) == pytest.approx([3e-4] * 3, rel=1e-5)
+    # What the reactions of a template share is said, and a reaction that is none is refused.
+    assert "4 reactions share a template and its rate constant" in " ".join(run(*words, "--force").output.split())
+    refused = " ".join(run(*words, "--force", "--rate", "A -> B=1", fails=True).output.split())
+    assert "no reaction 'A -> B'; made here: 2,4-difluoronitrobenzene + pyrrolidine -> para" in refused
+    assert "must be NUMBER or REACTION=NUMBER" in run(*words, "--force", "--rate", "fast", fails=True).output
 
 
 def test_without_end_there_is_no_family() -> None:
@@ -408,6 +569,39 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
 
 
 # Without the extra --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def anhydride(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A material file of what UNIFAC has no groups for."""
+    path = tmp_path_factory.mktemp("anhydride") / "m.toml"
+    run("material", "maleic anhydride", "-o", path)
+    return path
+
+
+def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: Path) -> None:
+    path = anhydride.with_name("p.toml")
+    words = ["pairs", "maleic_anhydride", "toluene", "water", "--materials", anhydride, "-o", path]
+    refused = " ".join(run(*words, fails=True).output.split())
+    assert "'maleic_anhydride' with 'toluene'; 'maleic_anhydride' with 'water'" in refused
+    assert "--ideal" in refused
+    assert not path.exists()
+    shown = " ".join(run(*words, "--ideal").output.split())
+    assert "ideal mixtures" in shown
+    made = load_pairs([path])
+    # Toluene with water is shipped, by measured solubilities, and is not written over.
+    assert set(made) == {frozenset(("maleic_anhydride", other)) for other in ("toluene", "water")}
+    assert "1 shipped" in shown
+    for pair in made.values():
+        assert pair.tau(330.0) == (0.0, 0.0)  # NRTL without parameters: all activity coefficients are 1
+        assert pair.source.startswith("estimate: ideal mixture")
+    assert "--ideal" in read_toml(path)["lock"]["command"]
+
+
+def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
+    refused = run("pairs", "water", "ethanol", "-o", tmp_path / "p.toml", fails=True).output
+    assert "1 pair, all shipped" in " ".join(refused.split())
+    assert not (tmp_path / "p.toml").exists()
 
 
 def test_an_environment_imports_nothing_of_the_extra() -> None:

@@ -21,8 +21,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import chemlab.sandbox
+from chemlab.datafile import read_toml
 from chemlab.materials import DataError, shipped_materials
-from chemlab.openchem.writing import material_text
+from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import Flask, SpillWarning
@@ -274,6 +275,51 @@ def test_a_reaction_of_first_order(physics: str, first_order: str) -> None:
     assert flask.amounts["2-chlorohexane"] == pytest.approx(math.exp(-1.0), rel=1e-5)
     assert flask.amounts["1-chlorohexane"] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-5)
     assert flask.temperature_k == 320.0
+
+
+def test_an_edited_file_is_read_again(first_order: str) -> None:
+    path = Path(first_order)
+    text, old = path.read_text(), Flask({"2-chlorohexane": 1.0}, reactions=first_order)
+    factor = 3.0
+    path.write_text(re.sub(r"pre_exponential = (\S+)", lambda m: f"pre_exponential = {factor * float(m[1])}", text))
+    new = Flask({"2-chlorohexane": 1.0}, reactions=first_order)
+    left = []
+    for flask in (old, new):
+        flask.react(100.0, 330.0)
+        left.append(flask.amounts["2-chlorohexane"])
+    # A first-order reaction three times as fast: the logarithm of what is left is three times as large.
+    assert math.log(left[1]) == pytest.approx(factor * math.log(left[0]), rel=1e-4)
+    # Matter of two chemistries is not mixed, and the old flask learns nothing from the new file.
+    before = seen(old)
+    with pytest.raises(ValueError, match="edited after this flask was made"):
+        old.pour(new, 0.5)
+    with pytest.raises(DataError, match="edited after this flask was made; make a new flask"):
+        old.add("toluene", 0.1)
+    assert seen(old) == before
+    path.write_text(text)
+    old.add("toluene", 0.1)
+    assert old.amounts["toluene"] == pytest.approx(0.1)
+
+
+def test_material_and_pair_files_are_read_again_after_an_edit(tmp_path: Path) -> None:
+    shipped = read_toml(ROOT / "chemlab" / "data" / "materials" / "solvents.toml")["hexane"]
+    materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
+    masses, pressures = [], []
+    for density, b in ((0.65, 0.0), (0.5, 300.0)):
+        materials.write_text(material_text({"ours": {**shipped, "density_kg_l": density}}, "a test", ()))
+        row = {"of": ["ours", "toluene"], "a": [0.0, 0.0], "b": [b, b], "alpha": 0.3, "low_k": 270.0, "high_k": 400.0}
+        pairs.write_text(pair_text([{**row, "error": 0.0, "source": "a test"}], "a test", ()))
+        flask = Flask({"ours": 1.0, "toluene": 1.0}, material_files=[str(materials)], pair_files=[str(pairs)])
+        alone = flask.another({"ours": 1.0})
+        masses.append(alone.mass_kg / alone.volume_l)
+        pressures.append(flask.vapor_pressure_kpa)
+    assert masses == pytest.approx([0.65, 0.5], rel=1e-6)
+    # NRTL with tau = 1 for both at 300 K (about, at 298.15) and x = 1/2: ln gamma = tau (G^2 + G) / (1 + G)^2 with
+    # G = exp(-0.3 tau), the same for both, so that the pressure rises by gamma against the ideal mixture of before.
+    tau = 300.0 / flask.temperature_k
+    g = math.exp(-0.3 * tau)
+    gamma = math.exp(tau * (g**2 + g) / (1.0 + g) ** 2)
+    assert pressures[1] / pressures[0] == pytest.approx(gamma, rel=1e-3)
 
 
 def test_its_heat_stays_in_an_insulated_flask(first_order: str) -> None:

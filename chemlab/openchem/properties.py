@@ -229,8 +229,14 @@ def _against(found: Mapping[str, float], method: str, tolerance: float, shown: C
     near = _supporters(found, method, tolerance)
     if len(found) - near < near:
         return ""
-    far = ", ".join(f"{shown(v)} [{m}]" for m, v in found.items() if abs(v - found[method]) > tolerance)
+    far = ", ".join(f"{shown(v)} ({m})" for m, v in found.items() if abs(v - found[method]) > tolerance)
     return f"{DOUBTFUL}compilations disagree: {far}; "
+
+
+def _not_taken(value: Value, unit: str, why: str) -> str:
+    """What the source of an estimate says of the number that it stands for; its compilation is not cited as used."""
+    cited = value.source.replace("[", "(").replace("]", ")")
+    return f"not taken: {value.number:.5g} {unit}, {cited}, {why}"
 
 
 class Properties:
@@ -360,8 +366,8 @@ class Properties:
         if below <= _BELOW_K or self._boils_at(known.number):
             return known
         if len(self._listed("Tb")) == 1:
-            refused = f"not taken: {known.number:.2f} K, {known.source}, {below:.0f} K below, as if under vacuum"
-            return Value(guess.number, f"{guess.source}; {refused}")
+            words = f"{below:.0f} K below, as if under vacuum"
+            return Value(guess.number, f"{guess.source}; {_not_taken(known, 'K', words)}")
         if known.source.startswith(DOUBTFUL):
             return known
         return Value(known.number, f"{DOUBTFUL}{below:.0f} K below the estimate, as if under vacuum; {known.source}")
@@ -579,7 +585,7 @@ class Properties:
         times = f"{math.exp(off):.2g} times off all estimates"
         if self.state == "s":
             return Value(known.number, f"{DOUBTFUL}{times}; {known.source}")
-        return Value(guess.number, f"{guess.source}; not taken: {known.number:.4g} J/mol/K, {known.source}, {times}")
+        return Value(guess.number, f"{guess.source}; {_not_taken(known, 'J/mol/K', times)}")
 
     def _heat_referees(self) -> list[float]:
         """Independent estimates in J/mol/K of the heat capacity of an organic liquid or solid; none of others."""
