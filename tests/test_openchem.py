@@ -278,9 +278,7 @@ def test_tin_is_white_and_carbon_graphite() -> None:
         ("tridodecylamine", "boiling_point_k", 721.0, 3.0, "Yaws"),
     ],
 )
-def test_what_compilations_have_wrong_is_flagged(
-    name: str, field: str, right: float, bound: float, says: str
-) -> None:
+def test_what_compilations_have_wrong_is_flagged(name: str, field: str, right: float, bound: float, says: str) -> None:
     found = Properties(compound_of(name))
     value = getattr(found, field.removesuffix("_k").removesuffix("_j_mol"))
     assert value.number == pytest.approx(right, abs=bound)
@@ -293,9 +291,7 @@ def test_what_is_wrong_is_said(tmp_path: Path) -> None:
     assert "not taken: 357.65 K" in shown
     # By hand it is what it is, without a flag.
     values = tmp_path / "own.toml"
-    values.write_text(
-        '["4-chloro-1-butanol"]\nboiling_point_k = 357.65\nsource = { boiling_point_k = "at 21 hPa" }\n'
-    )
+    values.write_text('["4-chloro-1-butanol"]\nboiling_point_k = 357.65\nsource = { boiling_point_k = "at 21 hPa" }\n')
     shown = run("material", "4-chloro-1-butanol", "-o", tmp_path / "n.toml", "--values", values).output
     assert "check" not in shown
 

@@ -243,7 +243,8 @@ def pairs(
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:
-        raise ValueError(f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials")
+        count = _count(len(every), "pair")
+        raise ValueError(f"{count}, all shipped: scenarios have them without a file; name other materials")
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
     text, rows = _made_pairs(two, known, _command("pairs", *words), ideal)
     write_text(output, text)
