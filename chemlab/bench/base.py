@@ -571,10 +571,10 @@ class Bench(ABC):
         self.see(shelf, experiments, members, out)
         if not self._is_shipped:
             name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
-            seen = out[:, : self._graded_from]
-            seen[:] = checked_numbers(seen, seen.shape, f"{name}: see()", 0.0, 1.0)
             vessels = shelf.rows[experiments.places[members]]
             check_vessels(vessels.reshape(-1, vessels.shape[-1]), f"{name}: act()")
+            seen = out[:, : self._graded_from]
+            seen[:] = checked_numbers(seen, seen.shape, f"{name}: see()", 0.0, 1.0)
         if self._added_from > self._graded_from:
             self._observe_graded(experiments, members, out)
         if self._added:

@@ -160,6 +160,9 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
         else:
             formula, cited["vapor_pressure"] = found.vapor_pressure
             real["vapor_pressure"] = formula.model_dump()
+            if found.dimerization is not None:
+                dimers, cited["dimerization"] = found.dimerization
+                real["dimerization"] = dimers.model_dump()
         put(real, cited, "critical_temperature_k", found.critical_temperature)
     heat = found.formation_enthalpy
     put(real, cited, "formation_enthalpy_j_mol", heat[0] if heat else None)

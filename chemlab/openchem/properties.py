@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..datafile import DataError
-from ..materials import VaporPressure
+from ..materials import Dimerization, VaporPressure
 from ..physics.constants import GAS_CONSTANT
 from .identity import Compound, molar_mass, parsed
 from .names import is_metal
@@ -144,6 +144,14 @@ _VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0
     **dict.fromkeys(("Rb", "Sr", "In", "Sn", "Sb", "Te", "I"), 7.5),
 }
 """Girolami's volumes of atoms, in units of 5 mL/mol."""
+_CARBOXYL = "[CX3](=[OX1])[OX2H1]"
+_DIMER_ENTHALPY, _DIMER_ENTROPY, _FORMIC_ENTROPY = -58_500.0, -136.0, -149.0
+"""J/mol and J/mol/K of dimers in the vapour of acids of two to five carbon atoms, and of formic acid."""
+_MEASURED_ACIDS = 5
+_DIMER_SOURCE = (
+    "vapour densities, Miyamoto et al., J. Chem. Eng. Data 44 (1999) 48, from its abstract; it names no unit of K, and "
+    "1/atm is inferred from heats of vaporization"
+)
 _ASSOCIATING = ("[OX2H1]", "[NX3;H1,H2]", "[NX3;H0][CX3]=[OX1]", "[#16X3]=[OX1]", "[#16X4](=[OX1])=[OX1]")
 """Groups that each raise the density by a tenth: hydroxyl and carboxyl, amines, amides, sulfoxides, sulfones."""
 
@@ -490,6 +498,22 @@ class Properties:
         made = self._curve(t, [chemicals.Lee_Kesler(float(x), tc, pc, omega) for x in t], boiling)
         source = "estimate: Lee and Kesler, AIChE J. 21 (1975) 510, through the boiling point"
         return None if made is None else (made[0], f"{source}; fit of DIPPR 101 within {made[1]:.2g} %")
+
+    @functools.cached_property
+    def dimerization(self) -> tuple[Dimerization, str] | None:
+        """Of the vapour of an acid with one carboxyl group and no other oxygen, and its source."""
+        atoms = self.compound.composition
+        if not atoms.keys() <= {"C", "H", "O"} or atoms.get("O") != 2:
+            return None
+        molecule = parsed(self.compound.smiles, self.compound.key)
+        if not molecule.HasSubstructMatch(MolFromSmarts(_CARBOXYL)):
+            return None
+        carbons = atoms["C"]
+        measured = carbons <= _MEASURED_ACIDS and atoms["H"] == 2 * carbons
+        made = Dimerization(
+            enthalpy_j_mol=_DIMER_ENTHALPY, entropy_j_mol_k=_FORMIC_ENTROPY if carbons == 1 else _DIMER_ENTROPY
+        )
+        return made, _DIMER_SOURCE if measured else f"estimate: as of acetic to valeric acid, {_DIMER_SOURCE}"
 
     @staticmethod
     def _curve(t: Any, pascal: Sequence[Any], boiling: float) -> tuple[VaporPressure, float] | None:

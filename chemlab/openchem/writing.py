@@ -79,7 +79,7 @@ def material_text(
         f"# a source says where each number is from{keys}.",
     ]
     locked = {"lock": lock(command, *packages)}
-    lines = toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure"))
+    lines = toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure", "dimerization"))
     return "\n".join([*head, *lines]) + "\n"
 
 

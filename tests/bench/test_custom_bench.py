@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from pettingzoo.test import api_test, seed_test
 
 import chemlab.scenarios
 from chemlab.bench.base import channel_slices
+from chemlab.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.laboratory.aec import env as laboratory_env
 from chemlab.laboratory.aec import raw_env
 from chemlab.laboratory.experiments import ExperimentBatch
 from chemlab.materials import DataError
+from chemlab.parts import PartError
 
 ENTRY = """
 [benches.fil]
@@ -160,3 +163,33 @@ def test_its_mistakes_in_the_scenario_are_named(scenario: Path) -> None:
         with pytest.raises(DataError, match=part) as caught:
             raw_env(scenario)
         assert f"{scenario}: benches.fil" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("method", "wrong", "words"),
+    [
+        ("see", "out[:, 0] = 1.5", r"see\(\).*from 0 to 1"),
+        ("see", "out[:, 0] = np.nan", r"see\(\)"),
+        ("act", "shelf.rows[experiments.places[members, 0], TEMPERATURE] = -11_819.0", r"-11819 K.*50 to 5000 K"),
+        ("act", "shelf.rows[experiments.places[members, 0], AMOUNTS] = np.nan", "negative or not finite"),
+    ],
+)
+def test_what_no_space_or_vessel_holds_is_refused(
+    scenario: Path, monkeypatch: pytest.MonkeyPatch, method: str, wrong: str, words: str
+) -> None:
+    """An observation outside its space, and contents that no vessel can have, are errors that name the bench."""
+    batch = ExperimentBatch(scenario, "fil")
+    kind = type(batch.bench)
+    known = getattr(kind, method)
+
+    def spoilt(self: Any, shelf: Any, experiments: Any, members: Any, given: Any) -> None:
+        known(self, shelf, experiments, members, given)
+        names = {"out": given, "shelf": shelf, "experiments": experiments, "members": members}
+        exec(wrong, {**names, "np": np, "TEMPERATURE": TEMPERATURE, "AMOUNTS": AMOUNTS})
+
+    batch.seed(0, 0)
+    batch.reset(batch.members)
+    monkeypatch.setattr(kind, method, spoilt)
+    batch.act(np.zeros(1, dtype=np.int64))
+    with pytest.raises(PartError, match=rf"benches\.fil.*{words}"):
+        batch.observe()

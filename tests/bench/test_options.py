@@ -22,10 +22,13 @@ from chemlab.scenario import load_scenario
         ("rxn", "rated_pressure_kpa", 1e9),
         ("rxn", "vessel_volume_l", 1e3),
         ("rxn", "temperature_k", {"low": 275.0, "high": 1e5, "step": 15.0}),
+        ("rxn", "temperature_k", {"low": 1.0, "high": 400.0, "step": 15.0}),
         ("rxn", "penalty", {"NaCl": 1e9}),
         ("ext", "settle_per_step", 1e3),
         ("ext", "process", [{"kind": "settle", "vessel": "EV", "magnitudes": [1.0] * 1001}]),
         ("dit", "hottest_k", 1e4),
+        ("dit", "hottest_k", 2.0),
+        ("dit", "coolest_k", 1.0),
     ],
 )
 def test_out_of_bounds_is_refused(bench: str, key: str, value: Any) -> None:
@@ -33,3 +36,10 @@ def test_out_of_bounds_is_refused(bench: str, key: str, value: Any) -> None:
     values["benches"][bench][key] = value
     with pytest.raises(DataError, match=rf"benches\.{bench}: {key}"):
         ExperimentBatch(load_scenario(values), bench)
+
+
+def test_a_temperature_out_of_range_is_named_with_its_bound() -> None:
+    values = mapping("wurtz_dodecane")
+    values["benches"]["dit"]["coolest_k"] = 1.0
+    with pytest.raises(DataError, match=r"benches\.dit: coolest_k: .*greater than or equal to 50, given 1\.0"):
+        ExperimentBatch(load_scenario(values), "dit")
