@@ -234,7 +234,9 @@ def pairs(
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:
-        raise ValueError(f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials")
+        raise ValueError(
+            f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials"
+        )
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
     rows = _write_pairs(output, two, known, _command("pairs", *words), ideal)
     if as_json:
