@@ -785,6 +785,17 @@ def test_a_base_may_have_a_base_and_files_of_its_own(slime: Path) -> None:
     assert two.family == first.family
 
 
+def test_pair_files_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
+    names = min(load_scenario("crude").pairs, key=sorted)
+    rest = 'a = [0, 0], b = [7, 7], alpha = 0.3, low_k = 270, high_k = 400, error = 0, source = "made up"'
+    row = f"{{ of = {sorted(names)}, {rest} }}"
+    (tmp_path / "p.toml").write_text(f'pairs = [{row}]\n[lock]\nmade = "up"\n')
+    (tmp_path / "first.toml").write_text('base = "crude"\nname = "first"\npair_files = ["p.toml"]\n')
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "second.toml").write_text('base = "../first.toml"\nname = "second"\n')
+    assert load_scenario(tmp_path / "below" / "second.toml").pairs[names].b == (7.0, 7.0)
+
+
 @pytest.mark.parametrize(
     ("base", "message"),
     [

@@ -243,8 +243,9 @@ def pairs(
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:
-        count = _count(len(every), "pair")
-        raise ValueError(f"{count}, all shipped: scenarios have them without a file; name other materials")
+        raise ValueError(
+            f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials"
+        )
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
     text, rows = _made_pairs(two, known, _command("pairs", *words), ideal)
     write_text(output, text)
