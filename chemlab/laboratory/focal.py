@@ -20,7 +20,8 @@ that power where time matters, by gamma once where decisions do.
 In every step: `action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost`
 (of all agents'), `events` (the laboratory's in the step by kind, [kinds, as in the scenario's `safety_events`]),
 `illegal_action`, `elapsed_ticks`, `experiment_over`, and `score` (0 where nothing has ended); in single environments
-the manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.laboratory.common.manager_accounts`).
+the manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.laboratory.common.manager_accounts`),
+and single values are of NumPy's types, too.
 
 ### Seeds
 Member i of a batch that is reset with seed s plays what a single environment reset with seed s + i plays, as long as

@@ -583,7 +583,7 @@ def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
         if not over:
             np.testing.assert_array_equal(info["action_mask"], env.action_masks())
         assert info["illegal_action"] == (not mask[action])
-        seen[info["illegal_action"]] += 1
+        seen[bool(info["illegal_action"])] += 1
         assert env.batch.experiments.steps[0] == steps + 1, "a turn is a turn"
         if info["illegal_action"] and not over:
             np.testing.assert_array_equal(env.batch.shelf.rows, shelf)
