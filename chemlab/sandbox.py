@@ -24,7 +24,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -229,7 +229,7 @@ def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[C
                 flask._put_back(before)
             raise
 
-    return whole
+    return cast("Callable[Concatenate[Flask, P], R]", whole)
 
 
 class Flask:
