@@ -252,6 +252,9 @@ class Flask:
         pair_files: files with activity coefficients of your own pairs of liquids (``real``).
         room_k, room_kpa: temperature and pressure around it.
 
+    Files are read when a flask is made. After an edit, new flasks have the new chemistry; old ones keep theirs, and
+    exchange nothing with new ones.
+
     Raises:
         DataError: an unknown material, or one that the tier lacks data of.
         ValueError: an amount or another number is out of bounds, the contents do not fit or are charged.

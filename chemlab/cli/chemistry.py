@@ -195,13 +195,13 @@ def _show_materials(tables: dict[str, Any], wanted: Sequence[Compound]) -> None:
 
     guessed = estimates(tables)
     rows = [
-        (key, _meant(wanted, key), t["formula"], t["role"], f"{t['boiling_point_k']:.1f}", f"{t['density_kg_l']:.3f}",
+        (key, _meant(wanted, key), t["formula"], t["role"], f"{t['boiling_point_k']:.1f}",
          ", ".join(guessed[key]) or "none")
         for key, t in tables.items()
     ]  # fmt: skip
     if rows:
-        head = ("material", "compound, CAS number", "formula", "role", "boils (K)", "kg/L", "estimates")
-        show_table("", head, rows, right=(4, 5))
+        head = ("material", "compound, CAS number", "formula", "role", "boils (K)", "estimates")
+        show_table("", head, rows, right=(4,))
     for line in doubts(tables):
         out.print(f"check {plain(line)}")
     for key, table in tables.items():
@@ -336,9 +336,15 @@ def reactions(
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
     _show_materials(tables, wanted)
-    rows = [(f.words, f"{templates.heat_of_reaction(f, known) / 1000.0:.1f}", _rate_words(f),
-             "side" if f.template.side else "main") for f in found]  # fmt: skip
-    show_table("", ("reaction", "heat (kJ/mol)", "rate constant (298 K)", ""), rows, right=(1,))
+    rows = [
+        (
+            f.words if not f.template.side else f"{f.words} (side reaction)",
+            f"{templates.heat_of_reaction(f, known) / 1000.0:.1f}",
+            _rate_words(f),
+        )
+        for f in found
+    ]
+    show_table("", ("reaction", "kJ/mol", "k (298 K)"), rows, right=(1,))
     shared = [f for f in found if sum(f.template is other.template for other in found) > 1]
     if shared:
         example = shlex.quote(f"{shared[-1].words}=NUMBER")
