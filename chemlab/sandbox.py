@@ -245,6 +245,7 @@ class Flask:
         self._shelf.fill(0, 0, capacity_l, contents)
         if temperature_k is not None:
             self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
+            self._put_in_molten(contents)
         self._row[CLOCK] = T_MIX  # shaken, so that everything is where it belongs; then left to settle
         self._after()
         self.settle()
@@ -637,6 +638,17 @@ class Flask:
             new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
         self._names, self._known, self._shelf = names, known, new
         self._make_scratch()
+
+    def _put_in_molten(self, contents: Mapping[str, float]) -> None:
+        """What is put in above its melting point is a liquid (tier ``real``)."""
+        layout, known = self._shelf.layout, self._materials()
+        if self._setting.physics != "real":
+            return
+        for name, mol in contents.items():
+            melts = known[name].melting_point_k
+            fluid = known[name].role in ("solvent", "solute")
+            if fluid and melts is not None and self._setting.room_k < melts < self.temperature_k:
+                self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
     def _join(self, other: Flask) -> None:
         """Make sure that matter can pass to another flask."""
