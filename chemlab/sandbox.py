@@ -192,7 +192,7 @@ class Flask:
         contents: mol by material.
         physics: tier of physical laws: ``real`` or ``paper``.
         capacity_l: L; what is more runs over.
-        temperature_k: of what is put together in it; the room's by default.
+        temperature_k: of what is put together in it, molten above its melting point; the room's by default.
         reactions: what can happen: a shipped family's name or the path of a reaction file. By default sodium salts
             dissolve, and nothing else.
         material_files: files with materials of your own.
