@@ -245,7 +245,7 @@ class Flask:
         contents: mol by material.
         physics: tier of physical laws: ``real`` or ``paper``.
         capacity_l: L; what is more runs over.
-        temperature_k: of what is put together in it; the room's by default.
+        temperature_k: of what is put together in it, molten above its melting point; the room's by default.
         reactions: what can happen: a shipped family's name or the path of a reaction file. By default sodium salts
             dissolve, and nothing else.
         material_files: files with materials of your own.
@@ -303,6 +303,7 @@ class Flask:
         self._shelf.fill(0, 0, capacity_l, contents)
         if temperature_k is not None:
             self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
+            self._put_in_molten(contents)
         self._row[CLOCK] = T_MIX  # shaken, so that everything is where it belongs; then left to settle
         self._after()
         self.settle()
@@ -717,6 +718,17 @@ class Flask:
         vars(self).update(saved.attributes)
         for array, before in zip(self._changing(), saved.arrays, strict=True):
             array[:] = before
+
+    def _put_in_molten(self, contents: Mapping[str, float]) -> None:
+        """What is put in above its melting point is a liquid (tier ``real``)."""
+        layout, known = self._shelf.layout, self._materials()
+        if self._setting.physics != "real":
+            return
+        for name, mol in contents.items():
+            melts = known[name].melting_point_k
+            fluid = known[name].role in ("solvent", "solute")
+            if fluid and melts is not None and self._setting.room_k < melts < self.temperature_k:
+                self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
     def _join(self, other: Flask) -> None:
         """Make sure that matter can pass to another flask."""

@@ -457,6 +457,9 @@ def test_crystals_melt_by_the_heat_that_they_take() -> None:
     fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
     assert fusion is not None
     assert melting is not None
+    molten = Flask({"naphthalene": mol}, temperature_k=melting + 1.0)
+    assert [layer.name for layer in molten.layers] == ["organic"]
+    assert molten.temperature_k == melting + 1.0
     flask = Flask({"naphthalene": mol}, temperature_k=340.0)
     warming = heat_capacity(flask) * (melting - 340.0)
     flask.heat(warming + 0.25 * fusion * mol)

@@ -32,7 +32,7 @@ _RISE_K = 6.0
 _MOST_PARTS, _MOST_SPANS = 512, 4096
 _LEAST_SPAN = 1e-9
 """Of the time, of a span at whose end equilibria lack something."""
-_SHORTEST_S = 0.125
+_SHORTEST_S = 0.25
 """Of the shortest part: in a runaway a second decides."""
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
 """By which a part may be longer than the one before, and vapour be foreseen to come faster."""
