@@ -152,7 +152,7 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
 
 
 def extreme(name: str) -> Scenario:
-    """A shipped scenario whose apparatus goes as far as files let it, in thin air, with instruments that are all noise."""
+    """A shipped scenario with apparatus as extreme as files may have it, in thin air, and instruments all of noise."""
     values = mapping(name)
     values["ambient_pressure_kpa"] = 60.0
     for bench in values["benches"].values():
