@@ -123,8 +123,9 @@ def test_a_limit_terminates() -> None:
     measure = env._batch.laboratories.actions.encode("measure", 0, "balance")
     now = env.reset()
     for ends in (False, True):
+        now = env.rand_action(now)
         now["manager", "action"] = torch.full_like(now["manager", "action"], measure)
-        now = env.step(env.rand_action(now).update({"manager": now["manager"]}))["next"]
+        now = env.step(now)["next"]
         assert now["terminated"].tolist() == now["done"].tolist() == [[ends]] * 2
         assert not now["truncated"].any()
 
