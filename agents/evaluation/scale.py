@@ -43,7 +43,7 @@ class Scale:
 
     def _scaled(self, values: FloatArray) -> FloatArray:
         span = self._ends - self._zero
-        return np.divide(values, span, out=np.full(len(values), np.nan), where=span > 0.0)
+        return np.asarray(np.divide(values, span, out=np.full(len(values), np.nan), where=span > 0.0))
 
     def mean(self, scores: FloatArray) -> FloatArray:
         """[1 + G] normalized means: of all episodes, then without each group; NaN where nothing is above random."""
