@@ -164,11 +164,25 @@ def kernel(function: F, **options: Any) -> F:
     if COMPILED:
         try:
             compiled._cache = _KernelCache(function)
+            compiled.compile = _compile_in_turn(compiled)
         except RuntimeError as error:
             if "locator" not in str(error):
                 raise
             _say_once("there is no folder to keep compiled kernels in: they are compiled anew in every process")
     return cast(F, compiled)  # numba's dispatcher stands in for the function
+
+
+def _compile_in_turn(compiled: Any) -> Callable[[Any], Any]:
+    """Compile a kernel, and let other processes go on however that ends: also where it is interrupted."""
+    compile_once = compiled.compile
+
+    def compile_(signature: Any) -> Any:
+        try:
+            return compile_once(signature)
+        finally:
+            compiled._cache._cache_file.end_turn()
+
+    return compile_
 
 
 class _KernelPlaces(_PLACES):  # type: ignore[misc]  # numba has no types
@@ -239,7 +253,7 @@ class _CheckedCacheFile(_CACHE_FILE):  # type: ignore[misc]  # numba has no type
         if found is None and self._take_turn():
             found = super().load(_keyed(key))
             if found is not None:
-                self._end_turn()
+                self.end_turn()
         return found
 
     def save(self, key: Any, data: Any) -> None:
@@ -247,7 +261,7 @@ class _CheckedCacheFile(_CACHE_FILE):  # type: ignore[misc]  # numba has no type
             super().save(_keyed(key), data)
         except OSError as error:
             _say_once(f"compiled kernels cannot be kept in {self._cache_path} ({error.strerror})")
-        self._end_turn()
+        self.end_turn()
 
     def _take_turn(self) -> bool:
         """Wait as long as another process compiles this kernel; it has left it in the cache then. False where there is
@@ -257,7 +271,8 @@ class _CheckedCacheFile(_CACHE_FILE):  # type: ignore[misc]  # numba has no type
             time.sleep(0.05)
         return bool(taken)
 
-    def _end_turn(self) -> None:
+    def end_turn(self) -> None:
+        """Let other processes compile this kernel."""
         _give(self._cache_path, self._index_name)
 
 

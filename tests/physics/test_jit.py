@@ -93,6 +93,52 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, w
     assert "NUMBA_CACHE_DIR" in done.stderr
 
 
+INTERRUPTED = """
+import sys
+from pathlib import Path
+import numba.extending
+from chemlab.jit import kernel
+
+def _two(): ...
+
+@numba.extending.overload(_two)
+def _overload_two():
+    if sys.argv[1] == "interrupted":
+        raise KeyboardInterrupt
+    return lambda: 2.0
+
+@kernel
+def doubled(x):
+    return _two() * x
+
+try:
+    print(doubled(1.5), flush=True)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+sys.stdin.read()
+"""
+"""A program with a kernel, of which the compilation may be interrupted; it lives until its input ends."""
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
+def test_an_interrupted_compilation_keeps_no_other_process_waiting(tmp_path: Path) -> None:
+    """The process that was interrupted lives on, as a notebook does, and another one compiles the kernel."""
+    script = tmp_path / "interrupted.py"
+    script.write_text(INTERRUPTED, encoding="utf-8")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    command = [sys.executable, str(script)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
+    with subprocess.Popen([*command, "interrupted"], **pipes) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "interrupted\n"
+        done = subprocess.run(
+            [*command, "whole"], stdin=subprocess.DEVNULL, capture_output=True, text=True, env=environment, timeout=300
+        )
+        assert first.poll() is None
+        first.communicate("")
+    assert done.stdout == "3.0\n", done.stderr
+
+
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
 @pytest.mark.parametrize("home", [True, False], ids=["home", "homeless"])
 def test_kernels_are_kept_outside_the_package(home: bool, tmp_path: Path) -> None:
