@@ -4,7 +4,7 @@ What they are given is the agent's observation and behind it the laboratory's st
 (:class:`~chemlab.laboratory.global_state.GlobalState`). The actor has no connection to the state, and plays
 without: behind an observation alone zeros are put.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ try:
     from stable_baselines3.common.policies import ActorCriticPolicy
     from stable_baselines3.common.torch_layers import MlpExtractor
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["CentralisedPolicy", "MaskableCentralisedPolicy"]
 

@@ -176,7 +176,7 @@ def _minari() -> Any:
         import h5py  # noqa: F401 - Minari's storage, which Minari itself does not ask for
         import minari
     except ImportError as error:
-        raise ImportError('demonstrations need Minari: pip install "chemlab-marl[data]"') from error
+        raise ImportError('demonstrations need Minari: pip install ".[data]"') from error
     return minari
 
 

@@ -290,7 +290,7 @@ def _ray() -> Any:
     try:
         import ray
     except ImportError as error:
-        raise ImportError(f'a cluster needs Ray ({error}): pip install "chemlab-marl[ray]"') from error
+        raise ImportError(f'a cluster needs Ray ({error}): pip install ".[ray]"') from error
     return ray
 
 
@@ -334,7 +334,7 @@ class _Slurm:
         try:
             import submitit
         except ImportError as error:
-            raise ImportError(f'Slurm needs submitit ({error}): pip install "chemlab-marl[slurm]"') from error
+            raise ImportError(f'Slurm needs submitit ({error}): pip install ".[slurm]"') from error
         try:
             self._engine = submitit.AutoExecutor(folder, cluster)
         except RuntimeError as error:

@@ -1,7 +1,7 @@
 """Stable-Baselines3's learners as checkpoints have them: ``model.zip`` of one, ``ROLE.zip`` of several that learned
 together.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ try:
     from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
     from stable_baselines3.common.base_class import BaseAlgorithm
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["LEARNERS", "load_learner", "load_team", "save_learner", "save_team"]
 

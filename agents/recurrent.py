@@ -3,7 +3,7 @@
 What it sees ends with the mask, one number an action (:class:`~chemlab.agents.sb3.ChemlabVecEnv`, ``show_masks``), so
 that the learner's buffers keep it with the observation. Its LSTM does not see the mask.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ try:
     from stable_baselines3.common.distributions import Distribution
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["MaskedLstmPolicy"]
 

@@ -4,7 +4,7 @@
 >>> from chemlab.agents.sb3 import ChemlabVecEnv                                   # doctest: +SKIP
 >>> PPO("MlpPolicy", ChemlabVecEnv(10, bench="rxn"), n_steps=256).learn(100_000)   # doctest: +SKIP
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
-    raise ImportError('chemlab.agents.sb3 needs Stable-Baselines3: pip install "chemlab-marl[train]"') from error
+    raise ImportError('chemlab.agents.sb3 needs Stable-Baselines3: pip install ".[train]"') from error
 
 __all__ = ["ChemlabVecEnv"]
 

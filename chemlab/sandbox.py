@@ -647,7 +647,7 @@ class Flask:
         """[height, width, 3] its picture, RGB.
 
         Raises:
-            ImportError: Pillow is not installed (``pip install 'chemlab-marl[render]'``).
+            ImportError: Pillow is not installed (``pip install '.[render]'``).
         """
         from .render.draw import draw_vessel
 

@@ -662,7 +662,7 @@ def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:
         assert exit_code == 2
         assert output.strip().startswith("error: ")
         assert len(output.strip().splitlines()) == 1
-        assert 'pip install "chemlab-marl[chem]"' in output
+        assert 'pip install ".[chem]"' in output
     assert len(refused) == 3
     # All pairs of the last one are shipped, and nothing else was written.
     assert made[0] == 0, made

@@ -28,7 +28,7 @@ from chemlab.sandbox import Flask
 from chemlab.scenario import RealSpec, load_scenario
 
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
-    pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[chem]"')
+    pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[chem]"')
 
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
@@ -700,7 +700,7 @@ def test_three_commands_make_a_laboratory_that_scripted_agents_play(acetate: Pat
 def test_an_agent_learns_in_it(acetate: Path) -> None:
     """From names to a trained agent: without a line written, it makes most of what the script makes."""
     for package in ("torch", "stable_baselines3"):
-        pytest.importorskip(package, reason=f'{package} is not installed: pip install "chemlab-marl[train]"')
+        pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[train]"')
     lab, trained = acetate.with_name("lab.toml"), acetate.with_name("trained")
     run("new", "acetate_lab", "--reactions", acetate, "-o", lab)
     words = ["train", "chemlab/Bench-v0", "--scenario", lab, "--bench", "rxn", "--steps", 40_000]

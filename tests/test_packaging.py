@@ -23,7 +23,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the sources to build in, without what tools have left there."""
     version = importlib.metadata.version("setuptools") if importlib.util.find_spec("setuptools") else "none"
     if version == "none" or int(version.partition(".")[0]) < 77:
-        pytest.skip(f'building needs setuptools 77 or newer, here is {version}: pip install "chemlab-marl[dev]"')
+        pytest.skip(f'building needs setuptools 77 or newer, here is {version}: pip install ".[dev]"')
     folder = tmp_path_factory.mktemp("sources")
     for name in FOLDERS:
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns(*LITTER))

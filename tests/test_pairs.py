@@ -69,7 +69,7 @@ def test_activity_coefficients_obey_gibbs_and_duhem() -> None:
 
 
 def test_activity_coefficients_are_those_of_another_library() -> None:
-    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
     generator = np.random.default_rng(3)
     tau = generator.normal(0.5, 1.0, (5, 5)) * (1.0 - np.eye(5))
     alpha = np.full((5, 5), 0.3) * (1.0 - np.eye(5))
@@ -185,7 +185,7 @@ APART = [
 @functools.cache
 def loaded_thermo() -> Any:
     """thermo with the tables of UNIFAC, which it reads anew whenever it is asked."""
-    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
     thermo.unifac.load_unifac_ip()
     return thermo
 
@@ -318,7 +318,7 @@ def test_solids_dissolve_in_water_as_measured(solute: str, temperature: float, g
 
 
 def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
-    pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
     if not (ROOT / "tools" / "pairs.py").exists():
         pytest.skip("tools/ is in the repository, not in what is installed")
     made = tmp_path / "my_pairs.toml"
@@ -334,7 +334,7 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
-    pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
     if not (ROOT / "tools" / "pairs.py").exists():
         pytest.skip("tools/ is in the repository, not in what is installed")
     command = [sys.executable, "tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]

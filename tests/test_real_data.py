@@ -45,11 +45,11 @@ FICTITIOUS = set(read_toml(DATA / "fictitious.toml"))
 
 
 def chemicals() -> Any:
-    return pytest.importorskip("chemicals", reason='chemicals is not installed: pip install "chemlab-marl[test]"')
+    return pytest.importorskip("chemicals", reason='chemicals is not installed: pip install ".[test]"')
 
 
 def thermo() -> Any:
-    return pytest.importorskip("thermo", reason='thermo is not installed: pip install "chemlab-marl[test]"')
+    return pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
 
 
 # Vapour pressures ---------------------------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ COOLPROP = {
 @pytest.mark.parametrize("name", list(COOLPROP))
 def test_vapor_pressures_are_those_of_the_equation_of_state(name: str) -> None:
     found = pytest.importorskip(
-        "CoolProp.CoolProp", reason='CoolProp is not installed: pip install "chemlab-marl[validate]"'
+        "CoolProp.CoolProp", reason='CoolProp is not installed: pip install ".[validate]"'
     )
     fluid = COOLPROP[name]
     low = max(COLDEST_K, found.PropsSI("Tmin", fluid) + 0.1)

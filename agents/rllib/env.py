@@ -16,7 +16,7 @@ come with its first observation; RLlib ascribes them to none of its actions.
 >>> from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv                          # doctest: +SKIP
 >>> env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": ["manager"]})   # doctest: +SKIP
 
-Needs the extra: ``pip install "chemlab-marl[rllib]"``.
+Needs the extra: ``pip install ".[rllib]"``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from ..roles import chosen_roles, role_of
 try:
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
 except ImportError as error:
-    raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
+    raise ImportError(f'training on a cluster needs Ray ({error}): pip install ".[rllib]"') from error
 
 __all__ = ["LaboratoryMultiAgentEnv"]
 

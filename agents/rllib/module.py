@@ -1,6 +1,6 @@
 """A role's networks for RLlib, and PPO with a discount for each role.
 
-Needs the extra: ``pip install "chemlab-marl[rllib]"``.
+Needs the extra: ``pip install ".[rllib]"``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ try:
     from ray.rllib.core.rl_module.torch import TorchRLModule
     from torch import nn
 except ImportError as error:
-    raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
+    raise ImportError(f'training on a cluster needs Ray ({error}): pip install ".[rllib]"') from error
 
 __all__ = ["PerRolePPOLearner", "RoleModule", "policy_weights"]
 

@@ -13,7 +13,7 @@ which play without Ray and PyTorch (:mod:`chemlab.agents.pretrained`).
 An env runner that dies is started again and gets the current policies; until then the others play its share. A run
 that was stopped goes on from its last checkpoint, with networks and optimizers as they were, in new episodes.
 
-Needs the extra: ``pip install "chemlab-marl[rllib]"``.
+Needs the extra: ``pip install ".[rllib]"``.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ try:
     from .env import LaboratoryMultiAgentEnv
     from .module import PerRolePPOLearner, RoleModule, policy_weights
 except ImportError as error:
-    raise ImportError(f'training on a cluster needs Ray ({error}): pip install "chemlab-marl[rllib]"') from error
+    raise ImportError(f'training on a cluster needs Ray ({error}): pip install ".[rllib]"') from error
 
 __all__ = ["algorithm_config", "train_rllib"]
 

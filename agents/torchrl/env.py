@@ -18,7 +18,7 @@ else one tick. Entries, N laboratories, A agents of the group, n actions:
 | `"state"` | [N, S] | everything there is to know (:mod:`chemlab.laboratory.global_state`), in [0, 1] |
 | `"done"`, `"terminated"`, `"truncated"` | [N, 1] | the episode's end, for all agents |
 
-Needs TorchRL, after PyTorch: ``pip install torch``, then ``pip install "chemlab-marl[torchrl]"``.
+Needs TorchRL, after PyTorch: ``pip install torch``, then ``pip install ".[torchrl]"``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ try:
     from torchrl.envs import EnvBase
 except ImportError as error:
     raise ImportError(
-        f'chemlab.agents.torchrl needs TorchRL ({error}): pip install torch, then pip install "chemlab-marl[torchrl]"'
+        f'chemlab.agents.torchrl needs TorchRL ({error}): pip install torch, then pip install ".[torchrl]"'
     ) from error
 
 __all__ = ["TorchLaboratory"]

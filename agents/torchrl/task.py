@@ -14,7 +14,7 @@ BenchMARL makes no difference between turns that an agent has and others: withou
 which teaches it nothing.
 
 Needs BenchMARL, which asks for an older TorchRL than :mod:`~chemlab.agents.torchrl.env` does:
-``pip install torch``, then ``pip install benchmarl chemlab-marl``.
+``pip install torch``, then ``pip install benchmarl .``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Make a policy that needs numpy alone out of a training run's best checkpoint, and see that it is the same policy.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ try:
     from ..learners import load_learner, load_team
     from .networks import learned_policy
 except ImportError as error:
-    raise ImportError(f'exporting needs PyTorch ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
 
 __all__ = ["export_run", "largest_difference", "training_command"]
 

@@ -2,7 +2,7 @@
 
 Reinforcement learning then starts from a workflow instead of from random actions, among which whole workflows are rare.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ for a while, the others play as they are).
 Critics see what their agent sees, or the laboratory's true state, too (``critic="state"``: MAPPO where all learn
 together); actors never do.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ try:
     )
     from .networks import save_learned
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["JointArguments", "train_together"]
 

@@ -9,7 +9,7 @@ What a run writes is described in :mod:`chemlab.agents.runs`. A run that was kil
 checkpoint: learner, optimizer, replay memory, environments and every random stream are there as they were, so that
 what comes out is, bit for bit, what an uninterrupted run on the same machine would have come to.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ try:
     from .loop import Progress, Trainee, Watcher, open_run, reached, train_in_rounds, training_versions
     from .networks import save_learned
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["train"]
 

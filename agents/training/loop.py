@@ -37,7 +37,7 @@ try:
 
     from .checkpoints import commit_checkpoint, tidy
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = [
     "EVALUATION_SEED",

@@ -1,6 +1,6 @@
 """What a learner of Stable-Baselines3's has learned, as a policy that needs numpy alone.
 
-Needs the extra: ``pip install "chemlab-marl[train]"``.
+Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ try:
 
     from ..recurrent import MaskedLstmPolicy
 except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install "chemlab-marl[train]"') from error
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["learned_policy", "save_learned"]
 

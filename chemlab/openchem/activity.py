@@ -30,7 +30,7 @@ try:
     import chemicals
     import thermo.unifac
 except ImportError as error:
-    raise ImportError(f'activity coefficients need thermo ({error}): pip install "chemlab-marl[chem]"') from error
+    raise ImportError(f'activity coefficients need thermo ({error}): pip install ".[chem]"') from error
 
 __all__ = [
     "IDEAL",

@@ -19,7 +19,7 @@ try:
     from rdkit.Chem.rdMolDescriptors import CalcMolFormula
 except ImportError as error:
     raise ImportError(
-        f'open chemistry needs rdkit and chemicals ({error}): pip install "chemlab-marl[chem]"'
+        f'open chemistry needs rdkit and chemicals ({error}): pip install ".[chem]"'
     ) from error
 
 __all__ = [

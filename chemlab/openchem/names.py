@@ -16,7 +16,7 @@ __all__ = ["element_of", "is_metal", "is_mineral", "meaning", "spellings"]
 try:
     from chemicals.elements import periodic_table, simple_formula_parser
 except ImportError as error:
-    raise ImportError(f'names need chemicals ({error}): pip install "chemlab-marl[chem]"') from error
+    raise ImportError(f'names need chemicals ({error}): pip install ".[chem]"') from error
 
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi",

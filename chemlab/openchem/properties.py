@@ -21,7 +21,7 @@ try:
     import thermo
     from rdkit.Chem import MolFromSmarts
 except ImportError as error:
-    raise ImportError(f'properties need chemicals and thermo ({error}): pip install "chemlab-marl[chem]"') from error
+    raise ImportError(f'properties need chemicals and thermo ({error}): pip install ".[chem]"') from error
 
 __all__ = ["Properties", "Value"]
 

@@ -21,7 +21,7 @@ try:
     from rdkit import Chem
     from rdkit.Chem import AllChem
 except ImportError as error:
-    raise ImportError(f'reaction templates need rdkit ({error}): pip install "chemlab-marl[chem]"') from error
+    raise ImportError(f'reaction templates need rdkit ({error}): pip install ".[chem]"') from error
 
 __all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "heat_of_reaction", "rate_constant"]
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 try:
     from PIL import Image, ImageDraw, ImageFont
 except ImportError as error:
-    raise ImportError("pictures need Pillow: pip install 'chemlab-marl[plot]'") from error
+    raise ImportError("pictures need Pillow: pip install '.[plot]'") from error
 
 __all__ = ["Box", "Canvas", "Image", "ImageDraw", "TextBox", "text_width"]
 

@@ -30,7 +30,7 @@ def import_matplotlib() -> Any:
     try:
         import matplotlib
     except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install "chemlab-marl[plot]"') from error
+        raise ImportError('figures need matplotlib: pip install ".[plot]"') from error
     return matplotlib
 
 

@@ -74,5 +74,5 @@ def _pygame() -> Any:
     try:
         import pygame
     except ImportError as error:
-        raise ImportError("render_mode='human' needs pygame: pip install 'chemlab-marl[human]'") from error
+        raise ImportError("render_mode='human' needs pygame: pip install '.[human]'") from error
     return pygame

@@ -205,7 +205,7 @@ def test_an_extra_that_is_missing_is_named(
     command = ["evaluate", "chemlab/WurtzDistillation-v0", "--episodes", "1", "--address", address]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
-    assert f'pip install "chemlab-marl[{extra}]"' in " ".join(result.output.split())
+    assert f'pip install ".[{extra}]"' in " ".join(result.output.split())
 
 
 def test_a_place_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from chemlab.agents.training.experience import Experience
 
-pytest.importorskip("sb3_contrib", reason='needs the extra: pip install "chemlab-marl[train]"')
+pytest.importorskip("sb3_contrib", reason='needs the extra: pip install ".[train]"')
 
 import torch
 

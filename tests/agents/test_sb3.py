@@ -12,8 +12,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install "chemlab-marl[train]"')
-pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
+pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
+pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install ".[train]"')
 
 import torch
 from sb3_contrib import MaskablePPO, RecurrentPPO
@@ -295,7 +295,7 @@ def test_pickles_go_on_alike() -> None:
 def test_without_stable_baselines3_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "chemlab.agents.sb3")
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    with pytest.raises(ImportError, match=r'pip install "chemlab-marl\[train\]"'):
+    with pytest.raises(ImportError, match=r'pip install "\.\[train\]"'):
         importlib.import_module("chemlab.agents.sb3")
 
 

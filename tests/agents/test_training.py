@@ -657,7 +657,7 @@ def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
     result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])
     assert result.exit_code == 2
-    assert 'pip install "chemlab-marl[train]"' in result.output.replace("\n", "")
+    assert 'pip install ".[train]"' in result.output.replace("\n", "")
 
 
 def test_curves_survive_a_cut_line(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("ray.rllib", reason='needs the extra: pip install "chemlab-marl[rllib]"')
+pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"')
 
 import ray
 import torch

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from helpers import EVERY_SCENARIO
 
-pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install "chemlab-marl[train]"')
-pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install "chemlab-marl[train]"')
+pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
+pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install ".[train]"')
 
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
