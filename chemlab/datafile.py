@@ -39,6 +39,7 @@ _TEXT = 4000
 _KEY = 100
 _INTEGER = 2**53  # beyond it a number in a file is no longer the number that is computed with
 _SHOWN = 100
+_LONGEST_PATH = 1000
 
 _DOTTED = re.compile(
     rf"""(?<![\w.-])(?:(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{_DEPTH}}}""",
@@ -74,7 +75,8 @@ def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
     except FileNotFoundError as error:
         raise DataError(f"{path}: no such file") from error
     except OSError as error:
-        raise DataError(f"{shown(str(path))}: {error.strerror or error}") from error
+        name = str(path) if len(str(path)) <= _LONGEST_PATH else shown(str(path))
+        raise DataError(f"{name}: {error.strerror or error}") from error
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

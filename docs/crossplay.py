@@ -57,8 +57,8 @@ def matrices() -> list[str]:
 
 
 def drops() -> list[str]:
-    """What strangers cost everybody that has a partner."""
-    rows = [["scenario and who", "with its partner", "with strangers", "drop"]]
+    """Scores of learned policies with their own and with unseen partners."""
+    rows = [["scenario and who", "with its partner", "with unseen partners", "drop"]]
     for one in found():
         for drop in one["drops"]:
             who = _called(one["scenario"], drop["policy"])

@@ -462,7 +462,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
         GradeSpec,
     ),
     "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
-    "Reaction bench": (reaction.ReactionOptions, reaction.Span),
+    "Reaction bench": (reaction.ReactionOptions, reaction.TemperatureSpan, reaction.Span),
     "Extraction, distillation and crystallization bench": (operations.OperationOptions, operations.Process),
     "Material": (Material, AbsorptionPeak, RealProperties, VaporPressure),
     "Reaction family": (ReactionFamily, Reaction, Salt, Solubility, Acid, Violent),

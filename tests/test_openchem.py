@@ -709,7 +709,8 @@ def test_an_agent_learns_in_it(acetate: Path) -> None:
     assert result["mean"] > 0.6 * result["heuristic_mean"] > 0.1
     # And it does its part in the laboratory.
     played = json.loads(run("run", lab, "--policy", f"heuristic,rxn={trained}", "--json").stdout)
-    assert played["submitted_mol"] > 0.08
+    scripted = json.loads(run("run", lab, "--json").stdout)
+    assert played["submitted_mol"] > 0.5 * scripted["submitted_mol"] > 0.05
     assert played["purity"] > 0.9
 
 

@@ -126,9 +126,7 @@ COOLPROP = {
 
 @pytest.mark.parametrize("name", list(COOLPROP))
 def test_vapor_pressures_are_those_of_the_equation_of_state(name: str) -> None:
-    found = pytest.importorskip(
-        "CoolProp.CoolProp", reason='CoolProp is not installed: pip install ".[validate]"'
-    )
+    found = pytest.importorskip("CoolProp.CoolProp", reason='CoolProp is not installed: pip install ".[validate]"')
     fluid = COOLPROP[name]
     low = max(COLDEST_K, found.PropsSI("Tmin", fluid) + 0.1)
     temperatures = np.linspace(low, MATERIALS[name].boiling_point_k, 25)

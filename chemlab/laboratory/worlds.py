@@ -317,10 +317,7 @@ class Worlds:
         Raises:
             ValueError: the scenario draws nothing, or not what was given; nothing has changed.
         """
-        if isinstance(world, NumberedWorld):
-            self._check_number(world.number)
-            self.check(world.given or {})
-        elif world is not None:
+        if world is not None:
             self.check(world)
         if not self.active:
             return
@@ -346,6 +343,9 @@ class Worlds:
         """
         if not self.active:
             raise ValueError("world: this scenario draws nothing")
+        if isinstance(world, NumberedWorld):
+            self._check_number(world.number)
+            world = world.given or {}
         if isinstance(world, Mapping):
             given_values(self._spec, world, self._shelf.layout.materials)
         elif isinstance(world, bool) or not isinstance(world, (int, np.integer)) or world < 0:

@@ -18,9 +18,7 @@ try:
     from rdkit import Chem, RDLogger
     from rdkit.Chem.rdMolDescriptors import CalcMolFormula
 except ImportError as error:
-    raise ImportError(
-        f'open chemistry needs rdkit and chemicals ({error}): pip install ".[chem]"'
-    ) from error
+    raise ImportError(f'open chemistry needs rdkit and chemicals ({error}): pip install ".[chem]"') from error
 
 __all__ = [
     "Compound",

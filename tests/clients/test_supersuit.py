@@ -165,9 +165,7 @@ def test_one_batch_of_all_agents() -> None:
 
 
 def test_stable_baselines3_trains_on_the_batch() -> None:
-    sb3 = pytest.importorskip(
-        "stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"'
-    )
+    sb3 = pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
     batch = ss.concat_vec_envs_v1(
         ss.pettingzoo_env_to_vec_env_v1(homogeneous(DISCRETE)), 2, base_class="stable_baselines3"
     )

@@ -165,6 +165,12 @@ def extreme(name: str) -> Scenario:
                 process["magnitudes"] = amounts.get(process["kind"], process["magnitudes"])
     for instrument in values.get("instruments", {}).values():
         instrument["noise"] = 1.0
+    # Files that a scenario names stand beside its own.
+    folder = Path(load_scenario(name).origin).parent
+    for key in ("material_files", "pair_files"):
+        values[key] = [str(folder / file) for file in values.get(key, [])]
+    if str(values["reactions"]).endswith(".toml"):
+        values["reactions"] = str(folder / values["reactions"])
     return load_scenario(values)
 
 

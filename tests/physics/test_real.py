@@ -503,7 +503,8 @@ def test_a_jacket_brings_nothing_past_its_own_temperature(mol: float, jacket: fl
     around = Surroundings(jacket, 6.0, 80.0, 1e-3, 1e-6)
     for _ in range(3):
         laws.react(glass.rows[0], 60.0, around, glass.chem, glass.waste, glass.events, glass.work)
-        assert min(jacket, 303.0) - 1e-9 <= glass.rows[0, TEMPERATURE] <= max(jacket, 303.0) + 1e-9
+        # Next to nothing takes the temperature of the room, 298.15 K.
+        assert min(jacket, 298.15) - 1e-9 <= glass.rows[0, TEMPERATURE] <= max(jacket, 303.0) + 1e-9
 
 
 @pytest.mark.parametrize("charge", [charge for charge, _ in CHARGES.values()], ids=list(CHARGES))
