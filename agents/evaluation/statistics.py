@@ -14,8 +14,8 @@ Score intervals of several strata have the variance of strata with one probabili
 same mean can have. With ``together`` sample i of every stratum comes from the same episode or run: its values are
 averaged first, and shares count as those of one stratum, which is exact where all strata agree and wide elsewhere.
 
-A stratum of one sample has no known variance: the estimate has no interval. ``python tests/benchmarks/interval_coverage.py``
-measures the coverage of all of them.
+A stratum of one sample has no known variance: the estimate has no interval. The coverage of all of them is measured by
+``python tests/benchmarks/interval_coverage.py``.
 """
 
 from __future__ import annotations

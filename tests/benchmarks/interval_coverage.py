@@ -3,8 +3,8 @@
 Each line is a statistic of a number of samples in each of one or eight strata, drawn from a normal, a uniform and a
 lopsided (exponential) distribution, or from a five-valued one with ties. True values are closed forms, or, of the
 pooled interquartile mean, integrals by SciPy. The Markdown table is the one of docs/protocol.md:
-``python tests/benchmarks/interval_coverage.py --write`` puts it there. 1000 tries have a standard error of 0.007 and take two
-minutes on one core.
+``python tests/benchmarks/interval_coverage.py --write`` puts it there. 1000 tries have a standard error of 0.007 and
+take two minutes on one core.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ Random agents play every shipped scenario for tens of thousands of turns; a stat
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pytest
