@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 import typer
-from helpers import slow_but
+from helpers import script, slow_but
 
 from chemlab.cli import app
 from chemlab.materials import load_materials, read_toml
@@ -301,6 +301,12 @@ def test_pictures_are_small() -> None:
     images = DOCS / "images"
     assert (images / "laboratory.png").stat().st_size < 60_000
     assert (images / "episode.webp").stat().st_size < 400_000
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_are_in_plain_words(page: Path) -> None:
+    """No page has a word that ``tools/words.py`` refuses."""
+    assert script("tools/words.py").findings(page) == []
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
