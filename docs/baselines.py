@@ -315,13 +315,13 @@ def _shift(estimate: dict[str, Any], change: float) -> None:
 
 def _recorded(file: Path, line: dict[str, Any], seed: int) -> float:
     """Score of a line's record, which is played again where its actions come to another one than it says."""
-    if record_again(file):
+    if record_again(file, changed=line["policy"] == "plan"):
         words = ["run", line["scenario"], "--policy", line["policy"], "--split", line["split"], "--seed", str(seed)]
         command = [sys.executable, "-m", "chemlab", *words, "--record", str(file), "--force", "--json"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     end = read_record(file).end
     assert end is not None, f"{file} is whole"
-    return float(end["score"])
+    return float(end["end"]["score"])
 
 
 def _replayed(line: dict[str, Any], split: str) -> list[float]:

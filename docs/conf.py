@@ -76,9 +76,9 @@ suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attrib
 
 def whole_sentence(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Keep Napoleon from taking the words before a colon in an attribute's first line for its type: it looks for a
-    type in the first line alone, which is empty here."""
+    type in the first line alone, which is an empty comment here."""
     if what in ("attribute", "property", "data"):
-        lines.insert(0, "")
+        lines[:0] = ["..", ""]
 
 
 def setup(app: Sphinx) -> None:
