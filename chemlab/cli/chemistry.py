@@ -103,8 +103,10 @@ def _made_pairs(
     return pair_text(rows, command), rows
 
 
-def _show_ideal(rows: Iterable[Mapping[str, Any]]) -> None:
+def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
     """Say which pairs are taken as ideal mixtures."""
+    if not rows:
+        return  # the extra is not needed where nothing was made
     from ..openchem.activity import IDEAL
 
     guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
