@@ -28,14 +28,14 @@ ROOT = Path(__file__).parent.parent
 SYNTHESES = synthesis_names()
 
 SHIPPED = {
-    "aspirin": "ae1c5287d2d56da6",
+    "aspirin": "d57ea1494a3808b9",
     "benzoic": "e619116db134990b",
-    "fischer": "0f42bea156e7220b",
+    "fischer": "fd4f9c995878649c",
     "snar": "45b2090c444e1f41",
 }
 """Hashes of all that they say: see tests/test_scenario.py."""
 
-WORTH = {"aspirin": 0.7, "benzoic": 0.8, "fischer": 0.3, "snar": 0.6}
+WORTH = {"aspirin": 0.7, "benzoic": 0.8, "fischer": 0.25, "snar": 0.6}
 """Scores that scripted agents reach."""
 
 
