@@ -67,8 +67,14 @@ def snar_profile(start: tuple[float, float], celsius: float, seconds: float, ami
     kelvin = celsius + 273.15
     k = [at * math.exp(-1000.0 * e / GAS * (1.0 / kelvin - 1.0 / SNAR_KELVIN)) for at, e in SNAR_AT_90_C]
 
-    def rates(_: float, c: np.ndarray) -> list[float]:
-        a, b, ortho, para, _bis = c
+    names = (SUBSTRATE, AMINE, *PRODUCTS)
+    litres = np.array([MATERIALS[name].molar_mass_g_mol / MATERIALS[name].density_kg_l / 1000.0 for name in names])
+    first = np.array([*start, 0.0, 0.0, 0.0])
+
+    def rates(_: float, mol: np.ndarray) -> list[float]:
+        # Of a litre at first; with a solid salt (two amines) the liquid has less volume.
+        volume = 1.0 + float(litres @ (mol - first)) if amines == 2.0 else 1.0
+        a, b, ortho, para, _bis = mol / math.sqrt(volume)
         r = k[0] * a * b, k[1] * a * b, k[2] * ortho * b, k[3] * para * b
         return [-r[0] - r[1], -amines * sum(r), r[0] - r[2], r[1] - r[3], r[2] + r[3]]
 
