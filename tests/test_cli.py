@@ -393,7 +393,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     folder.mkdir()
     (tmp_path / "file").write_text("")
     cases = [
-        (["run", str(folder)], f"error: '{folder}': is not a regular file\n"),
+        (["run", str(folder)], f"error: {folder}: is not a regular file\n"),
         (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
         (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
         (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),

@@ -342,8 +342,10 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
         assert [step[2] for step in found] == [False, False, True]
         ends.append((found[-1][2], found[-1][3]))
 
-    sb3 = pytest.importorskip("chemlab.agents.sb3")
-    venv = sb3.ChemlabVecEnv(FocalVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.sb3 import ChemlabVecEnv
+
+    venv = ChemlabVecEnv(FocalVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
     venv.reset()
     for move in moves:
         _, _, dones, infos = venv.step(np.full(2, move))
