@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.laboratory.policy import Policy
+from chemlab.envs.players import Policy
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 
 __all__ = ["AdvisedPolicy", "Advisor", "with_advice"]
 
@@ -57,11 +57,11 @@ class Advisor:
             tell(actions, members)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return getattr(self._policy, "get_memory", lambda: None)()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         remind = getattr(self._policy, "set_memory", None)
         if remind is not None:
             remind(memory)
@@ -81,7 +81,7 @@ class AdvisedPolicy:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         actions = self.advise(observation, mask, step, members)
         self.played(actions, members)
         return actions
@@ -97,11 +97,11 @@ class AdvisedPolicy:
         self._advisor.played(actions, members)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return getattr(self._policy, "get_memory", lambda: None)(), self._advisor.get_memory()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         own, advisors = memory
         remind = getattr(self._policy, "set_memory", None)
         if remind is not None:

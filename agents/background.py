@@ -1,4 +1,4 @@
-"""The laboratory for one of its agents, with background policies by name; see :mod:`chemlab.laboratory.focal`."""
+"""The laboratory for one of its agents, with background policies by name; see :mod:`chemlab.envs.focal`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from chemlab.arrays import IntArray
-from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv, Policies
-from chemlab.laboratory.policy import Players
+from chemlab.envs.focal import FocalEnv, FocalVectorEnv, Policies
+from chemlab.envs.players import Players
+from chemlab.kernels.arrays import IntArray
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 
 from .policies import agent_policy
 from .roles import role_of
@@ -31,7 +31,7 @@ def focal_env(
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         agent: id of the agent that acts.
         background: who plays the others.
-        arguments: more of :class:`~chemlab.laboratory.focal.FocalEnv`'s (``rewards``, ``render_mode``, ...).
+        arguments: more of :class:`~chemlab.envs.focal.FocalEnv`'s (``rewards``, ``render_mode``, ...).
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -52,7 +52,7 @@ def focal_vector_env(
 
     Args:
         num_envs, scenario, agent, background: see :func:`focal_env`.
-        arguments: more of :class:`~chemlab.laboratory.focal.FocalVectorEnv`'s (``autoreset_mode``, ``copy``, ...).
+        arguments: more of :class:`~chemlab.envs.focal.FocalVectorEnv`'s (``autoreset_mode``, ``copy``, ...).
     """
     return FocalVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
 
@@ -94,7 +94,7 @@ def background_players(
         laboratories: where they play.
         learning: the roles that somebody else moves.
         background: the others' policy, by name (see :func:`~.policies.make_policies`).
-        act: as for :class:`~chemlab.laboratory.policy.Players`.
+        act: as for :class:`~chemlab.envs.players.Players`.
 
     Raises:
         ValueError: unknown policy, or one that does not fit.

@@ -1,7 +1,7 @@
 """Policies whose critic sees more than the actor: learners in whose training the whole laboratory is known (MAPPO).
 
 What they are given is the agent's observation and behind it the laboratory's state
-(:class:`~chemlab.laboratory.global_state.GlobalState`). The actor has no connection to the state, and plays
+(:class:`~chemlab.envs.global_state.GlobalState`). The actor has no connection to the state, and plays
 without: behind an observation alone zeros are put.
 
 Needs the extra: ``pip install ".[train]"``.

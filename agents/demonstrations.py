@@ -35,11 +35,11 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
-from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.state import RUNNING
+from chemlab.config.scenario import Scenario, plain_scenario
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
-from chemlab.scenario import Scenario, plain_scenario
+from chemlab.roles.manager_state import RUNNING
 
 __all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.discrete import Discretised
-from chemlab.laboratory.policy import Policy
+from chemlab.envs.players import Policy
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.roles.discrete import Discretised
 
 __all__ = ["ChoosingPolicy", "NearestPolicy"]
 
@@ -41,7 +41,7 @@ class NearestPolicy(_Around):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return self._bench.nearest(self._policy.act(observation, None, step, members))
 
 
@@ -60,6 +60,6 @@ class ChoosingPolicy(_Around):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         legal = np.ones((len(observation), len(self._rows)), dtype=np.int8)
         return np.asarray(self._rows[self._policy.act(observation, legal, step, members)])

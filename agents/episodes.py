@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.state import COST_ITEMS, LIMIT, RUNNING, STATUS_WORDS
-from chemlab.laboratory.text import action_words
+from chemlab.envs.aec import raw_env
+from chemlab.lab.text import action_words
 from chemlab.record import Play, Recorder
+from chemlab.roles.manager_state import COST_ITEMS, LIMIT, RUNNING, STATUS_WORDS
 
 from .policies import Policy
 
@@ -36,7 +36,7 @@ class EpisodeResult:
     """What an episode came to; :meth:`as_dict` is what ``chemlab run --json`` prints.
 
     ``score`` is the manager's result: product by amount and purity, minus costs. ``status`` says how the episode ended
-    (:data:`~chemlab.laboratory.state.STATUS_WORDS`).
+    (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
     """
 
     scenario: str

@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 import chemlab
-from chemlab.parts import strangers_code, trust
+from chemlab.config.parts import strangers_code, trust
 
 __all__ = ["ATTEMPTS", "Inline", "WorkerLost", "Workers", "completed", "connected", "executor", "run_chemlab"]
 
@@ -126,7 +126,7 @@ class _Call:
 
     Attributes:
         function, arguments, keywords: what is called.
-        trusted: what :func:`~chemlab.parts.trust` was where it was submitted.
+        trusted: what :func:`~chemlab.config.parts.trust` was where it was submitted.
         folder: the working folder there, which paths may start from.
     """
 

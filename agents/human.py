@@ -19,12 +19,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Bench, Channel, channel_slices
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.text import action_words, measured_words
-from chemlab.laboratory.view import order_channels
-from chemlab.scenario import Scenario
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import action_words, measured_words
+from chemlab.roles.bench import Bench, Channel, channel_slices
+from chemlab.roles.manager_view import order_channels
 
 __all__ = ["HumanPolicy", "Left", "Menu", "Shades", "parse_numbers", "sparkline"]
 

@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from chemlab.datafile import DataError
+from chemlab.config.datafile import DataError
 
 from .seals import read_sealed, seal_file
 

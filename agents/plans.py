@@ -1,7 +1,7 @@
 """Blind managers: a fixed plan for everything an agent is told at once, played whatever is seen.
 
 What a plan may depend on is the *public context*: the goals of the orders. Plans that a search has found
-(:mod:`chemlab.agents.evaluation.plans`) are stored as data, ``models/plans/SCENARIO.BENCHES.json``, with the command
+(:mod:`chemlab.agents.evaluate.plans`) are stored as data, ``models/plans/SCENARIO.BENCHES.json``, with the command
 that made them.
 """
 
@@ -19,15 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Channel, channel_slices
-from chemlab.datafile import DataError, read_json
-from chemlab.datamodel import validated
-from chemlab.files import write_text
-from chemlab.laboratory.actions import SUBMIT, ManagerActions
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.view import order_channels
-from chemlab.scenario import Scenario
+from chemlab.config.datafile import DataError, read_json
+from chemlab.config.datamodel import validated
+from chemlab.config.files import write_text
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench import Channel, channel_slices
+from chemlab.roles.manager_actions import SUBMIT, ManagerActions
+from chemlab.roles.manager_view import order_channels
 
 __all__ = [
     "ConstantPlan",
@@ -85,7 +85,7 @@ class Playback:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         lacking = int(members.max()) + 1 - len(self._next)
         if lacking > 0:
@@ -111,11 +111,11 @@ class Playback:
         return np.where(legal, meant, np.where(may_wait, self._wait, submit))
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return self._plan.copy(), self._next.copy()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         self._plan, self._next = (np.array(part) for part in memory)
 
 
@@ -172,7 +172,7 @@ class PlanFile:
         tried: number of plans that were tried.
         evaluation: ``episodes``, ``seed`` and the score's ``value``, ``low`` and ``high``.
         plans: of each context its ``goals``, ``score`` and ``steps``, actions in the words of
-            :meth:`~chemlab.laboratory.actions.ManagerActions.decode`.
+            :meth:`~chemlab.roles.manager_actions.ManagerActions.decode`.
     """
 
     scenario: str

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import FloatArray, IntArray
-from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import Players, Policy
-from chemlab.laboratory.state import COST_ITEMS
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.players import Players, Policy
+from chemlab.kernels.arrays import FloatArray, IntArray
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.manager_state import COST_ITEMS
 
 __all__ = ["Played", "play_bench", "play_laboratory"]
 

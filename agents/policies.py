@@ -10,34 +10,34 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
-from chemlab.bench.base import Bench
-from chemlab.bench.discrete import Discretised
-from chemlab.jit import kernel
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import Policy, as_policy
-from chemlab.rng import uniform
+from chemlab.envs.players import Policy, as_policy
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
+from chemlab.kernels.jit import kernel
+from chemlab.kernels.rng import uniform
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench import Bench
+from chemlab.roles.discrete import Discretised
 
 from .advice import AdvisedPolicy, Advisor
 from .discrete import NearestPolicy
-from .heuristics.base import Setting
-from .heuristics.campaign import CampaignManager, has_unknown_rate
-from .heuristics.crystallization import CrystallizationHeuristic
-from .heuristics.distillation import DistillationHeuristic
-from .heuristics.extraction import ExtractionHeuristic
-from .heuristics.foresee import ForeseeingManager, foresees
-from .heuristics.fractions import FractionHeuristic
-from .heuristics.identify import IdentifyingManager, has_unlabelled_vessels
-from .heuristics.manager import ManagerHeuristic
-from .heuristics.reaction import ReactionHeuristic
-from .heuristics.real import RealReactionHeuristic
-from .heuristics.schedule import SchedulingManager, has_orders_to_schedule
-from .heuristics.upkeep import UpkeepManager, has_wearing_lines
-from .heuristics.workup import WorkupHeuristic
 from .plans import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
+from .scripted.campaign import CampaignManager, has_unknown_rate
+from .scripted.crystallization import CrystallizationHeuristic
+from .scripted.distillation import DistillationHeuristic
+from .scripted.extraction import ExtractionHeuristic
+from .scripted.foresee import ForeseeingManager, foresees
+from .scripted.fractions import FractionHeuristic
+from .scripted.identify import IdentifyingManager, has_unlabelled_vessels
+from .scripted.manager import ManagerHeuristic
+from .scripted.reaction import ReactionHeuristic
+from .scripted.real import RealReactionHeuristic
+from .scripted.schedule import SchedulingManager, has_orders_to_schedule
+from .scripted.script import Setting
+from .scripted.upkeep import UpkeepManager, has_wearing_lines
+from .scripted.workup import WorkupHeuristic
 
 __all__ = [
     "LapsingPolicy",
@@ -134,11 +134,11 @@ class RandomPolicy:
         return chosen
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return self._stream.copy()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         self._stream = np.array(memory)
 
 
@@ -180,11 +180,11 @@ class LapsingPolicy:
         return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return [part.get_memory() if hasattr(part, "get_memory") else None for part in self._parts()]
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         for part, kept in zip(self._parts(), memory, strict=True):
             if hasattr(part, "set_memory"):
                 part.set_memory(kept)

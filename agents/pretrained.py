@@ -24,15 +24,15 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load, save
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Bench
-from chemlab.bench.kinds import discretised_twin
-from chemlab.datafile import DataError, read_json
-from chemlab.datamodel import validated
-from chemlab.files import read_bytes, write_bytes, write_text
-from chemlab.laboratory.core import ManagerRole
-from chemlab.laboratory.policy import Memory, Policy
-from chemlab.scenario import Scenario, shipped_file
+from chemlab.config.datafile import DataError, read_json
+from chemlab.config.datamodel import validated
+from chemlab.config.files import read_bytes, write_bytes, write_text
+from chemlab.config.scenario import Scenario, shipped_file
+from chemlab.envs.players import Memory, Policy
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import ManagerRole
+from chemlab.roles.bench import Bench
+from chemlab.roles.kinds import discretised_twin
 
 from .discrete import ChoosingPolicy
 
@@ -338,11 +338,11 @@ class PretrainedPolicy:
         return hidden
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         return self._memory.copy()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         self._memory.put_back(memory)
 
     def act(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from chemlab.laboratory.core import Laboratories
+    from chemlab.lab.engine import Laboratories
 
 __all__ = ["MANAGER_ROLE", "chosen_roles", "role_of"]
 

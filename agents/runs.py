@@ -32,9 +32,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 import chemlab
-from chemlab.datafile import DataError, bounded, parse_json, read_json, read_text
-from chemlab.datamodel import validated
-from chemlab.files import locked, naming, write_text
+from chemlab.config.datafile import DataError, bounded, parse_json, read_json, read_text
+from chemlab.config.datamodel import validated
+from chemlab.config.files import locked, naming, write_text
 
 __all__ = [
     "RESULT_SEED",
@@ -64,7 +64,7 @@ class RunConfig:
     label: str
     """What figures call the algorithm: ``ppo``, ``ppo-xl``, ..."""
     arguments: dict[str, Any]
-    """Every field of :class:`~chemlab.agents.training.arguments.TrainArguments`; in the file they stand beside the
+    """Every field of :class:`~chemlab.agents.train.arguments.TrainArguments`; in the file they stand beside the
     others."""
     scenario: str
     bench: str

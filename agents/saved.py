@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from chemlab.laboratory.policy import Policy, as_policy
+from chemlab.envs.players import Policy, as_policy
 
 from .pretrained import Workplace, fitted, load_pretrained, pretrained_names
 from .roles import role_of

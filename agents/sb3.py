@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from chemlab.laboratory.batch_env import BatchEnv
-from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.laboratory.episodes import Guarded
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.vector import BatchEnv
+from chemlab.lab.episodes import Guarded
 
 from .advice import Advisor
 
@@ -40,8 +40,8 @@ class ChemlabVecEnv(Guarded, VecEnv):
     """A batch as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
 
     Args:
-        env: N, or a batch that exists: a :class:`~chemlab.laboratory.bench_env.BenchVectorEnv` or
-            :class:`~chemlab.laboratory.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
+        env: N, or a batch that exists: a :class:`~chemlab.envs.bench_env.BenchVectorEnv` or
+            :class:`~chemlab.envs.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
         show_masks: whether observations end with the mask of discrete actions, one number an action, for learners that
             take no masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).

@@ -5,7 +5,7 @@ folders are passed around, so each gets a seal beside it: a keyed hash of its co
 made when it is first needed, and lies in a folder of the user's that no run folder has: ``CHEMLAB_STATE_DIR``, else
 ``XDG_STATE_HOME/chemlab``, else ``~/.local/state/chemlab`` (``LOCALAPPDATA/chemlab`` on Windows). A file that was
 changed, that somebody else's key sealed or that nobody sealed is loaded only inside ``strangers_code(True)``
-(:mod:`chemlab.parts`), which ``--trust`` is for.
+(:mod:`chemlab.config.parts`), which ``--trust`` is for.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import shlex
 import warnings
 from pathlib import Path
 
-from chemlab.datafile import DataError
-from chemlab.files import read_bytes, write_text
-from chemlab.parts import may_run
+from chemlab.config.datafile import DataError
+from chemlab.config.files import read_bytes, write_text
+from chemlab.config.parts import may_run
 
 __all__ = ["read_sealed", "seal_file", "state_folder"]
 
@@ -102,6 +102,6 @@ def read_sealed(path: Path) -> bytes:
         what = "has been changed, or was written by somebody else" if found else "has no seal of yours"
         raise DataError(
             f"{shlex.quote(str(path))}: {what}: loading such a file runs what is in it; if you trust whoever made it, "
-            "say --trust (in Python: with chemlab.parts.strangers_code(True))"
+            "say --trust (in Python: with chemlab.config.parts.strangers_code(True))"
         )
     return content

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from chemlab.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import SUBMIT, Start
-from chemlab.scenario import Scenario
+from chemlab.config.scenario import Scenario
+from chemlab.envs.aec import raw_env
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import SUBMIT, Start
 
 from .episodes import play_episode
 from .policies import Policy, make_policies, manager_heuristic

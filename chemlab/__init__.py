@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from .registration import register_environments
+from .envs.registration import register_environments
 
 __version__ = "0.2.0"
 __all__ = ["__version__"]

@@ -1,7 +1,7 @@
 """The laboratory's physics for a person with a notebook: a flask, what is in it, what one does with it.
 
-Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.laws`); there are no agents,
-no turns and no random numbers.
+Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.backends`); there are no
+agents, no turns and no random numbers.
 
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
 >>> receiver = ether.another(capacity_l=2.0)
@@ -29,18 +29,19 @@ from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeV
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import FloatArray, Handle
-from .chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
-from .datafile import read_text
-from .instruments.table import InstrumentTable
-from .materials import COLDEST_K, HOTTEST_K, DataError, load_materials, shipped_materials
-from .physics import laws, transfer
+from .config.datafile import read_text
+from .config.materials import COLDEST_K, HOTTEST_K, DataError, load_materials, shipped_materials
+from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
+from .kernels.arrays import FloatArray, Handle
+from .physics import backends as laws
+from .physics import transfer
+from .physics.chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.layers import profile
+from .physics.shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
 from .physics.surroundings import Surroundings
-from .scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
-from .shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
+from .roles.instruments.table import InstrumentTable
 
 if TYPE_CHECKING:
     from .render.scene import Scene
@@ -373,7 +374,7 @@ class Flask:
 
     @property
     def events(self) -> dict[str, float]:
-        """What has gone wrong so far, by kind of safety event (:data:`chemlab.scenario.SAFETY_EVENTS`)."""
+        """What has gone wrong so far, by kind of safety event (:data:`chemlab.config.scenario.SAFETY_EVENTS`)."""
         return {kind: float(x) for kind, x in zip(SAFETY_EVENTS, self._events, strict=True) if x > 0.0}
 
     # -- what one does with it ----------------------------------------------------------------------------------------
@@ -596,7 +597,8 @@ class Flask:
         other._after()
 
     def measure(self, kind: str) -> Measurement:
-        """Measure it with an instrument of a kind (:data:`chemlab.instruments.INSTRUMENTS`, or ``my_parts.py:NAME``).
+        """Measure it with an instrument of a kind (:data:`chemlab.roles.instruments.INSTRUMENTS`, or
+        ``my_parts.py:NAME``).
 
         Raises:
             DataError: unknown kind, or one that the tier has no laws for.

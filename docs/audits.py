@@ -14,9 +14,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from chemlab.files import replace_between
+from chemlab.config.files import replace_between
+from chemlab.config.scenario import load_scenario, scenario_names
 from chemlab.record import scenario_hash
-from chemlab.scenario import load_scenario, scenario_names
 
 __all__ = ["FOLDER", "PAGE", "audits", "table"]
 

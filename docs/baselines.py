@@ -1,7 +1,8 @@
 """Put the tables of the committed baselines into docs/protocol.md and README.md: ``python docs/baselines.py``.
 
 With ``--play RESULTS [SCENARIO ...]`` it first has ``chemlab benchmark`` play what was trained there
-(``experiments/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every run that
+(``studies/baselines/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every
+run that
 is finished, all episodes, as a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard,
 which begins as the committed one, is copied to ``docs/results/leaderboard.json``, and its records of what comes along
 to ``docs/results/records``. So seeds that have been trained elsewhere, or earlier, stay: the table has a learner's runs
@@ -27,19 +28,14 @@ from typing import Any
 import numpy as np
 from rerecord import record_again
 
-from chemlab.agents.evaluation.benchmark import world_scenarios
-from chemlab.agents.evaluation.jobs import AUDIT_SEED, Crew, Job, budget_of
-from chemlab.agents.evaluation.leaderboard import leaderboard_lines, write_leaderboard
-from chemlab.agents.evaluation.statistics import (
-    interquartile_mean,
-    interval_text,
-    mean,
-    paired_improvement,
-)
+from chemlab.agents.evaluate.benchmark import world_scenarios
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of
+from chemlab.agents.evaluate.leaderboard import leaderboard_lines, write_leaderboard
+from chemlab.agents.evaluate.statistics import interquartile_mean, interval_text, mean, paired_improvement
 from chemlab.agents.runs import find_runs
-from chemlab.files import replace_between, write_text
+from chemlab.config.files import replace_between, write_text
+from chemlab.config.scenario import load_scenario
 from chemlab.record import read_record
-from chemlab.scenario import load_scenario
 
 __all__ = [
     "LEADERBOARD",

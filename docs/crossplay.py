@@ -15,9 +15,9 @@ from typing import Any
 
 from baselines import LEARNERS, PAGE, ROOT, finished, markdown
 
-from chemlab.agents.evaluation.crossplay import PARTNERS
-from chemlab.agents.evaluation.statistics import interval_text
-from chemlab.files import replace_between
+from chemlab.agents.evaluate.crossplay import PARTNERS
+from chemlab.agents.evaluate.statistics import interval_text
+from chemlab.config.files import replace_between
 
 __all__ = ["FOLDER", "drops", "found", "matrices"]
 

@@ -27,17 +27,13 @@ from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
-from chemlab.agents.evaluation.audit import measure_rows
-from chemlab.bench import operations, reaction
-from chemlab.bench.base import Bench
+from chemlab.agents.evaluate.audit import measure_rows
 from chemlab.cli import app as command
 from chemlab.cli.laboratory import RESULT_COLUMNS
-from chemlab.laboratory import describe as facts
-from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
-from chemlab.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
-from chemlab.scenario import (
+from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
+from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
+from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
+from chemlab.config.scenario import (
     PHYSICS_TIERS,
     BenchSpec,
     Companion,
@@ -62,7 +58,12 @@ from chemlab.scenario import (
     scenario_names,
     synthesis_names,
 )
-from chemlab.world import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
+from chemlab.lab import describe as facts
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.roles import operation_bench as operations
+from chemlab.roles import reaction_bench as reaction
+from chemlab.roles.bench import Bench
 
 __all__ = ["pages", "setup_pages"]
 
@@ -170,7 +171,7 @@ def _bench_ids() -> str:
     """Tables of every registered single bench."""
     parts = []
     for name, spec in gymnasium.registry.items():
-        if spec.entry_point == "chemlab.laboratory.bench_env:BenchEnv" and "bench" in spec.kwargs:
+        if spec.entry_point == "chemlab.envs.bench_env:BenchEnv" and "bench" in spec.kwargs:
             bench = ExperimentBatch(spec.kwargs["scenario"], spec.kwargs["bench"]).bench
             scored = f"Score: {bench.score_meaning}. Step limit: {bench.spec.step_limit}."
             doc = _markdown(inspect.getdoc(type(bench)) or "")
@@ -642,9 +643,9 @@ def _interface() -> dict[str, str]:
     packages = {
         "Data": [m for m in modules if m.count(".") == 1 and m not in ("chemlab.laboratory", "chemlab.sandbox")],
         "Physics": [m for m in modules if m.startswith("chemlab.physics")],
-        "Operations": [m for m in modules if m.startswith("chemlab.operations.")],
-        "Benches": [m for m in modules if m.startswith("chemlab.bench")],
-        "Instruments": [m for m in modules if m.startswith("chemlab.instruments.")],
+        "Operations": [m for m in modules if m.startswith("chemlab.roles.operations.")],
+        "Benches": [m for m in modules if m.startswith("chemlab.roles")],
+        "Instruments": [m for m in modules if m.startswith("chemlab.roles.instruments.")],
         "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
         "Pictures": [m for m in modules if m.startswith("chemlab.render")],
         "A flask alone": ["chemlab.sandbox"],

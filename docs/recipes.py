@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from chemlab.files import replace_between
+from chemlab.config.files import replace_between
 
 __all__ = ["PAGE", "RECIPES", "recipes", "table"]
 

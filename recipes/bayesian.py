@@ -20,11 +20,11 @@ from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from chemlab.agents.evaluation.play import LaboratoryTarget
-from chemlab.agents.heuristics.campaign import run_once
-from chemlab.arrays import FloatArray
-from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import load_scenario
+from chemlab.agents.evaluate.play import LaboratoryTarget
+from chemlab.agents.scripted.campaign import run_once
+from chemlab.config.scenario import load_scenario
+from chemlab.kernels.arrays import FloatArray
+from chemlab.lab.engine import Laboratories
 
 TARGET = LaboratoryTarget(load_scenario("campaign"), "test")
 GOAL, INSTRUMENT = "2-chlorohexane", "gas_chromatograph"

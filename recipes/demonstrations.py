@@ -30,9 +30,9 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import as_policy, make_policies
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.agents.training.imitate import fit
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import MANAGER_AGENT, Laboratories
+from chemlab.agents.train.imitate import fit
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import Recorder
 
 SCENARIO, GOAL = "wurtz_dodecane", "dodecane"

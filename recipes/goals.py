@@ -22,8 +22,8 @@ from recipe_parts import AUDIT_SEED, PLAIN, Budget, Outcome, cook, learned
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 
-from chemlab.arrays import FloatArray
-from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.kernels.arrays import FloatArray
 
 PRODUCTS = ("E", "F", "G", "H", "I")
 TOLERANCE_MOL = 0.05

@@ -19,10 +19,10 @@ import importlib.util
 import numpy as np
 from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
-from chemlab.agents.evaluation.play import BenchTarget
-from chemlab.arrays import FloatArray
-from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.scenario import load_scenario
+from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.kernels.arrays import FloatArray
 
 GOAL = "I"
 TARGET = BenchTarget(load_scenario("fictitious"), "rxn", split="test")

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
-from chemlab.agents.evaluation.jobs import AUDIT_SEED
-from chemlab.agents.evaluation.play import BenchTarget, LaboratoryTarget
+from chemlab.agents.evaluate.jobs import AUDIT_SEED
+from chemlab.agents.evaluate.play import BenchTarget, LaboratoryTarget
 from chemlab.agents.player import Played, play_bench
 from chemlab.agents.policies import bench_policy
 from chemlab.agents.runs import Run, versions
-from chemlab.files import check_target, write_text
-from chemlab.laboratory.policy import as_policy
+from chemlab.config.files import check_target, write_text
+from chemlab.envs.players import as_policy
 
 __all__ = [
     "AUDIT_SEED",

@@ -28,8 +28,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.torchrl.task import laboratory_task
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import as_policy
+from chemlab.envs.players import as_policy
+from chemlab.lab.engine import Laboratories
 
 REWARDS = "mixed"
 

@@ -1,16 +1,21 @@
-"""Settings every test shares. Being here, this file also lets every test import ``helpers``."""
+"""Settings that all tests share. This file also lets every test import ``helpers``, and ``studies`` in a checkout."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# At the end, so that an installed chemlab is found before the checkout's.
+sys.path.append(str(Path(__file__).parents[1]))
 
 # Derandomized: a failure on one machine is a failure on every machine. HYPOTHESIS_PROFILE=explore looks further.
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}

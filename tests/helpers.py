@@ -16,17 +16,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
-from chemlab.laboratory.actions import SUBMIT, WAIT
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import SAFETY_EVENTS, Scenario, load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.kernels.tables import Table
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.backends import heat, partition, settle_phases
+from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.physics.constants import SOLIDS
-from chemlab.physics.laws import heat, partition, settle_phases
 from chemlab.physics.layers import profile
+from chemlab.physics.shelf import T_MIX, Shelf
 from chemlab.physics.transfer import add, drain, pour, turn_clock
-from chemlab.scenario import SAFETY_EVENTS, Scenario, load_scenario, scenario_names
-from chemlab.shelf import T_MIX, Shelf
-from chemlab.tables import Table
+from chemlab.roles.manager_actions import SUBMIT, WAIT
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -317,7 +317,7 @@ class Careless:
     def act(
         self, observation: npt.NDArray[np.float32], mask: npt.NDArray[np.int8] | None, step: Any, members: Any
     ) -> Any:
-        """See :class:`chemlab.laboratory.policy.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         if mask is None:
             return self._rng.random((len(observation), *self._space.shape))  # type: ignore[misc]
         chances = self._chances if mask.shape[1] == len(self._chances) else np.ones(mask.shape[1])

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from chemlab.agents.executors import run_chemlab
-from chemlab.datafile import DataError
-from chemlab.parts import may_run
+from chemlab.config.datafile import DataError
+from chemlab.config.parts import may_run
 
 
 def killed_at_first(number: int, folder: Path, times: int) -> int:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import declared
-from chemlab.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
-from chemlab.jit import kernel
-from chemlab.physics.laws.real.chemistry import RealChemistry
-from chemlab.physics.laws.real.fields import independent_reactions, padded
-from chemlab.physics.laws.real.heats import enthalpy, set_enthalpy
-from chemlab.physics.laws.real.kinetics import ALONE, integrate, react_work_size
+from chemlab.kernels.arrays import declared
+from chemlab.kernels.jit import kernel
+from chemlab.kernels.tables import Table
+from chemlab.physics.backends.real.chemistry import RealChemistry
+from chemlab.physics.backends.real.fields import independent_reactions, padded
+from chemlab.physics.backends.real.heats import enthalpy, set_enthalpy
+from chemlab.physics.backends.real.kinetics import ALONE, integrate, react_work_size
+from chemlab.physics.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
 from chemlab.physics.surroundings import Surroundings
-from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 

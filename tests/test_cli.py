@@ -23,11 +23,11 @@ import chemlab.scenarios
 from chemlab import __version__
 from chemlab.cli import PANELS, app
 from chemlab.cli.screen import event_words, page, show_table
-from chemlab.files import replace_between, write_text
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.materials import DataError, shipped_materials
-from chemlab.scenario import load_scenario, scenario_names, synthesis_names
+from chemlab.config.files import replace_between, write_text
+from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.scenario import load_scenario, scenario_names, synthesis_names
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
 
 FIELDS = {
     "scenario",
@@ -493,7 +493,7 @@ def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, mon
         ),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr("chemlab.files.sync_file", full)
+            patch.setattr("chemlab.config.files.sync_file", full)
             done = runner.invoke(app, words)
         assert done.exit_code == 2, done.output
         assert shown in done.output

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parent / "benchmarks" / "compare_commits.py"
+SCRIPT = Path(__file__).parent.parent / "studies" / "speed" / "compare_commits.py"
 
 
 def checkout(folder: Path, text: str) -> Path:
     """A commit whose throughput.py is as given."""
-    (folder / "tests" / "benchmarks").mkdir(parents=True)
-    (folder / "tests" / "benchmarks" / "throughput.py").write_text(text)
+    (folder / "studies" / "speed").mkdir(parents=True)
+    (folder / "studies" / "speed" / "throughput.py").write_text(text)
     return folder
 
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.compiling import compile_first
-from chemlab.jit import COMPILED
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
+from chemlab.kernels.jit import COMPILED
+from chemlab.kernels.warmup import compile_first
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
 
 compiled = pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
 NEW: Any = SimpleNamespace(_cache=SimpleNamespace(_cache_file=SimpleNamespace(_load_index=dict)))
@@ -49,7 +49,7 @@ def no_rehearsal() -> list[Callable[[], object]]:
 @compiled
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="not Linux")
 def test_a_child_begins_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("chemlab.compiling._cores", lambda: 2)
+    monkeypatch.setattr("chemlab.kernels.warmup._cores", lambda: 2)
     compile_first([NEW], 2, functools.partial(notes, tmp_path), [lambda: wait_for(tmp_path / "0")])
     assert (tmp_path / "calls").read_text() == "2 1 0 "
 
@@ -59,7 +59,7 @@ def test_a_child_begins_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_without_a_child_all_is_compiled_here(
     trouble: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("chemlab.compiling._cores", lambda: 1 if trouble == "one core" else 2)
+    monkeypatch.setattr("chemlab.kernels.warmup._cores", lambda: 1 if trouble == "one core" else 2)
     if trouble == "no Python":
         monkeypatch.setattr(sys, "executable", "")
     done: list[int] = []
@@ -113,7 +113,7 @@ print(late)
 TOGETHER = """
 import numpy as np
 from numba.core import event
-from chemlab.rng import normal
+from chemlab.kernels.rng import normal
 
 with event.install_recorder("numba:compile") as compiled:
     normal(np.array([7], dtype=np.uint64))
@@ -123,7 +123,7 @@ LOADED = """
 import sys
 import numba
 import numpy as np
-from chemlab.rng import uniform
+from chemlab.kernels.rng import uniform
 
 print(uniform(np.array([7], dtype=np.uint64)), "numba.np.arraymath" in sys.modules)
 print(numba.njit(lambda numbers: numbers.sum())(np.ones(3)))

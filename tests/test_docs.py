@@ -22,9 +22,9 @@ import typer
 from helpers import script, slow_but
 
 from chemlab.cli import app
-from chemlab.materials import load_materials, read_toml
-from chemlab.reactions import ReactionFamily
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.config.materials import load_materials, read_toml
+from chemlab.config.reactions import ReactionFamily
+from chemlab.config.scenario import load_scenario, scenario_names
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -305,8 +305,8 @@ def test_pictures_are_small() -> None:
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
 def test_pages_are_in_plain_words(page: Path) -> None:
-    """No page has a word that ``tools/words.py`` refuses."""
-    assert script("tools/words.py").findings(page) == []
+    """No page has a word that ``studies/tools/words.py`` refuses."""
+    assert script("studies/tools/words.py").findings(page) == []
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.files import (
+from chemlab.config.files import (
     check_apart,
     draft_of,
     locked,
@@ -28,7 +28,7 @@ from chemlab.files import (
 WRITER = """
 import sys
 from pathlib import Path
-from chemlab.files import write_bytes
+from chemlab.config.files import write_bytes
 path = Path(sys.argv[1])
 print("ready", flush=True)
 for i in range(10**9):
@@ -37,7 +37,7 @@ for i in range(10**9):
 SMALL_DISK = """
 import resource, signal, sys
 from pathlib import Path
-from chemlab.files import write_bytes
+from chemlab.config.files import write_bytes
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:
@@ -48,7 +48,7 @@ except OSError as error:
 SMALL_DISK_FOR_TWO = """
 import resource, signal, sys
 from pathlib import Path
-from chemlab.files import write_texts
+from chemlab.config.files import write_texts
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 folder = Path(sys.argv[1])

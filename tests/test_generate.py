@@ -23,20 +23,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-import chemlab.files
-from chemlab.bench import reaction
+import chemlab.config.files
 from chemlab.cli import app
-from chemlab.datafile import DataError
-from chemlab.laboratory.core import Laboratories
-from chemlab.materials import shipped_materials
+from chemlab.config.datafile import DataError
+from chemlab.config.materials import shipped_materials
+from chemlab.config.pairs import load_pairs, log_activity_coefficients, pair_table
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.lab.engine import Laboratories
 from chemlab.openchem.designs import feeds, steps_to
 from chemlab.openchem.difficulty import constant_conditions, difficulty
 from chemlab.openchem.generate import LEVELS, chemistry, generated
 from chemlab.openchem.invented import boiling_point, pair_rows
 from chemlab.openchem.networks import Draws, Size, chosen_size, draw_network
-from chemlab.pairs import load_pairs, log_activity_coefficients, pair_table
 from chemlab.record import scenario_hash
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.roles import reaction_bench as reaction
 
 R = 8.314462618
 
@@ -260,7 +260,7 @@ def test_seeds_are_different_chemistries_with_the_same_spaces() -> None:
 def test_a_disk_without_room_has_all_files_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever of them has no room any more; what was there stays."""
     made = generated(3, physics="real", name="one")
-    sync, count = chemlab.files.sync_file, len(made.files())
+    sync, count = chemlab.config.files.sync_file, len(made.files())
     assert count == 4
     folder = tmp_path / "made"
     for last in range(count):
@@ -273,7 +273,7 @@ def test_a_disk_without_room_has_all_files_or_none(tmp_path: Path, monkeypatch: 
             sync(path)
 
         with monkeypatch.context() as patch:
-            patch.setattr("chemlab.files.sync_file", full)
+            patch.setattr("chemlab.config.files.sync_file", full)
             with pytest.raises(OSError, match=r"No space left on device: '.*one.*toml'"):
                 made.write(folder)
         assert list(folder.iterdir()) == []
@@ -304,7 +304,7 @@ def test_it_needs_no_extra() -> None:
 
 def play(scenario: Scenario) -> float:
     """The scripted agents' score of an episode, in which every atom stays somewhere."""
-    played, before, after = script("validate/chemistries.py").scripted(scenario)
+    played, before, after = script("studies/physics/chemistries.py").scripted(scenario)
     np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-12)
     return float(played.returns[0])
 
@@ -313,7 +313,7 @@ def test_scripted_agents_play_and_atoms_stay() -> None:
     scores = [play(chemistry(seed, difficulty=list(LEVELS)[seed % 2])) for seed in range(14)]
     scores += [play(chemistry(seed, difficulty="easy", physics="real")) for seed in range(6)]
     assert np.isfinite(scores).all()
-    assert np.mean(np.array(scores) > 0.5) > 0.6  # of 1,000: validate/chemistries.csv
+    assert np.mean(np.array(scores) > 0.5) > 0.6  # of 1,000: studies/physics/chemistries.csv
 
 
 def test_kernels_are_compiled_for_no_chemistry_of_its_own() -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))  # they import one another
+sys.path.insert(0, str(Path(__file__).parent.parent / "studies" / "speed"))  # they import one another
 
-from benchmarks.growth import AXES, Play, isomers, memory, slope
-
-from chemlab.laboratory.core import Laboratories
+from chemlab.lab.engine import Laboratories
+from studies.speed.growth import AXES, Play, isomers, memory, slope
 
 
 @pytest.mark.parametrize(("materials", "reactions"), [(10, 6), (20, 200), (200, 6)])
@@ -54,7 +53,7 @@ def test_turns_are_counted() -> None:
 
 def test_a_simulated_round_is_the_sum_of_its_parts() -> None:
     pytest.importorskip("ray.rllib")
-    from benchmarks.runners import simulate
+    from studies.speed.runners import simulate
 
     found = {"runner_s": [1e-3], "apart_s": 1e-5, "update_s": 2e-5, "turn_bytes": 1000.0, "weights_bytes": 5000}
     one = simulate(found, 8, 100, gigabits=1.0)

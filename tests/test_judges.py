@@ -1,4 +1,5 @@
-"""The data of the tier ``real`` against the committed results of the scripts in ``validate/``, without any kernel."""
+"""The data of the tier ``real`` against the committed results of the scripts in ``studies/physics/``, without any
+kernel."""
 
 from __future__ import annotations
 
@@ -10,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from chemlab.materials import shipped_materials
-from chemlab.pairs import log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.config.materials import shipped_materials
+from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
 
-VALIDATE = Path(__file__).parent.parent / "validate"
+VALIDATE = Path(__file__).parent.parent / "studies" / "physics"
 ATMOSPHERE_PA = 101325.0
 
 CHARGES = {

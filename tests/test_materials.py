@@ -7,7 +7,7 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from chemlab.materials import DataError, atoms_of, load_materials, read_toml, shipped_materials
+from chemlab.config.materials import DataError, atoms_of, load_materials, read_toml, shipped_materials
 
 GOO = """
 [goo]

@@ -20,12 +20,12 @@ else:
     import tomli as tomllib
 
 from chemlab.cli import app
-from chemlab.datafile import DataError, read_toml
-from chemlab.materials import Material, load_materials, shipped_materials
-from chemlab.pairs import load_pairs, shipped_pairs
-from chemlab.reactions import ReactionFamily, load_reactions
+from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.materials import Material, load_materials, shipped_materials
+from chemlab.config.pairs import load_pairs, shipped_pairs
+from chemlab.config.reactions import ReactionFamily, load_reactions
+from chemlab.config.scenario import RealSpec, load_scenario
 from chemlab.sandbox import Flask
-from chemlab.scenario import RealSpec, load_scenario
 
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[chem]"')
@@ -648,7 +648,7 @@ def test_an_environment_imports_nothing_of_the_extra() -> None:
         "from chemlab.laboratory import raw_env\n"
         "import chemlab.cli\n"
         "import chemlab.agents.policies\n"
-        "from chemlab.scenario import load_scenario\n"
+        "from chemlab.config.scenario import load_scenario\n"
         "load_scenario('wurtz_real')\n"
         "env = raw_env('fictitious'); env.reset(seed=0)\n"
         "for _ in range(3):\n"

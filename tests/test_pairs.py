@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from chemlab.datafile import DataError
-from chemlab.materials import shipped_materials
-from chemlab.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.config.datafile import DataError
+from chemlab.config.materials import shipped_materials
+from chemlab.config.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
 
 ROOT = Path(__file__).parent.parent
 GAS_CONSTANT = 8.314462618
@@ -322,7 +322,7 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
     if not (ROOT / "tools" / "pairs.py").exists():
         pytest.skip("tools/ is in the repository, not in what is installed")
     made = tmp_path / "my_pairs.toml"
-    command = [sys.executable, "tools/pairs.py", "diethyl_ether", "dodecane", "--output", str(made)]
+    command = [sys.executable, "studies/tools/pairs.py", "diethyl_ether", "dodecane", "--output", str(made)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     (pair,) = load_pairs([made]).values()
@@ -337,7 +337,7 @@ def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
     pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
     if not (ROOT / "tools" / "pairs.py").exists():
         pytest.skip("tools/ is in the repository, not in what is installed")
-    command = [sys.executable, "tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]
+    command = [sys.executable, "studies/tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode != 0
     assert "'Na+' is no molecule in a liquid" in done.stderr

@@ -15,10 +15,10 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, read_record
 from chemlab.render.balance import PLACES, mole_balance
-from chemlab.scenario import load_scenario, scenario_names
 
 runner = CliRunner()
 
@@ -165,7 +165,7 @@ def test_spread_keeps_order_distance_and_bounds() -> None:
 
 def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
     """Before: 4 mol ether in its own volume; after: as the bench's agent saw it last. Peaks of what is there alone."""
-    from chemlab.chemistry import WAVELENGTHS_NM
+    from chemlab.physics.chemistry import WAVELENGTHS_NM
     from chemlab.render.charts import draw_spectra
 
     (axes,) = draw_spectra(read_record(scripted)).axes
@@ -265,7 +265,7 @@ def test_matplotlib_is_asked_for_by_its_extra(scripted: Path, tmp_path: Path, mo
 
 def test_learning_curves(tmp_path: Path) -> None:
     """Two straight curves of slopes 1 and 3 a thousand steps: the mean's is 2; evaluations and the scripted line."""
-    from chemlab.agents.evaluation.curves import draw_curves
+    from chemlab.agents.evaluate.curves import draw_curves
 
     for seed, slope in ((0, 1.0), (1, 3.0)):
         run = Run(tmp_path / "bench" / "ppo" / f"seed-{seed}")

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from chemlab.materials import DataError, shipped_materials
-from chemlab.reactions import ReactionFamily, dissolved_reactions, load_reactions, shipped_reactions_folder
+from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.reactions import ReactionFamily, dissolved_reactions, load_reactions, shipped_reactions_folder
 
 SHIPPED = sorted(path.stem for path in shipped_reactions_folder().glob("*.toml"))
 

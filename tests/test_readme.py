@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from chemlab.agents.evaluation.benchmark import world_scenarios
-from chemlab.agents.evaluation.leaderboard import check_leaderboard, leaderboard_lines
+from chemlab.agents.evaluate.benchmark import world_scenarios
+from chemlab.agents.evaluate.leaderboard import check_leaderboard, leaderboard_lines
+from chemlab.config.scenario import load_scenario, scenario_names
 from chemlab.record import scenario_hash
-from chemlab.scenario import load_scenario, scenario_names
 
 README = Path(__file__).parent.parent / "README.md"
 TEXT = README.read_text(encoding="utf-8")

@@ -27,11 +27,11 @@ import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.parallel import parallel_env
+from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.parallel import parallel_env
+from chemlab.lab.engine import Laboratories
 from chemlab.record import LIMITS, Play, Recorder, RecordError, read_record, verify_record
-from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
 
 SCENARIOS = scenario_names()
 runner = CliRunner()

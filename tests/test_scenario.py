@@ -21,13 +21,13 @@ from scipy.optimize import linprog, minimize
 
 import chemlab
 import chemlab.scenarios
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import lab_starts
-from chemlab.laboratory.state import LIMIT
-from chemlab.materials import DataError, read_toml
-from chemlab.scenario import Scenario, dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.config.materials import DataError, read_toml
+from chemlab.config.scenario import Scenario, dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import lab_starts
+from chemlab.roles.manager_state import LIMIT
 
 BASE = """
 name = "tiny"
@@ -184,7 +184,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ),
         # Benches.
         ('kind = "extraction"', 'kind = "alchemy"', ["benches.ext.kind", "'alchemy'", "extraction"]),
-        ('kind = "extraction"', 'kind = "chemlab.bench:Nothing"', ["benches.ext.kind", "'chemlab.bench:Nothing'"]),
+        ('kind = "extraction"', 'kind = "chemlab.roles:Nothing"', ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
         ('kind = "extraction"', 'kind = "math:pi"', ["benches.ext.kind", "'math:pi'"]),
         ('kind = "extraction"', 'kind = ".bench:Bench"', ["benches.ext.kind", "'.bench:Bench'"]),
         (

@@ -18,11 +18,11 @@ from helpers import script, slow_but
 import chemlab.scenarios
 from chemlab.agents.episodes import EpisodeResult, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.chemistry import AMOUNTS, TEMPERATURE
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.experiments import ExperimentBatch
+from chemlab.config.scenario import dump_scenario, load_scenario, scenario_names, shipped_file, synthesis_names
+from chemlab.envs.aec import raw_env
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.sandbox import Flask
-from chemlab.scenario import dump_scenario, load_scenario, scenario_names, shipped_file, synthesis_names
 
 ROOT = Path(__file__).parent.parent
 SYNTHESES = synthesis_names()
@@ -98,7 +98,7 @@ def test_the_table_of_results_is_of_these_scenarios() -> None:
 
 @functools.cache
 def rows_of(name: str) -> list[Any]:
-    rows: list[Any] = script("validate/syntheses.py").SYNTHESES[name]()
+    rows: list[Any] = script("studies/physics/syntheses.py").SYNTHESES[name]()
     return rows
 
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import pytest
 
-from chemlab.arrays import BoolArray, Field, FloatArray, Handle, IntArray, addresses, declared, merged
-from chemlab.jit import kernel, opened
-from chemlab.tables import Table
+from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArray, addresses, declared, merged
+from chemlab.kernels.jit import kernel, opened
+from chemlab.kernels.tables import Table
 
 
 class Pots(NamedTuple):

@@ -10,10 +10,7 @@ import pytest
 from helpers import slow_but
 from scipy import stats
 
-from chemlab.materials import DataError, validated
-from chemlab.scenario import dump_scenario, load_scenario, restore_scenario
-from chemlab.tables import Table
-from chemlab.world import (
+from chemlab.config.draws import (
     Split,
     WorldDraws,
     WorldSpec,
@@ -25,6 +22,9 @@ from chemlab.world import (
     positions,
     world_draws,
 )
+from chemlab.config.materials import DataError, validated
+from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario
+from chemlab.kernels.tables import Table
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 MATERIALS = ("a", "b", "c", "d")
@@ -287,7 +287,7 @@ def file(**draw: Any) -> dict[str, Any]:
     ],
 )
 def test_errors_name_file_key_and_bound(draw: dict[str, Any], message: str) -> None:
-    from chemlab.laboratory.core import Laboratories
+    from chemlab.lab.engine import Laboratories
 
     with pytest.raises(DataError, match=message) as caught:
         Laboratories(load_scenario(file(**draw)))

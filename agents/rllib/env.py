@@ -28,11 +28,11 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.arrays import IntArray
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.episodes import INTERRUPTED, Guarded
-from chemlab.laboratory.state import RUNNING
-from chemlab.rng import checked_seed
+from chemlab.envs.aec import raw_env
+from chemlab.kernels.arrays import IntArray
+from chemlab.kernels.rng import checked_seed
+from chemlab.lab.episodes import INTERRUPTED, Guarded
+from chemlab.roles.manager_state import RUNNING
 
 from ..background import background_players
 from ..roles import chosen_roles, role_of
@@ -54,7 +54,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
             default ``heuristic``), and ``rewards``, ``reaction_model``, ``separation_model``, ``split`` as for
-            :class:`~chemlab.laboratory.aec.raw_env`.
+            :class:`~chemlab.envs.aec.raw_env`.
 
     Raises:
         DataError: the scenario is wrong or unknown.

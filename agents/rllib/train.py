@@ -1,7 +1,7 @@
 """Train roles of a laboratory with RLlib's PPO, on a Ray of its own or on a cluster.
 
 >>> from pathlib import Path
->>> from chemlab.agents.training.arguments import RllibArguments
+>>> from chemlab.agents.train.arguments import RllibArguments
 >>> from chemlab.agents.rllib.train import train_rllib
 >>> train_rllib(RllibArguments("wurtz_dodecane", roles=("manager",)), Path("runs/manager"))   # doctest: +SKIP
 
@@ -28,14 +28,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.scenario import Scenario
+from chemlab.config.scenario import Scenario
 
 from ..executors import connected
 from ..policies import Policy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, role_of
 from ..runs import Evaluation, Run, RunResult
-from ..training.arguments import RllibArguments
+from ..train.arguments import RllibArguments
 
 try:
     import ray
@@ -47,8 +47,8 @@ try:
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
 
-    from ..training.checkpoints import load_state, save_state
-    from ..training.loop import (
+    from ..train.checkpoints import load_state, save_state
+    from ..train.loop import (
         LaboratoryTrainee,
         Progress,
         Watcher,
@@ -163,7 +163,7 @@ class _Team(LaboratoryTrainee):
         self._taken: dict[str, PretrainedPolicy] | None = None
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
-        """See :class:`~chemlab.agents.training.loop.Trainee`.
+        """See :class:`~chemlab.agents.train.loop.Trainee`.
 
         Raises:
             RuntimeError: all env runners are lost and none has come back.
@@ -187,7 +187,7 @@ class _Team(LaboratoryTrainee):
         return {role: states[role] for role in self.roles}
 
     def learned(self) -> Mapping[str, Policy]:
-        """See :class:`~chemlab.agents.training.loop.LaboratoryTrainee`."""
+        """See :class:`~chemlab.agents.train.loop.LaboratoryTrainee`."""
         return self._taken or {role: self._exported(role, state) for role, state in self._states().items()}
 
     def _exported(
@@ -238,7 +238,7 @@ class _Team(LaboratoryTrainee):
             )
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
-        """See :class:`~chemlab.agents.training.loop.Trainee`; with networks and optimizers in ``state.pkl``."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`; with networks and optimizers in ``state.pkl``."""
         for role, state in self._states().items():
             policy = self._exported(role, state, progress.step, reached(self._arguments, evaluation))
             self._check(role, policy, state)
@@ -251,7 +251,7 @@ class _Team(LaboratoryTrainee):
         self.algorithm.set_state(state)
 
     def take(self, folder: Path) -> None:
-        """See :class:`~chemlab.agents.training.loop.Trainee`."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._taken = {role: load_pretrained(folder / role) for role in self.roles}
 
     def stop(self) -> None:

@@ -5,7 +5,7 @@
 >>> env.rollout(20)["rxn", "observation"].shape                                    # doctest: +SKIP
 torch.Size([64, 20, 1, 214])
 
-A step is one round of :class:`~chemlab.laboratory.batch.BatchedLaboratory`: the manager's action where it has the turn,
+A step is one round of :class:`~chemlab.envs.batch.BatchedLaboratory`: the manager's action where it has the turn,
 else one tick. Entries, N laboratories, A agents of the group, n actions:
 
 | entry | shape | what |
@@ -15,7 +15,7 @@ else one tick. Entries, N laboratories, A agents of the group, n actions:
 | `(group, "has_turn")` | [N, A] | whether its action counts in this step |
 | `(group, "reward")` | [N, A, 1] | |
 | `(group, "info", ...)` | [N, A] | `cost`, `score`, `experiment_over`, `illegal_action`, `elapsed_ticks` |
-| `"state"` | [N, S] | everything there is to know (:mod:`chemlab.laboratory.global_state`), in [0, 1] |
+| `"state"` | [N, S] | everything there is to know (:mod:`chemlab.envs.global_state`), in [0, 1] |
 | `"done"`, `"terminated"`, `"truncated"` | [N, 1] | the episode's end, for all agents |
 
 Needs TorchRL, after PyTorch: ``pip install torch``, then ``pip install ".[torchrl]"``.
@@ -31,9 +31,9 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.rng import checked_seed
-from chemlab.scenario import RewardSpec, Scenario
+from chemlab.config.scenario import RewardSpec, Scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.kernels.rng import checked_seed
 
 from ..background import background_players
 from ..roles import chosen_roles, role_of

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario, load_scenario
 
 from .env import TorchLaboratory
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, write_text
+from ..config.files import check_folder, write_text
 from .common import (
     AddressOption,
     JsonOption,
@@ -43,11 +43,11 @@ def audit(
     what a scenario with a world has to prove.
     """
     with readable_errors():
-        from ..agents.evaluation.audit import audit as measure
-        from ..agents.evaluation.audit import job_count
-        from ..agents.evaluation.jobs import budget_of
+        from ..agents.evaluate.audit import audit as measure
+        from ..agents.evaluate.audit import job_count
+        from ..agents.evaluate.jobs import budget_of
         from ..agents.executors import executor
-        from ..scenario import load_scenario
+        from ..config.scenario import load_scenario
 
         spec = load_scenario(scenario)
         chosen = budget_of(budget)
@@ -68,7 +68,7 @@ def audit(
 
 def _show(found: dict[str, Any]) -> None:
     """What people see: the measures, the gates, a sentence."""
-    from ..agents.evaluation.audit import GATES, measure_rows, verdict
+    from ..agents.evaluate.audit import GATES, measure_rows, verdict
 
     title = (
         f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 knows all"

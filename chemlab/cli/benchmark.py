@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder
+from ..config.files import check_folder
 from .common import AddressOption, JsonOption, ProcessesOption, SplitOption, TrustOption, app, out, readable_errors
 from .screen import counting, show_table
 
@@ -46,12 +46,12 @@ def benchmark(
     The same command goes on where it was broken off. The folder's leaderboard keeps the lines of other commands.
     """
     with readable_errors():
-        from ..agents.evaluation import benchmark as protocol
-        from ..agents.evaluation.jobs import budget_of
-        from ..agents.evaluation.leaderboard import leaderboard_lines
+        from ..agents.evaluate import benchmark as protocol
+        from ..agents.evaluate.jobs import budget_of
+        from ..agents.evaluate.leaderboard import leaderboard_lines
         from ..agents.executors import executor
-        from ..scenario import load_scenario
-        from ..world import Split
+        from ..config.draws import Split
+        from ..config.scenario import load_scenario
 
         Split.of(split)
         specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
@@ -78,7 +78,7 @@ def benchmark(
 
 def _show(found: dict[str, Any]) -> None:
     """What people see: a table by scenario, then over all of them, and the empty cells."""
-    from ..agents.evaluation.statistics import interval_text
+    from ..agents.evaluate.statistics import interval_text
 
     names = list(found["scenarios"])
     cells = {name: found["scenarios"][name]["cells"] for name in names}

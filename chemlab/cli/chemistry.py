@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_apart, check_target, write_text, write_texts
+from ..config.files import check_apart, check_target, write_text, write_texts
 from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:
-    from ..materials import Material
+    from ..config.materials import Material
     from ..openchem.identity import Compound
     from ..openchem.templates import Found, Rate
 
@@ -85,7 +85,7 @@ def _count(number: int, what: str) -> str:
 
 
 def _known(files: Sequence[Path] | None) -> dict[str, Material]:
-    from ..materials import load_materials, shipped_materials
+    from ..config.materials import load_materials, shipped_materials
 
     return {**shipped_materials(), **load_materials(files or ())}
 
@@ -216,8 +216,8 @@ def _show_materials(tables: dict[str, Any], wanted: Sequence[Compound]) -> None:
 
 def _missing_pairs(keys: Sequence[str], known: dict[str, Material]) -> list[tuple[str, str]]:
     """Every two molecules of some materials that no shipped pair file has."""
+    from ..config.pairs import shipped_pairs
     from ..openchem.activity import is_molecule
-    from ..pairs import shipped_pairs
 
     molecules = [key for key in keys if is_molecule(known[key])]
     return [two for two in itertools.combinations(molecules, 2) if frozenset(two) not in shipped_pairs()]
@@ -236,7 +236,7 @@ def pairs(
 
     Pairs that are shipped are left out: a file of yours would replace them, also where they were measured.
     """
-    from ..pairs import shipped_pairs
+    from ..config.pairs import shipped_pairs
 
     _free(output, force, *(materials or ()))
     if len(names) < 2:
@@ -441,10 +441,10 @@ def new(
     Asks for what is not given where there is somebody to ask. Activity coefficients that are missing are made (that
     needs the extra `chem`) and written beside it, NAME_pairs.toml.
     """
+    from ..config.pairs import load_pairs, shipped_pairs
+    from ..config.reactions import load_reactions
+    from ..config.scenario import load_scenario
     from ..openchem import designs
-    from ..pairs import load_pairs, shipped_pairs
-    from ..reactions import load_reactions
-    from ..scenario import load_scenario
 
     path = output or Path(f"{name}.toml")
     read = [*(materials or ()), *(pairs or ())]
@@ -557,8 +557,8 @@ def difficulty(
     reagents are put in at once or slowly.
     """
     with readable_errors():
+        from ..config.scenario import load_scenario
         from ..openchem.difficulty import difficulty as measure
-        from ..scenario import load_scenario
 
         spec = load_scenario(scenario)
         rows = measure(spec, episodes, plans, seed)

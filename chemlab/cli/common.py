@@ -14,14 +14,14 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from .. import __version__
-from ..datafile import DataError
-from ..files import check_apart, check_target
-from ..parts import strangers_code
+from ..config.datafile import DataError
+from ..config.files import check_apart, check_target
+from ..config.parts import strangers_code
 from .screen import err, out, page, plain
 
 if TYPE_CHECKING:
-    from ..laboratory.aec import raw_env
-    from ..scenario import Scenario
+    from ..config.scenario import Scenario
+    from ..envs.aec import raw_env
 
 __all__ = [
     "AddressOption",
@@ -178,12 +178,12 @@ def _options(
 
 def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:
     """Load the scenario, say so, and build its laboratory."""
-    from ..scenario import load_scenario
+    from ..config.scenario import load_scenario
 
     spec = load_scenario(scenario)
     if not quiet:
         page.print(f"[bold]{plain(spec.name)}[/bold]: {plain(spec.summary)}")
-    from ..laboratory.aec import raw_env
+    from ..envs.aec import raw_env
 
     return spec, raw_env(spec, split=split)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, write_text
+from ..config.files import check_folder, write_text
 from .common import (
     AddressOption,
     JsonOption,
@@ -57,12 +57,12 @@ def crossplay(
     (random) to 1 (knows the world), in the same worlds.
     """
     with readable_errors():
-        from ..agents.evaluation.crossplay import PARTNERS, crossplay_count, find_players
-        from ..agents.evaluation.crossplay import crossplay as play
-        from ..agents.evaluation.jobs import budget_of
+        from ..agents.evaluate.crossplay import PARTNERS, crossplay_count, find_players
+        from ..agents.evaluate.crossplay import crossplay as play
+        from ..agents.evaluate.jobs import budget_of
         from ..agents.executors import executor
-        from ..scenario import load_scenario
-        from ..world import Split
+        from ..config.draws import Split
+        from ..config.scenario import load_scenario
 
         Split.of(split)
         spec = load_scenario(scenario)
@@ -85,7 +85,7 @@ def crossplay(
 
 def _show(found: dict[str, Any]) -> None:
     """What people see: who the benches are, the matrix, the drops."""
-    from ..agents.evaluation.statistics import interval_text
+    from ..agents.evaluate.statistics import interval_text
 
     names = [player["name"] for player in found["benches"]]
     letters = {name: f"benches {i + 1}" for i, name in enumerate(names)}

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..files import check_folder, write_text
+from ..config.files import check_folder, write_text
 from .common import (
     AddressOption,
     JsonOption,
@@ -59,8 +59,8 @@ def evaluate(
     better than the baseline does from the same seed, a tie counting one half.
     """
     with readable_errors():
-        from ..agents.evaluation.play import evaluate as play
-        from ..agents.evaluation.play import find_target
+        from ..agents.evaluate.play import evaluate as play
+        from ..agents.evaluate.play import find_target
         from ..agents.executors import executor
 
         if output is not None:
@@ -87,7 +87,7 @@ def evaluate(
 
 def _show(results: dict[str, Any]) -> None:
     """What people see of an evaluation: the whole, then goal by goal."""
-    from ..agents.evaluation.statistics import interval_text
+    from ..agents.evaluate.statistics import interval_text
 
     target, rows = results["target"], results["policies"]
     names = [row["policy"] for row in rows]
@@ -136,9 +136,9 @@ def figures(
     nothing but runs' small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
-        from ..agents.evaluation.laboratory import collect as collect_tables
-        from ..agents.evaluation.laboratory import collect_count, write_laboratory
-        from ..agents.evaluation.page import write_page
+        from ..agents.evaluate.laboratory import collect as collect_tables
+        from ..agents.evaluate.laboratory import collect_count, write_laboratory
+        from ..agents.evaluate.page import write_page
         from ..render.figure import FORMATS
 
         formats = file_format or ["png"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import check_marks, replace_between
+from ..config.files import check_marks, replace_between
 from .common import (
     EpisodesOption,
     JsonOption,
@@ -29,11 +29,11 @@ from .screen import err, event_words, happened, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.episodes import EpisodeResult, PlayedTurn
-    from ..laboratory.aec import raw_env
-    from ..laboratory.core import Laboratories
-    from ..laboratory.describe import FactTable
+    from ..config.scenario import Scenario
+    from ..envs.aec import raw_env
+    from ..lab.describe import FactTable
+    from ..lab.engine import Laboratories
     from ..record import Recorder
-    from ..scenario import Scenario
 
 __all__: list[str] = []
 
@@ -41,7 +41,7 @@ __all__: list[str] = []
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
     """List the scenarios that come with chemlab, and the syntheses."""
-    from ..scenario import load_scenario, scenario_names, synthesis_names
+    from ..config.scenario import load_scenario, scenario_names, synthesis_names
 
     scenarios = [load_scenario(name) for name in scenario_names()]
     syntheses = [load_scenario(name) for name in synthesis_names()]
@@ -80,7 +80,7 @@ def describe(
 
     JSON has everything of every agent, or with --agent of those.
     """
-    from ..laboratory import describe as facts
+    from ..lab import describe as facts
 
     _, env = prepare(scenario, quiet=as_json)
     labs = env.laboratories
@@ -103,7 +103,7 @@ def _show(title: str, facts: FactTable) -> None:
 
 def _show_scenario(labs: Laboratories) -> None:
     """Everything but the agents' spaces."""
-    from ..laboratory import describe as facts
+    from ..lab import describe as facts
 
     spec = labs.scenario
     page.print(f"{plain(spec.title)} ({plain(spec.origin)})", soft_wrap=True)
@@ -127,8 +127,8 @@ def _show_scenario(labs: Laboratories) -> None:
 
 def _show_agent(labs: Laboratories, agent: str) -> None:
     """What an agent sees and may do, number by number."""
-    from ..bench.base import Bench
-    from ..laboratory import describe as facts
+    from ..lab import describe as facts
+    from ..roles.bench import Bench
 
     number = labs.agents.index(agent)
     role, space = labs.role(number), facts.space_words(labs.action_space(number))
@@ -220,7 +220,7 @@ class _Account:
         self._since = 0
 
     def __call__(self, turn: PlayedTurn) -> None:
-        from ..laboratory.text import action_words, named_events
+        from ..lab.text import action_words, named_events
 
         labs = self._env.laboratories
         said = action_words(labs, labs.agents.index(turn.agent), turn.action)
@@ -240,7 +240,7 @@ class _Account:
             self._flush("; ".join([*notes, *([outcome] if outcome else [])]))
 
     def _outcome(self, turn: PlayedTurn, score: float | None) -> str:
-        from ..laboratory.text import reading_words
+        from ..lab.text import reading_words
 
         labs = self._env.laboratories
         if score is not None:
@@ -306,7 +306,7 @@ def compare(
     from rich.progress import Progress
 
     from ..agents.policies import make_policies
-    from ..scenario import scenario_names
+    from ..config.scenario import scenario_names
 
     policies = policy or ["heuristic", "random"]
     rows: list[dict[str, Any]] = []
@@ -403,7 +403,7 @@ def starts(
     with Progress(console=err, transient=True) as progress:
         spec, _ = prepare(scenario, quiet=True)
         from ..agents.start_recorder import record_starts
-        from ..laboratory.starts import starts_file, write_starts
+        from ..lab.starts import starts_file, write_starts
 
         path = output or starts_file(spec)
         check_result(path, scenario)

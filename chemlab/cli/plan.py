@@ -23,7 +23,7 @@ from .common import (
 from .screen import counting, plain
 
 if TYPE_CHECKING:
-    from ..agents.evaluation.plans import PlanSearch
+    from ..agents.evaluate.plans import PlanSearch
     from ..agents.plans import PlanFile
 
 __all__: list[str] = []
@@ -53,8 +53,8 @@ def plan(
     plan of its own. The score is that of episodes with seeds 0, 1, ..., which the search has not seen.
     """
     with readable_errors():
-        from ..agents.evaluation.plans import plan_budget, search_plan
-        from ..scenario import load_scenario
+        from ..agents.evaluate.plans import plan_budget, search_plan
+        from ..config.scenario import load_scenario
 
         spec = load_scenario(scenario)
         most = plan_budget(budget)
@@ -79,8 +79,8 @@ def plan(
 
 def _tell(search: PlanSearch, found: PlanFile) -> None:
     """What people see: every plan in words, and the score."""
-    from ..agents.evaluation.plans import plan_words
-    from ..agents.evaluation.statistics import interval_text
+    from ..agents.evaluate.plans import plan_words
+    from ..agents.evaluate.statistics import interval_text
 
     for one in search.found:
         out.print(f"[bold]{plain(', '.join(one.context))}[/bold]: score {one.score:.3f}")

@@ -26,8 +26,8 @@ from .screen import err, event_words, out, page, plain
 if TYPE_CHECKING:
     from ..agents.episodes import PlayedTurn
     from ..agents.policies import Policy
-    from ..laboratory.aec import raw_env
-    from ..laboratory.core import Laboratories
+    from ..envs.aec import raw_env
+    from ..lab.engine import Laboratories
 
 __all__: list[str] = []
 
@@ -59,7 +59,7 @@ class _Told:
         self._others: dict[str, int] = {}
 
     def __call__(self, turn: PlayedTurn) -> None:
-        from ..laboratory.text import named_events
+        from ..lab.text import named_events
 
         labs = self._env.laboratories
         if turn.agent == labs.agents[0] and not turn.info["illegal_action"]:
@@ -82,7 +82,7 @@ class _Told:
 
     def _decided(self, turn: PlayedTurn) -> None:
         """What a manager's decision means for people at the benches, and what it has read."""
-        from ..laboratory.text import reading_words
+        from ..lab.text import reading_words
 
         labs = self._env.laboratories
         kind, *arguments = labs.actions.decode(int(turn.action))

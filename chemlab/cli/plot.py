@@ -51,7 +51,7 @@ def curves(
     force: ForceOption = False,
 ) -> None:
     """Learning curves of training runs, finished or not, with evaluations and the scripted policy's line."""
-    from ..agents.evaluation.curves import draw_curves
+    from ..agents.evaluate.curves import draw_curves
 
     _save(output, force, lambda: draw_curves(folders))
 

@@ -76,7 +76,7 @@ def verify(
 
 def _verify_leaderboard(path: Path, as_json: bool) -> Status:
     """Check a leaderboard, and say what is wrong and what is not proven."""
-    from ..agents.evaluation.leaderboard import check_leaderboard, summary
+    from ..agents.evaluate.leaderboard import check_leaderboard, summary
 
     with counting() as progress:
         task = progress.add_task("lines", total=None)
@@ -104,7 +104,7 @@ def replay(
 ) -> None:
     """Make a page of a record: one HTML file to look through the episode with, which needs no network."""
     with readable_errors():
-        from ..files import write_text
+        from ..config.files import write_text
         from ..record import read_record
         from ..render.replay import replay_page
 

@@ -16,8 +16,8 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ..agents.training.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
-from ..files import check_apart, check_target
+from ..agents.train.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
+from ..config.files import check_apart, check_target
 from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..agents.runs import Evaluation, RunResult
-    from ..agents.training.sweep import Planned, Status
+    from ..agents.train.sweep import Planned, Status
 
 __all__: list[str] = []
 
@@ -47,7 +47,7 @@ class _Account:
         console.print(text)
 
     def begun(self, step: int, steps: int) -> None:
-        """See :class:`chemlab.agents.training.loop.Watcher`."""
+        """See :class:`chemlab.agents.train.loop.Watcher`."""
         self._steps = steps
         if step:
             self._say(f"resuming at step {step:,} of {steps:,}")
@@ -55,19 +55,19 @@ class _Account:
             self._task = self._progress.add_task("training", total=steps, completed=step, mean="")
 
     def advanced(self, step: int, mean: float | None) -> None:
-        """See :class:`chemlab.agents.training.loop.Watcher`."""
+        """See :class:`chemlab.agents.train.loop.Watcher`."""
         if self._progress is not None:
             shown = "" if mean is None else f"return {mean:.3f}"
             self._progress.update(self._task, completed=step, mean=shown)
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
-        """See :class:`chemlab.agents.training.loop.Watcher`."""
+        """See :class:`chemlab.agents.train.loop.Watcher`."""
         scripted = evaluation.heuristic_mean
         beside = "" if scripted is None else f", scripted {scripted:.3f}"
         self._say(f"step {evaluation.step:>9,}: mean return {evaluation.mean:.3f}{beside}{'  (best)' if best else ''}")
 
     def finishing(self) -> None:
-        """See :class:`chemlab.agents.training.loop.Watcher`."""
+        """See :class:`chemlab.agents.train.loop.Watcher`."""
         if self._progress is not None:
             self._progress.update(self._task, mean="last evaluation")
 
@@ -115,13 +115,13 @@ def _number(value: float | None) -> str:
 
 
 def _single() -> Any:
-    from ..agents.training.learn import train
+    from ..agents.train.learn import train
 
     return train
 
 
 def _joint() -> Any:
-    from ..agents.training.joint import train_together
+    from ..agents.train.joint import train_together
 
     return train_together
 
@@ -213,7 +213,7 @@ _COLOURS = {"done": "green", "running": "cyan", "failed": "red", "other": "red",
 
 @app.command()
 def sweep(
-    file: Annotated[Path, typer.Argument(help="Sweep file (see experiments/).")],
+    file: Annotated[Path, typer.Argument(help="Sweep file (see studies/baselines/).")],
     processes: ProcessesOption = None,
     address: AddressOption = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),
@@ -224,13 +224,13 @@ def sweep(
     """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
     with readable_errors():
         from ..agents.executors import executor
-        from ..agents.training.sweep import plan, run_sweep, status_of
+        from ..agents.train.sweep import plan, run_sweep, status_of
 
         runs = plan(file, folder)
         if status:
             found = [status_of(one) for one in runs]
         else:
-            from ..agents.training import learn as training  # noqa: F401 - without the extra, say so once and not in every log
+            from ..agents.train import learn as training  # noqa: F401 - without the extra, say so once and not in every log
 
             # A sweep that is told to stop takes its runs along, as one that is interrupted does.
             signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -251,7 +251,7 @@ def sweep(
 
 def _live(runs: list[Planned], jobs: Executor) -> list[Status]:
     """Run it with a table that is kept up to date, or, where nobody watches, a line whenever a run's state changes."""
-    from ..agents.training.sweep import run_sweep
+    from ..agents.train.sweep import run_sweep
 
     if out.is_terminal:
         with Live(console=out, auto_refresh=False) as live:
@@ -304,7 +304,7 @@ def export(
     It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
     """
     with readable_errors():
-        from ..agents.training.export import export_run
+        from ..agents.train.export import export_run
 
         for ending in (".json", ".safetensors"):
             target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")

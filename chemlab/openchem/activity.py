@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from ..datafile import DataError, read_toml
-from ..materials import Material
-from ..pairs import REFERENCE_K, log_activity_coefficients
+from ..config.datafile import DataError, read_toml
+from ..config.materials import Material
+from ..config.pairs import REFERENCE_K, log_activity_coefficients
 from ..physics.constants import GAS_CONSTANT
 
 try:

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..datafile import DataError, read_toml
-from ..datamodel import validated
-from ..materials import Material, shipped_materials
+from ..config.datafile import DataError, read_toml
+from ..config.datamodel import validated
+from ..config.materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value

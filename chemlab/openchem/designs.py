@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ..datafile import DataError
-from ..materials import Material
-from ..pairs import Pair, log_activity_coefficients, pair_table
+from ..config.datafile import DataError
+from ..config.materials import Material
+from ..config.pairs import Pair, log_activity_coefficients, pair_table
+from ..config.reactions import Reaction, ReactionFamily
+from ..config.scenario import SAFETY_EVENTS, RealSpec
 from ..physics.constants import GAS_CONSTANT
-from ..reactions import Reaction, ReactionFamily
-from ..scenario import SAFETY_EVENTS, RealSpec
 from .writing import toml_tables
 
 __all__ = ["INSTRUMENTS", "Design", "check_design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]

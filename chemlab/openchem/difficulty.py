@@ -22,17 +22,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..agents.evaluation.plans import search_plan
+from ..agents.evaluate.plans import search_plan
 from ..agents.player import play_laboratory
 from ..agents.policies import make_policies
-from ..arrays import FloatArray
-from ..bench.base import channel_slices
-from ..bench.reaction import ReactionBench, ReactionOptions
-from ..chemistry import AMOUNTS
-from ..datafile import DataError
-from ..laboratory.bench_env import BenchVectorEnv
-from ..laboratory.core import Laboratories
-from ..scenario import Scenario, load_scenario
+from ..config.datafile import DataError
+from ..config.scenario import Scenario, load_scenario
+from ..envs.bench_env import BenchVectorEnv
+from ..kernels.arrays import FloatArray
+from ..lab.engine import Laboratories
+from ..physics.chemistry import AMOUNTS
+from ..roles.bench import channel_slices
+from ..roles.reaction_bench import ReactionBench, ReactionOptions
 from .designs import feeds, steps_to
 
 __all__ = ["Conditions", "GoalDifficulty", "constant_conditions", "difficulty"]

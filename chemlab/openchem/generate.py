@@ -19,14 +19,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..datafile import DataError
-from ..datamodel import validated
-from ..files import check_target, write_texts
-from ..inherit import completed
-from ..materials import Material, shipped_materials
+from ..config.datafile import DataError
+from ..config.datamodel import validated
+from ..config.files import check_target, write_texts
+from ..config.inherit import completed
+from ..config.materials import Material, shipped_materials
+from ..config.reactions import ReactionFamily
+from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario, restore_scenario
 from ..physics.constants import GAS_CONSTANT
-from ..reactions import ReactionFamily
-from ..scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario, restore_scenario
 from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
 from .invented import SOURCE, dilute_log, material_tables, pair_rows, significant
 from .networks import Draws, Network, Size, chosen_size, draw_network

@@ -8,8 +8,8 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from ..datafile import DataError
-from ..materials import LOCK, shipped_materials
+from ..config.datafile import DataError
+from ..config.materials import LOCK, shipped_materials
 from .names import element_of, meaning, spellings
 
 try:

@@ -21,7 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..materials import Material
+from ..config.materials import Material
 from ..physics.constants import GAS_CONSTANT
 from .networks import Draws, Network
 

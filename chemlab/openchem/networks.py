@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
-from ..datafile import DataError
+from ..config.datafile import DataError
 
 __all__ = ["MOST_MATERIALS", "Draws", "Network", "Size", "Step", "chosen_size", "draw_network"]
 

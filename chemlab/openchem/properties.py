@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..datafile import DataError
-from ..materials import Dimerization, VaporPressure
+from ..config.datafile import DataError
+from ..config.materials import Dimerization, VaporPressure
 from ..physics.constants import GAS_CONSTANT
 from .identity import Compound, molar_mass, parsed
 from .names import is_metal

@@ -9,11 +9,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..datafile import DataError
-from ..datamodel import validated
-from ..materials import Material
+from ..config.datafile import DataError
+from ..config.datamodel import validated
+from ..config.materials import Material
+from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from ..physics.constants import GAS_CONSTANT
-from ..reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from .identity import Compound, check_length, composition_of, compound_of, parsed
 from .writing import lock, toml_key
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .. import __version__
-from ..datafile import toml_key
+from ..config.datafile import toml_key
 
 __all__ = ["family_text", "lock", "material_text", "pair_text", "toml", "toml_key", "toml_tables"]
 
@@ -105,7 +105,7 @@ def pair_text(
         command: what they were made by.
         packages: with which.
     """
-    lines = ["# Binary NRTL parameters: see chemlab/pairs.py for the equation. Made by the command below; do not edit."]
+    lines = ["# Binary NRTL parameters: equation in chemlab/config/pairs.py. Made by the command below; do not edit."]
     # A key of the whole file stands before the first table.
     lines += ["", "pairs = [", *(f"    {toml(row)}," for row in rows), "]", "", "[lock]"]
     return "\n".join([*lines, *(f"{key} = {toml(value)}" for key, value in lock(command, *packages).items())]) + "\n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..scenario import SAFETY_EVENTS
+from ..config.scenario import SAFETY_EVENTS
 
 __all__ = ["BOILED_DRY", "DRY_HEATING", "METAL_IN_WATER", "RELIEF", "SPILL"]
 

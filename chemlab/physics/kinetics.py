@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import FloatArray, Handle
-from ..chemistry import AMOUNTS, Chemistry
-from ..jit import helper, kernel, opened
+from ..kernels.arrays import FloatArray, Handle
+from ..kernels.jit import helper, kernel, opened
+from .backends import rate_constant
+from .chemistry import AMOUNTS, Chemistry
 from .constants import GAS_CONSTANT
-from .laws import rate_constant
 
 __all__ = ["arrhenius", "integrate", "react_work_size"]
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import FloatArray, Handle, IntArray, StreamArray
-from ..chemistry import CLOCK, PRESENT, Chemistry
-from ..jit import helper, kernel, opened, scratch
-from ..rng import uniforms
-from ..shelf import CLOCK_SETTLED, T_MIX
-from .laws import find_layers, layer_density, layer_shade, solid_mol, solid_volume
+from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
+from ..kernels.jit import helper, kernel, opened, scratch
+from ..kernels.rng import uniforms
+from .backends import find_layers, layer_density, layer_shade, solid_mol, solid_volume
+from .chemistry import CLOCK, PRESENT, Chemistry
+from .shelf import CLOCK_SETTLED, T_MIX
 
 __all__ = ["camera", "profile"]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..arrays import FloatArray, Handle
-from ..chemistry import AMOUNTS, Chemistry
-from ..jit import helper, inner, opened
+from ..kernels.arrays import FloatArray, Handle
+from ..kernels.jit import helper, inner, opened
+from .chemistry import AMOUNTS, Chemistry
 from .transfer import liquid_volume
 
 __all__ = ["spectrum"]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..arrays import FloatArray, Handle
-from ..chemistry import AIR, CAPACITY, TEMPERATURE, Chemistry
-from ..jit import helper, opened
+from ..kernels.arrays import FloatArray, Handle
+from ..kernels.jit import helper, opened
+from .backends import headspace_gas, vapor_pressure
+from .chemistry import AIR, CAPACITY, TEMPERATURE, Chemistry
 from .constants import GAS_CONSTANT
-from .laws import headspace_gas, vapor_pressure
 from .transfer import volume
 
 __all__ = ["air_in_open_vessel", "pressure", "seal_vessel"]

@@ -2,28 +2,19 @@
 
 Receiving matter stirs: the settling clock's distance from the mixed state shrinks by the share of volume that
 was already there. The dissolved amounts in a row are valid for CLOCK_WAS; after these operations the
-caller runs :func:`chemlab.physics.laws.partition`, which brings them to CLOCK.
+caller runs :func:`chemlab.physics.backends.partition`, which brings them to CLOCK.
 """
 
 from __future__ import annotations
 
-from ..arrays import FloatArray, Handle, IntArray
-from ..chemistry import (
-    AMOUNTS,
-    CAPACITY,
-    CLOCK,
-    CLOCK_WAS,
-    PRESENT,
-    ROLE_GAS,
-    TEMPERATURE,
-    Chemistry,
-)
-from ..jit import helper, kernel, opened
-from ..materials import COLDEST_K, HOTTEST_K
-from ..shelf import CLOCK_SETTLED, T_MIX
+from ..config.materials import COLDEST_K, HOTTEST_K
+from ..kernels.arrays import FloatArray, Handle, IntArray
+from ..kernels.jit import helper, kernel, opened
+from .backends import drain_layer, solid_volume
+from .chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from .constants import SOLIDS, TRACE_MOL
 from .events import SPILL
-from .laws import drain_layer, solid_volume
+from .shelf import CLOCK_SETTLED, T_MIX
 
 __all__ = [
     "add",
@@ -75,8 +66,8 @@ def heat_capacity(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def within_range(kelvin: float) -> float:
-    """A temperature, or the bound of the physical range (:data:`chemlab.materials.COLDEST_K`,
-    :data:`~chemlab.materials.HOTTEST_K`) that it is beyond."""
+    """A temperature, or the bound of the physical range (:data:`chemlab.config.materials.COLDEST_K`,
+    :data:`~chemlab.config.materials.HOTTEST_K`) that it is beyond."""
     return min(max(kelvin, COLDEST_K), HOTTEST_K)
 
 

@@ -27,16 +27,7 @@ them, knowing what, no record can prove: `policies` is a claim, and so are `envi
 null, the random streams and which of all worlds of its split it is.
 """
 
-from .format import (
-    FORMAT,
-    LIMITS,
-    Record,
-    RecordError,
-    read_record,
-    recorded_scenario,
-    scenario_hash,
-    seen_hash,
-)
+from .format import FORMAT, LIMITS, Record, RecordError, read_record, recorded_scenario, scenario_hash, seen_hash
 from .recorder import Play, Recorder
 from .replay import Replay
 from .verify import EXIT_CODES, Status, Verification, verify_record

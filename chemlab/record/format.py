@@ -14,10 +14,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..arrays import MaskArray, ObservationArray
-from ..files import read_bytes
-from ..materials import DataError, validated
-from ..scenario import Scenario, dump_scenario, restore_scenario
+from ..config.files import read_bytes
+from ..config.materials import DataError, validated
+from ..config.scenario import Scenario, dump_scenario, restore_scenario
+from ..kernels.arrays import MaskArray, ObservationArray
 
 __all__ = [
     "FORMAT",

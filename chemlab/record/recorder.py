@@ -15,14 +15,14 @@ import numba
 import numpy as np
 
 from .. import __version__
-from ..arrays import IntArray, MaskArray, ObservationArray
-from ..chemistry import AMOUNTS, PRESENT, TEMPERATURE
-from ..files import check_target, locked, naming, sync_folder
-from ..laboratory.actions import MEASURE
-from ..laboratory.core import Laboratories
-from ..laboratory.state import RUNNING, STATUS_WORDS
-from ..materials import validated
-from ..scenario import dump_scenario
+from ..config.files import check_target, locked, naming, sync_folder
+from ..config.materials import validated
+from ..config.scenario import dump_scenario
+from ..kernels.arrays import IntArray, MaskArray, ObservationArray
+from ..lab.engine import Laboratories
+from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE
+from ..roles.manager_actions import MEASURE
+from ..roles.manager_state import RUNNING, STATUS_WORDS
 from .format import FORMAT, Header, digest, seen_hash, to_text
 
 __all__ = ["Play", "Recorder", "Witness", "environment_here"]

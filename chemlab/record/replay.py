@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..bench.models import ReactionModel, SeparationModel
-from ..laboratory.core import Laboratories
-from ..laboratory.state import RUNNING
-from ..laboratory.worlds import NumberedWorld
-from ..materials import DataError
-from ..parts import strangers_code
-from ..world import SPLITS
+from ..config.draws import SPLITS
+from ..config.materials import DataError
+from ..config.parts import strangers_code
+from ..lab.engine import Laboratories
+from ..lab.hidden import NumberedWorld
+from ..roles.manager_state import RUNNING
+from ..roles.models import ReactionModel, SeparationModel
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 

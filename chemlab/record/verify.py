@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from .. import __version__
-from ..bench.models import ReactionModel, SeparationModel
-from ..scenario import Scenario, load_scenario, shipped_file
+from ..config.scenario import Scenario, load_scenario, shipped_file
+from ..roles.models import ReactionModel, SeparationModel
 from .format import FormatError, Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
 from .recorder import Witness, environment_here
 from .replay import Replay

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..laboratory.core import Laboratories
+from ..kernels.arrays import FloatArray
+from ..lab.engine import Laboratories
 from ..record import Record
 from .history import Move, RecordReplay
 

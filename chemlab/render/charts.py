@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..bench.base import channel_slices
-from ..chemistry import WAVELENGTHS_NM
-from ..laboratory.core import Laboratories
-from ..laboratory.state import COST_ITEMS
-from ..laboratory.text import action_words
-from ..materials import Material
+from ..config.materials import Material
+from ..config.scenario import Scenario
+from ..kernels.arrays import FloatArray
+from ..lab.engine import Laboratories
+from ..lab.text import action_words
+from ..physics.chemistry import WAVELENGTHS_NM
 from ..record import Record, RecordError
-from ..scenario import Scenario
+from ..roles.bench import channel_slices
+from ..roles.manager_state import COST_ITEMS
 from .balance import PLACES, Balance, Group, mole_balance
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..files import draft_of
+from ..config.files import draft_of
 
 __all__ = ["FORMATS", "SETTINGS", "import_matplotlib", "new_figure", "save_figure"]
 

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import MaskArray, ObservationArray
-from ..laboratory.state import RUNNING
+from ..kernels.arrays import MaskArray, ObservationArray
 from ..record import Play, RecordError, Replay
+from ..roles.manager_state import RUNNING
 
 __all__ = ["Look", "Move", "RecordReplay"]
 

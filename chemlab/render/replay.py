@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from ..chemistry import WAVELENGTHS_NM
-from ..laboratory.core import Laboratories
-from ..laboratory.state import COST_ITEMS
-from ..laboratory.text import action_words, reading_words
+from ..lab.engine import Laboratories
+from ..lab.text import action_words, reading_words
+from ..physics.chemistry import WAVELENGTHS_NM
 from ..physics.transfer import liquid_volume
 from ..record import Play, Record, RecordError, Replay, verify_record
+from ..roles.manager_state import COST_ITEMS
 from .scene import laboratory_scene
 
 __all__ = ["replay_data", "replay_page"]

@@ -20,16 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..bench.base import CAMERA_PIXELS, Bench, Experiments
-from ..chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
-from ..laboratory.core import Laboratories
-from ..laboratory.experiments import ExperimentBatch
-from ..laboratory.state import COST_ITEMS, RUNNING, STATUS_WORDS
+from ..config.scenario import Scenario
+from ..kernels.arrays import FloatArray, IntArray
+from ..lab.engine import Laboratories
+from ..lab.experiments import ExperimentBatch
+from ..physics.chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.layers import profile
-from ..scenario import Scenario
-from ..shelf import Shelf
+from ..physics.shelf import Shelf
+from ..roles.bench import CAMERA_PIXELS, Bench, Experiments
+from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 
 __all__ = [
     "MIXTURE_SLICES",
@@ -531,7 +531,7 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
 
 
 def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
-    """The scene of one experiment on a single bench (of a :class:`chemlab.laboratory.bench_env.BenchEnv`'s batch).
+    """The scene of one experiment on a single bench (of a :class:`chemlab.envs.bench_env.BenchEnv`'s batch).
 
     Args:
         batch: the experiments, after a reset; nothing in them changes.

@@ -11,9 +11,9 @@ import pytest
 from chemlab.agents.advice import AdvisedPolicy, Advisor, with_advice
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import as_policy
-from chemlab.laboratory.state import RUNNING
+from chemlab.envs.players import as_policy
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.manager_state import RUNNING
 
 MANAGED = ["wurtz_two_lines", "rush", "relay", "unlabelled", "campaign", "failing", "selectivity"]
 """A scenario of each scripted manager."""
@@ -170,7 +170,7 @@ def test_the_scheduler_goes_on_from_what_somebody_else_has_begun() -> None:
 
 def arguments(**more: Any) -> Any:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import TrainArguments
+    from chemlab.agents.train.arguments import TrainArguments
 
     small = {
         "env_id": "manager",
@@ -192,7 +192,7 @@ def arguments(**more: Any) -> Any:
 def test_a_batch_shows_the_advice_and_goes_on_alike() -> None:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.sb3 import ChemlabVecEnv
-    from chemlab.agents.training.tasks import LaboratoryTask
+    from chemlab.agents.train.tasks import LaboratoryTask
 
     task = LaboratoryTask("rush")
     count, size = task.workplace.action_count, task.workplace.observation_space.shape[0]
@@ -259,7 +259,7 @@ def test_who_plays_in_later_rounds_sees_the_advice_too(monkeypatch: pytest.Monke
 
     from chemlab.agents.background import focal_vector_env
     from chemlab.agents.sb3 import ChemlabVecEnv
-    from chemlab.agents.training import imitate as module
+    from chemlab.agents.train import imitate as module
 
     batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
     teacher = agent_policy("heuristic", batch.laboratories, 0)
@@ -285,8 +285,8 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str,
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.pretrained import load_pretrained
     from chemlab.agents.runs import Run
-    from chemlab.agents.training.export import export_run
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.export import export_run
+    from chemlab.agents.train.learn import train
 
     memory = None if algo == "maskable-ppo" else 16
     enough = {"imitate_steps": 2400, "final_episodes": 20} if memory is None else {}
@@ -311,7 +311,7 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str,
 def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.runs import Run
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.learn import train
 
     class Stopped(BaseException):
         pass
@@ -357,7 +357,7 @@ def test_what_does_not_go_with_advice(values: dict[str, Any], message: str) -> N
 
 def test_advice_is_for_managers(tmp_path: Path) -> None:
     own = arguments(env_id="chemlab/WurtzDistillation-v0", scenario=None)
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.learn import train
 
     with pytest.raises(ValueError, match="advice: is for a laboratory's manager; dit learns here"):
         train(own, tmp_path / "run")

@@ -16,15 +16,15 @@ import pytest
 from helpers import slow_but
 from scipy import stats
 
-from chemlab.agents.evaluation.audit import audit, choosing_jobs, measuring_jobs, verdict
-from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
-from chemlab.agents.evaluation.plans import best_in_episode
-from chemlab.agents.evaluation.scale import Scale, interval
+from chemlab.agents.evaluate.audit import audit, choosing_jobs, measuring_jobs, verdict
+from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
+from chemlab.agents.evaluate.plans import best_in_episode
+from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
-from chemlab.scenario import load_scenario, scenario_names
 
 TINY = AuditBudget(episodes=12, plans=60, fewer=20, donors=3, planned=20)
 MEASURES = (
@@ -125,7 +125,7 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
 def killed(words: list[str], parts: Path, least: int) -> None:
     """Run a command with tiny budgets, and kill it (as ``kill -9`` does) once it has kept so many parts."""
     code = (
-        "from chemlab.agents.evaluation import jobs\nfrom chemlab.cli import main\n"
+        "from chemlab.agents.evaluate import jobs\nfrom chemlab.cli import main\n"
         f"jobs.BUDGETS['small'] = jobs.{TINY}\nmain()\n"
     )
     with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.DEVNULL) as process:

@@ -15,16 +15,10 @@ from test_audit import killed
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluation import statistics
-from chemlab.agents.evaluation.benchmark import (
-    Row,
-    benchmark,
-    find_rows,
-    part_count,
-    write_benchmark,
-)
-from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
-from chemlab.agents.evaluation.leaderboard import (
+from chemlab.agents.evaluate import statistics
+from chemlab.agents.evaluate.benchmark import Row, benchmark, find_rows, part_count, write_benchmark
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.evaluate.leaderboard import (
     check_leaderboard,
     leaderboard_lines,
     on_scale,
@@ -36,10 +30,10 @@ from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, RecordError, verify_record
-from chemlab.scenario import load_scenario
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
 ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("serial", ("serial",))]
@@ -474,8 +468,8 @@ def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path
 
 def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.learn import train
 
     small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
     for seed in (0, 1):

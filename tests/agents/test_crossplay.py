@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chemlab.agents.evaluation.benchmark import Row, benchmark
-from chemlab.agents.evaluation.crossplay import crossplay, crossplay_count, find_players
-from chemlab.agents.evaluation.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.evaluate.benchmark import Row, benchmark
+from chemlab.agents.evaluate.crossplay import crossplay, crossplay_count, find_players
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.cli import app
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.engine import Laboratories
 from chemlab.record import verify_record
-from chemlab.scenario import load_scenario
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
 runner = CliRunner()
@@ -118,9 +118,9 @@ def test_partners_that_learning_had_are_played_too() -> None:
 def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     """Two managers with scripted benches behind them, and a run in which everybody has learned."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import JointArguments, TrainArguments
-    from chemlab.agents.training.joint import train_together
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import JointArguments, TrainArguments
+    from chemlab.agents.train.joint import train_together
+    from chemlab.agents.train.learn import train
 
     small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
     small |= {"scenario": "unlabelled", "eval_episodes": 1, "final_episodes": 1}

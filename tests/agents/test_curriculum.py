@@ -18,15 +18,15 @@ from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
-from chemlab.agents.training.arguments import Stage, TrainArguments, curriculum_of
-from chemlab.agents.training.imitate import _examples, fit, imitate
-from chemlab.agents.training.learn import train
-from chemlab.agents.training.tasks import LaboratoryTask
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import SUBMIT, lab_starts
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.agents.train.arguments import Stage, TrainArguments, curriculum_of
+from chemlab.agents.train.imitate import _examples, fit, imitate
+from chemlab.agents.train.learn import train
+from chemlab.agents.train.tasks import LaboratoryTask
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import SUBMIT, lab_starts
 
 SMALL: dict[str, Any] = {
     "env_id": "manager",

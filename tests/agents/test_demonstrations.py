@@ -17,12 +17,12 @@ from chemlab.agents.demonstrations import demonstrations, write_datasets
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.laboratory.parallel import parallel_env
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.parallel import parallel_env
 from chemlab.record import Play, Recorder, read_record
 from chemlab.render.history import RecordReplay
-from chemlab.scenario import load_scenario
 
 runner = CliRunner()
 

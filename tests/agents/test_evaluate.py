@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluation import play as module
-from chemlab.agents.evaluation.play import (
+from chemlab.agents.evaluate import play as module
+from chemlab.agents.evaluate.play import (
     BenchTarget,
     LaboratoryTarget,
     bench_policy,
@@ -24,10 +24,10 @@ from chemlab.agents.evaluation.play import (
 )
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.parts import strangers_code
-from chemlab.scenario import load_scenario
+from chemlab.config.parts import strangers_code
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
 
 runner = CliRunner()
 DIT = "chemlab/WurtzDistillation-v0"

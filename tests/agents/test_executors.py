@@ -17,14 +17,14 @@ from job_functions import asked, held, killed_at_first, refused, trains_for_long
 from typer.testing import CliRunner
 
 from chemlab.agents import executors
-from chemlab.agents.evaluation.jobs import AUDIT_SEED, AuditBudget, Crew, Job
-from chemlab.agents.evaluation.play import evaluate, find_target
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, AuditBudget, Crew, Job
+from chemlab.agents.evaluate.play import evaluate, find_target
 from chemlab.agents.executors import ATTEMPTS, Inline, WorkerLost, Workers, completed, executor
 from chemlab.agents.runs import Run
 from chemlab.cli import app
-from chemlab.datafile import DataError
-from chemlab.parts import strangers_code
-from chemlab.scenario import load_scenario
+from chemlab.config.datafile import DataError
+from chemlab.config.parts import strangers_code
+from chemlab.config.scenario import load_scenario
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed as POSIX does it")
 
@@ -110,7 +110,7 @@ def test_results_are_the_same_wherever_jobs_are_played(jobs: Executor, tmp_path:
 
 def test_batches_are_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any executor will do, and what it plays are the batches that are played without one."""
-    monkeypatch.setattr("chemlab.agents.evaluation.play.BATCH", 2)
+    monkeypatch.setattr("chemlab.agents.evaluate.play.BATCH", 2)
     target, seen = find_target("chemlab/WurtzDistillation-v0"), []
 
     class Counting(Inline):

@@ -10,13 +10,13 @@ import pytest
 from helpers import mapping
 from scipy.stats import norm
 
-from chemlab.agents.heuristics.base import likelihood
-from chemlab.agents.heuristics.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import bench_heuristic, make_policies, manager_heuristic
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.state import INSTRUMENTS
-from chemlab.scenario import load_scenario
+from chemlab.agents.scripted.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
+from chemlab.agents.scripted.script import likelihood
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.manager_state import INSTRUMENTS
 
 
 def test_recipes_keep_the_order_of_the_benches() -> None:

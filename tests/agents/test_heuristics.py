@@ -18,12 +18,12 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
-from chemlab.agents.evaluation.plans import best_in_episode
+from chemlab.agents.evaluate.plans import best_in_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import Policy, make_policies
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import scenario_names
+from chemlab.config.scenario import scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
 
 AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
@@ -232,8 +232,8 @@ def test_the_manager_does_the_same_in_every_process() -> None:
     Hash seeds 0 and 4 order a set of the two salts' names in two ways.
     """
     code = (
-        "from chemlab.agents.evaluation.play import LaboratoryTarget\n"
-        "from chemlab.scenario import load_scenario\n"
+        "from chemlab.agents.evaluate.play import LaboratoryTarget\n"
+        "from chemlab.config.scenario import load_scenario\n"
         "target = LaboratoryTarget(load_scenario('wurtz_any'))\n"
         "played = target.play('pretrained,manager=heuristic', '4,5-diethyloctane', 1, 2_000_023)\n"
         "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"

@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 from chemlab.agents.human import HumanPolicy, Left, Menu, Shades, _manager_paths, parse_numbers, sparkline
-from chemlab.laboratory.aec import raw_env
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
 
 REAGENTS = ("1-chlorohexane", "2-chlorohexane", "Na")
 

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from chemlab.agents.training.experience import Experience
+from chemlab.agents.train.experience import Experience
 
 pytest.importorskip("sb3_contrib", reason='needs the extra: pip install ".[train]"')
 
@@ -20,13 +20,13 @@ from chemlab.agents.learners import load_learner, load_team
 from chemlab.agents.policies import agent_policy, as_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
-from chemlab.agents.training import joint
-from chemlab.agents.training.arguments import JointArguments, TrainArguments
-from chemlab.agents.training.export import export_run
-from chemlab.agents.training.joint import train_together
-from chemlab.agents.training.learn import train
-from chemlab.agents.training.loop import described_team
-from chemlab.laboratory.core import Laboratories
+from chemlab.agents.train import joint
+from chemlab.agents.train.arguments import JointArguments, TrainArguments
+from chemlab.agents.train.export import export_run
+from chemlab.agents.train.joint import train_together
+from chemlab.agents.train.learn import train
+from chemlab.agents.train.loop import described_team
+from chemlab.lab.engine import Laboratories
 
 BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
 SMALL: dict[str, Any] = {

@@ -19,8 +19,8 @@ pytest.importorskip("matplotlib")
 import run_files
 
 from chemlab import __version__
-from chemlab.agents.evaluation import laboratory
-from chemlab.agents.evaluation.laboratory import (
+from chemlab.agents.evaluate import laboratory
+from chemlab.agents.evaluate.laboratory import (
     BASELINES,
     MEASURES,
     brief_table,
@@ -28,13 +28,13 @@ from chemlab.agents.evaluation.laboratory import (
     collect_count,
     write_laboratory,
 )
-from chemlab.agents.evaluation.results import read_runs, write_runs
-from chemlab.agents.evaluation.tables import read_table, write_table
+from chemlab.agents.evaluate.results import read_runs, write_runs
+from chemlab.agents.evaluate.tables import read_table, write_table
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.cli import app
-from chemlab.laboratory.core import Laboratories
+from chemlab.lab.engine import Laboratories
 
 runner = CliRunner()
 SMALL: dict[str, Any] = {
@@ -290,8 +290,8 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with a run of a manager with benches that are not the default ones."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.learn import train
 
     folder = tmp_path_factory.mktemp("results")
     train(
@@ -350,8 +350,8 @@ def test_a_lost_run_stands_beside_one_that_was_played_again(trained: Path, tmp_p
 def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path) -> None:
     """A joint run is compared over its own benches, not over the background's."""
     pytest.importorskip("sb3_contrib")
-    from chemlab.agents.training.arguments import JointArguments
-    from chemlab.agents.training.joint import train_together
+    from chemlab.agents.train.arguments import JointArguments
+    from chemlab.agents.train.joint import train_together
 
     small = {"envs": 4, "rollout": 12, "steps": 200, "batch_size": 32, "epochs": 1, "evaluations": 1}
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"

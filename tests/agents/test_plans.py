@@ -12,7 +12,7 @@ import pytest
 from helpers import mapping, slow_but
 from typer.testing import CliRunner
 
-from chemlab.agents.evaluation.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
+from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
 from chemlab.agents.plans import (
     ConstantPlan,
     Plan,
@@ -25,12 +25,12 @@ from chemlab.agents.plans import (
 )
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.arrays import IntArray
 from chemlab.cli import app
-from chemlab.laboratory.actions import ManagerActions
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import Players
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.players import Players
+from chemlab.kernels.arrays import IntArray
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.manager_actions import ManagerActions
 
 runner = CliRunner()
 EVERY_STORED = slow_but(
@@ -321,7 +321,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None:
     """The only donor is the episode that is scored: blind and seeing are one."""
-    from chemlab.agents.evaluation import plans as module
+    from chemlab.agents.evaluate import plans as module
 
     scenario = load_scenario("wurtz_two_lines")
     for seed in range(3):

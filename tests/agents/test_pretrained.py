@@ -29,13 +29,13 @@ from chemlab.agents.pretrained import (
     pretrained_for,
     pretrained_names,
 )
-from chemlab.agents.training.tasks import task_of
+from chemlab.agents.train.tasks import task_of
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.scenario import load_scenario
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
 
 RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 CASES = [("ppo", RXN), ("a2c", RXN), ("sac", RXN), ("td3", RXN)]
@@ -98,9 +98,9 @@ def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
 
 def test_card_says_the_preset() -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.export import training_command
-    from chemlab.agents.training.tasks import find_task
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.export import training_command
+    from chemlab.agents.train.tasks import find_task
 
     arguments = TrainArguments.of({"env_id": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
     config = {**asdict(arguments), "goals": list(find_task(arguments).goals), "label": "ppo-entropy"}
@@ -117,9 +117,9 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.export import export_run
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.export import export_run
+    from chemlab.agents.train.learn import train
 
     values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
@@ -162,9 +162,9 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.export import export_run, largest_difference
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.export import export_run, largest_difference
+    from chemlab.agents.train.learn import train
 
     values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}

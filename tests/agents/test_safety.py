@@ -14,12 +14,12 @@ import pytest
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.config.scenario import SAFETY_EVENTS, load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.actions import SUBMIT
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.text import named_costs, named_events
-from chemlab.scenario import SAFETY_EVENTS, load_scenario
+from chemlab.roles.manager_actions import SUBMIT
 
 SAFE = "wurtz_safe"
 SEEDS = 20

@@ -27,8 +27,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.wrappers import GoalConditioned, VectorPotentialShaping
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.wrappers import GoalConditioned, VectorPotentialShaping
 
 BENCHES = ["rxn", "ext", "dit"]
 

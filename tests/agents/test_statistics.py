@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chemlab.agents.evaluation.statistics import (
+from chemlab.agents.evaluate.statistics import (
     Estimate,
     interquartile_mean,
     jackknife,
@@ -138,7 +138,7 @@ def test_few_and_lopsided_samples_have_finite_intervals(sample: list[float]) -> 
 def test_intervals_contain_the_true_value_as_often_as_they_say(n: int, k: int) -> None:
     """Normal samples whose true values are known; the binomial distribution of SciPy judges the count (p > 1e-4).
 
-    More than 95 % is no fault of score intervals of few samples; interval_coverage.py in tests/benchmarks measures all.
+    More than 95 % is no fault of score intervals of few samples; interval_coverage.py in studies/speed measures all.
     """
     rng, tries = np.random.default_rng(11), 400
     above = float(stats.norm.cdf(1.0 / np.sqrt(2.0)))

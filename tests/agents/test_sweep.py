@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 from chemlab.agents import executors
 from chemlab.agents.executors import executor
 from chemlab.agents.runs import Run
-from chemlab.agents.training.sweep import Status, plan, run_sweep, status_of
+from chemlab.agents.train.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
-from chemlab.materials import DataError
+from chemlab.config.materials import DataError
 
 SMALL = """
 [defaults]

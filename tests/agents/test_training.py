@@ -24,14 +24,14 @@ pytest.importorskip("stable_baselines3")
 
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluation.play import BenchTarget
+from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import bench_heuristic, make_policies
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
-from chemlab.agents.training import learn as training
-from chemlab.agents.training.arguments import (
+from chemlab.agents.train import learn as training
+from chemlab.agents.train.arguments import (
     ALGORITHMS,
     Arguments,
     JointArguments,
@@ -40,12 +40,12 @@ from chemlab.agents.training.arguments import (
     label_of,
     resolved,
 )
-from chemlab.agents.training.learn import train
-from chemlab.agents.training.tasks import BenchTask, LaboratoryTask
+from chemlab.agents.train.learn import train
+from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.scenario import load_scenario
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
 
 SMALL: dict[str, Any] = {
     "envs": 2,
@@ -229,7 +229,7 @@ FULL = """
 import resource, signal, sys
 from pathlib import Path
 from chemlab.agents.runs import Run
-from chemlab.agents.training.loop import _tensorboard
+from chemlab.agents.train.loop import _tensorboard
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:
@@ -270,7 +270,7 @@ def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pyte
     whole = Run(tmp_path / "whole")
     train(arguments, whole.path)
     run = Run(tmp_path / "broken")
-    from chemlab.agents.training import checkpoints
+    from chemlab.agents.train import checkpoints
 
     renamed, calls = checkpoints._renamed, []
 
@@ -653,7 +653,7 @@ def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tm
 
 def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("learn", "loop"):
-        monkeypatch.delitem(sys.modules, f"chemlab.agents.training.{module}")
+        monkeypatch.delitem(sys.modules, f"chemlab.agents.train.{module}")
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
     result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])
     assert result.exit_code == 2

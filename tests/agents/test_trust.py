@@ -23,12 +23,12 @@ pytest.importorskip("stable_baselines3")
 from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
 from chemlab.agents.seals import read_sealed, seal_file
-from chemlab.agents.training.arguments import JointArguments, TrainArguments
-from chemlab.agents.training.joint import train_together
-from chemlab.agents.training.learn import train
+from chemlab.agents.train.arguments import JointArguments, TrainArguments
+from chemlab.agents.train.joint import train_together
+from chemlab.agents.train.learn import train
 from chemlab.cli import app
-from chemlab.datafile import DataError
-from chemlab.parts import strangers_code
+from chemlab.config.datafile import DataError
+from chemlab.config.parts import strangers_code
 
 SCENARIO = "wurtz_dodecane"
 TINY = {"envs": 2, "rollout": 16, "evaluations": 1, "checkpoints": 1, "eval_episodes": 1, "final_episodes": 1}

@@ -13,9 +13,9 @@ from helpers import EVERY_SCENARIO
 import chemlab
 from chemlab.agents.background import background_policies, focal_env, focal_vector_env
 from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, policy_names
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
-from chemlab.laboratory.text import named_costs
+from chemlab.envs.focal import FocalEnv, FocalVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import named_costs
 
 assert chemlab.__version__, "importing chemlab registers the ids"
 LINES = "wurtz_two_lines"
@@ -169,7 +169,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
         if terminated or truncated:
             break
     from chemlab.agents.episodes import play_episode
-    from chemlab.laboratory.aec import raw_env
+    from chemlab.envs.aec import raw_env
 
     whole = raw_env("wurtz_any")
     result = play_episode(whole, make_policies("heuristic", whole.laboratories), 3)

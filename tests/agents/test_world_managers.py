@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from helpers import mapping
 
-from chemlab.agents.heuristics.campaign import CampaignManager, _foreseen, has_unknown_rate
-from chemlab.agents.heuristics.foresee import foresees
-from chemlab.agents.heuristics.identify import IdentifyingManager, has_unlabelled_vessels
-from chemlab.agents.heuristics.reaction import ReactionHeuristic
-from chemlab.agents.heuristics.schedule import SchedulingManager, has_orders_to_schedule
-from chemlab.agents.heuristics.upkeep import UpkeepManager, has_wearing_lines
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies, manager_heuristic
-from chemlab.chemistry import TEMPERATURE
-from chemlab.laboratory.actions import MEASURE, SUBMIT
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.policy import Players
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.agents.scripted.campaign import CampaignManager, _foreseen, has_unknown_rate
+from chemlab.agents.scripted.foresee import foresees
+from chemlab.agents.scripted.identify import IdentifyingManager, has_unlabelled_vessels
+from chemlab.agents.scripted.reaction import ReactionHeuristic
+from chemlab.agents.scripted.schedule import SchedulingManager, has_orders_to_schedule
+from chemlab.agents.scripted.upkeep import UpkeepManager, has_wearing_lines
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.players import Players
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import TEMPERATURE
+from chemlab.roles.manager_actions import MEASURE, SUBMIT
 
 GAS = 8.314462618
 

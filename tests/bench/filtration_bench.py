@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from chemlab.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.bench.base import Bench, Channel, Experiments, check_discrete
-from chemlab.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, ChemistryTable
-from chemlab.scenario import Scenario
-from chemlab.shelf import Shelf
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.physics.chemistry import AMOUNTS, CAPACITY, ROLE_SOLID, ChemistryTable
+from chemlab.physics.shelf import Shelf
+from chemlab.roles.bench import Bench, Channel, Experiments, check_discrete
 
 FILTER, END = range(2)
 

@@ -11,13 +11,13 @@ from helpers import mapping
 
 import chemlab  # noqa: F401 - registers the single benches
 from chemlab.agents.policies import RandomPolicy, bench_heuristic, is_scripted
-from chemlab.bench.base import CAMERA_PIXELS, channel_slices
-from chemlab.chemistry import AMOUNTS, TEMPERATURE, element_matrix
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.laboratory.policy import Policy
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.players import Policy
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, element_matrix
+from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 
 SCENARIO, BENCH, GOAL = "recrystallization", "cry", "benzoic_acid"
 CRUDE_MOL = 0.3
@@ -219,7 +219,7 @@ def test_without_filtering_hot_the_sand_stays() -> None:
 
 
 def test_colder_is_more_and_less_pure(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "chemlab.agents.heuristics.crystallization._COLD_K"
+    module = "chemlab.agents.scripted.crystallization._COLD_K"
     found = {}
     for kelvin in (278.15, 284.15, 298.15):
         monkeypatch.setattr(module, kelvin)

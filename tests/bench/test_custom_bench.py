@@ -10,13 +10,13 @@ import pytest
 from pettingzoo.test import api_test, seed_test
 
 import chemlab.scenarios
-from chemlab.bench.base import channel_slices
-from chemlab.chemistry import AMOUNTS, TEMPERATURE
-from chemlab.laboratory.aec import env as laboratory_env
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.materials import DataError
-from chemlab.parts import PartError
+from chemlab.config.materials import DataError
+from chemlab.config.parts import PartError
+from chemlab.envs.aec import env as laboratory_env
+from chemlab.envs.aec import raw_env
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
+from chemlab.roles.bench import channel_slices
 
 ENTRY = """
 [benches.fil]

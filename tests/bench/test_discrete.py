@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluation.play import BenchTarget
+from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.policies import RandomPolicy, make_policies
-from chemlab.bench.discrete import Discretised
-from chemlab.bench.kinds import discretised_twin
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env, raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
 from chemlab.record import Recorder, scenario_hash, verify_record
-from chemlab.scenario import load_scenario
+from chemlab.roles.discrete import Discretised
+from chemlab.roles.kinds import discretised_twin
 
 
 def bench(name: str = "wurtz_dodecane") -> Discretised:

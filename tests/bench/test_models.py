@@ -12,10 +12,10 @@ from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
 from chemlab.agents.policies import Policy, bench_heuristic
-from chemlab.chemistry import Layout
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.lab.experiments import ExperimentBatch
 from chemlab.laboratory import raw_env
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.physics.chemistry import Layout
 
 FloatArray = npt.NDArray[np.float64]
 R = 8.31446261815324

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from helpers import mapping
 
-from chemlab.datafile import DataError
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.scenario import load_scenario
+from chemlab.config.datafile import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.experiments import ExperimentBatch
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ import pytest
 from helpers import mapping
 
 from chemlab.agents.policies import Policy, RandomPolicy, bench_heuristic
-from chemlab.bench.operations import OperationBench
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.scenario import load_scenario
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.roles.operation_bench import OperationBench
 
 FloatArray = npt.NDArray[np.float64]
 

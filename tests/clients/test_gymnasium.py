@@ -16,8 +16,8 @@ from gymnasium.vector import AutoresetMode
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.config.scenario import load_scenario, scenario_names
 from chemlab.record import scenario_hash
-from chemlab.scenario import load_scenario, scenario_names
 
 MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"
 VIEWS = [(name, agent) for name in scenario_names() for agent in ("manager_0", *load_scenario(name).bench_agents())]

@@ -33,9 +33,9 @@ from pettingzoo.utils.average_total_reward import average_total_reward
 from pettingzoo.utils.random_demo import random_demo
 from pettingzoo.utils.wrappers import MultiEpisodeEnv, MultiEpisodeParallelEnv
 
+from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, raw_env
-from chemlab.laboratory.text import named_costs, named_events
 
 DISCRETE = "salt_from_oil"
 """A scenario in which every agent's actions are discrete."""
@@ -114,7 +114,7 @@ def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_performance_benchmark(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     # It takes five seconds by its own clock, which here runs twenty times too fast. That it runs is what counts here;
-    # tests/benchmarks measures.
+    # studies/speed measures.
     module = sys.modules["pettingzoo.test.performance_benchmark"]
     clock = module.time.perf_counter  # type: ignore[attr-defined]
     monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: 20.0 * clock()))

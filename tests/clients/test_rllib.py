@@ -39,10 +39,10 @@ from chemlab.agents.rllib.module import RoleModule, policy_weights
 from chemlab.agents.rllib.train import algorithm_config, train_rllib
 from chemlab.agents.roles import role_of
 from chemlab.agents.runs import RESULT_SEED, Evaluation, Run
-from chemlab.agents.training.arguments import RllibArguments
+from chemlab.agents.train.arguments import RllibArguments
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import load_scenario
 
 ROLES = ["manager", "rxn", "ext", "dit"]
 

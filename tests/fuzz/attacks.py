@@ -24,9 +24,9 @@ import fuzz_agents
 import fuzz_files
 import fuzz_records
 
-from chemlab.agents.evaluation.benchmark import _commit
-from chemlab.datafile import read_json
-from chemlab.files import replace_between, write_text
+from chemlab.agents.evaluate.benchmark import _commit
+from chemlab.config.datafile import read_json
+from chemlab.config.files import replace_between, write_text
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "results" / "attacks.json"
@@ -76,7 +76,7 @@ def forged(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 
 def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
     """Honest records of every scenario: how they verify."""
-    command = [sys.executable, ROOT / "tests" / "benchmarks" / "verify.py", "--episodes", str(tries), "--json"]
+    command = [sys.executable, ROOT / "studies" / "speed" / "verify.py", "--episodes", str(tries), "--json"]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     report = json.loads(done.stdout)
     return {"honest records": report["status"]}, [str(alarm) for alarm in report["alarms"]]

@@ -19,9 +19,9 @@ from typing import Any
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.aec import raw_env
+from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario
+from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, verify_record
-from chemlab.scenario import dump_scenario, load_scenario, restore_scenario
 
 NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999")
 Lines = list[str]

@@ -29,21 +29,21 @@ from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, main, 
 from run_files import write_run
 
 import chemlab.agents.pretrained
-from chemlab.agents.evaluation.benchmark import find_rows
-from chemlab.agents.evaluation.curves import group_tasks
-from chemlab.agents.evaluation.jobs import AuditBudget, Crew, Job
-from chemlab.agents.evaluation.laboratory import collect_count, write_laboratory
-from chemlab.agents.evaluation.leaderboard import check_leaderboard, write_leaderboard
-from chemlab.agents.evaluation.results import read_runs, write_runs
+from chemlab.agents.evaluate.benchmark import find_rows
+from chemlab.agents.evaluate.curves import group_tasks
+from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
+from chemlab.agents.evaluate.laboratory import collect_count, write_laboratory
+from chemlab.agents.evaluate.leaderboard import check_leaderboard, write_leaderboard
+from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
-from chemlab.agents.training.arguments import JointArguments, RllibArguments, TrainArguments
-from chemlab.agents.training.sweep import plan, status_of
-from chemlab.laboratory.core import Laboratories
-from chemlab.parts import strangers_code
-from chemlab.scenario import load_scenario
+from chemlab.agents.train.arguments import JointArguments, RllibArguments, TrainArguments
+from chemlab.agents.train.sweep import plan, status_of
+from chemlab.config.parts import strangers_code
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.engine import Laboratories
 
 MODELS = Path(chemlab.agents.pretrained.__file__).parent / "models"
 NAME, SCENARIO, MEMORY = "fictitious_rxn", "fictitious", 3
@@ -175,7 +175,7 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
     collect_count(folder)
     run.rewind(150)
     agent_policy(str(run.path), laboratory(SCENARIO), 0)
-    from chemlab.agents.training.export import _arguments
+    from chemlab.agents.train.export import _arguments
 
     config = run.config()
     assert config is not None
@@ -208,7 +208,7 @@ def try_tables(folder: Path, rng: np.random.Generator) -> None:
     write_finished(folder / "runs", bool(rng.random() < 0.5))
     tables = folder / "tables"
     write_runs(tables, read_runs(folder / "runs"))
-    shutil.copy(Path(__file__).parents[2] / "experiments" / "results" / "managers.csv", tables)
+    shutil.copy(Path(__file__).parents[2] / "studies" / "baselines" / "results" / "managers.csv", tables)
     files = sorted(tables.iterdir())
     file = files[rng.integers(len(files))]
     packed = file.suffix == ".gz"

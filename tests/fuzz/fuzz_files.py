@@ -32,15 +32,15 @@ from typer.testing import CliRunner
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.datafile import DataError, read_json, read_toml
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.laboratory.starts import lab_starts
-from chemlab.materials import shipped_materials
-from chemlab.pairs import shipped_pairs
+from chemlab.config.datafile import DataError, read_json, read_toml
+from chemlab.config.draws import ORDER_QUANTITIES
+from chemlab.config.materials import shipped_materials
+from chemlab.config.pairs import shipped_pairs
+from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.lab.starts import lab_starts
 from chemlab.record import Play, Recorder, verify_record
-from chemlab.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
-from chemlab.world import ORDER_QUANTITIES
 
 SECONDS = 20
 LONGEST_MESSAGE = 20_000

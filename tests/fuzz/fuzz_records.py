@@ -32,8 +32,8 @@ from chemlab.agents.demonstrations import demonstrations
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.materials import DataError
+from chemlab.config.materials import DataError
+from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, RecordError, read_record, verify_record
 from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline
 from chemlab.render.replay import replay_page
@@ -71,7 +71,7 @@ def hostile(rng: np.random.Generator, pool: list[Any]) -> Any:
         "", "x", "0" * 16, "\x1b[31mred", "[/bold]", ":smile:", "\u202e", "a\nb", "$x_", "../../x", "</script>", "\0",
         "a" * 100_000, [], {}, [[]], [{}], {"": {}}, {"a": 1}, [0] * 3000, ["a"] * 300,
         dict.fromkeys(map(str, range(2000))), Raw("[" * 30 + "]" * 30), Raw("[" * 3000 + "]" * 3000),
-        Raw('{"a":1,"a":2}'), Raw("[1,]"), Raw("1 2"), "posix:system", "chemlab.shelf:Shelf",
+        Raw('{"a":1,"a":2}'), Raw("[1,]"), Raw("1 2"), "posix:system", "chemlab.physics.shelf:Shelf",
     ]  # fmt: skip
     if rng.random() < 0.3:
         return copy.deepcopy(pool[rng.integers(len(pool))])

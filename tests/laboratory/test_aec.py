@@ -21,16 +21,16 @@ from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
 from chemlab.agents.policies import make_policies
-from chemlab.bench.base import channel_slices
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.parallel import parallel_env
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.lab.text import named_costs
 from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.laboratory.parallel import parallel_env
-from chemlab.laboratory.state import CLOSED, LIMIT
-from chemlab.laboratory.text import named_costs
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_state import CLOSED, LIMIT
 
 WURTZ = "wurtz_dodecane"
 

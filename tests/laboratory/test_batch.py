@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from benchmarks.soak import broken, soak
 from helpers import EVERY_SCENARIO, slow_but
 
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.batch import BatchedLaboratory
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.actions import SUBMIT, WAIT
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.roles.manager_actions import SUBMIT, WAIT
+from studies.speed.soak import broken, soak
 
 SEED = 30
 
@@ -301,7 +301,7 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
 
 @pytest.mark.parametrize("name", slow_but(scenario_names(), "wurtz_two_lines"))
 def test_a_short_soak(name: str) -> None:
-    """A small version of tests/benchmarks/soak.py, which plays ten thousand episodes of each scenario."""
+    """A small version of studies/speed/soak.py, which plays ten thousand episodes of each scenario."""
     world = bool(load_scenario(name).world.draws)
     figures = soak(name, 100, 32, seed=1)
     assert figures["broken"] == []

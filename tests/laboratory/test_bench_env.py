@@ -26,12 +26,12 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from helpers import EVERY_SCENARIO
 
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.focal import FocalVectorEnv
-from chemlab.laboratory.starts import lab_starts
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.focal import FocalVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import lab_starts
 
 IDS = sorted(
     name for name, spec in gymnasium.registry.items() if name.startswith("chemlab/") and "bench" in (spec.kwargs or {})
@@ -179,7 +179,7 @@ def test_observations_stay_in_their_space(name: str) -> None:
 DIGEST = """
 import hashlib, sys
 import numpy as np
-from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.envs.bench_env import BenchVectorEnv
 
 digest = hashlib.sha256()
 for scenario, bench in zip(sys.argv[1::2], sys.argv[2::2]):
@@ -478,7 +478,7 @@ def test_bad_options_leave_generators_as_they_are() -> None:
 FORK = """
 import os, sys
 import numpy as np
-from chemlab.laboratory.bench_env import BenchVectorEnv
+from chemlab.envs.bench_env import BenchVectorEnv
 env, alone = BenchVectorEnv(4, threads=2), BenchVectorEnv(4)
 actions = np.random.default_rng(0).random((6, 4, 6))
 for one in (env, alone):

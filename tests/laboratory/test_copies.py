@@ -13,11 +13,11 @@ import pytest
 from helpers import EVERY_SCENARIO
 
 from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory import env as ordered_env
 from chemlab.laboratory import parallel_env, raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.scenario import load_scenario
 
 HOW = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
 

@@ -15,13 +15,13 @@ from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.bench.base import channel_slices
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.state import CLOSED, RUNNING
-from chemlab.laboratory.view import terms_channels
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_state import CLOSED, RUNNING
+from chemlab.roles.manager_view import terms_channels
 
 GAS = 8.314462618
 

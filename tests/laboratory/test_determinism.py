@@ -24,12 +24,12 @@ from helpers import EVERY_SCENARIO, FEATURED, slow_but
 
 from chemlab.agents.background import focal_vector_env
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.parallel import parallel_env
-from chemlab.scenario import Scenario, load_scenario, scenario_names
+from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.parallel import parallel_env
+from chemlab.lab.engine import Laboratories
 
 OTHERS = tuple(name for name in scenario_names() if name not in FEATURED)
 

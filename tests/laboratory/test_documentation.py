@@ -13,10 +13,21 @@ import numpy as np
 import pytest
 
 from chemlab.agents.policies import make_policies
-from chemlab.bench import crystallization, distillation, extraction, reaction
-from chemlab.laboratory import bench_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
+from chemlab.envs import bench_env
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.roles import (
+    crystallization_bench as crystallization,
+)
+from chemlab.roles import (
+    distillation_bench as distillation,
+)
+from chemlab.roles import (
+    extraction_bench as extraction,
+)
+from chemlab.roles import (
+    reaction_bench as reaction,
+)
 
 ROW = re.compile(r"^\| `(chemlab/[\w-]+)` \| (\w+) of `(\w+)` \| Box\((\d+)\) \| (Box|Discrete)\((\d+)\) \|", re.M)
 ROWS = ROW.findall(bench_env.__doc__ or "")

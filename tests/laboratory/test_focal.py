@@ -22,15 +22,15 @@ from helpers import mapping, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.actions import SUBMIT, WAIT, ManagerActions
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
-from chemlab.laboratory.parallel import parallel_env
-from chemlab.laboratory.state import LIMIT
-from chemlab.laboratory.text import named_costs, named_events
-from chemlab.scenario import load_scenario
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.focal import FocalEnv, FocalVectorEnv
+from chemlab.envs.parallel import parallel_env
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import named_costs, named_events
+from chemlab.roles.manager_actions import SUBMIT, WAIT, ManagerActions
+from chemlab.roles.manager_state import LIMIT
 
 WURTZ = "wurtz_dodecane"
 CASES = [

@@ -9,11 +9,11 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO
 
-from chemlab.bench.base import channel_slices
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.global_state import GlobalState
 from chemlab.laboratory import parallel_env, raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.global_state import GlobalState
-from chemlab.scenario import load_scenario
+from chemlab.roles.bench import channel_slices
 
 ELSEWHERE = {
     "stream",

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
 
-from chemlab.bench.base import channel_slices
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.materials import DataError
-from chemlab.scenario import load_scenario
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench import channel_slices
 
 HOLD = np.array([0.5, 0.5, 0.0], dtype=np.float32)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
 
-from chemlab.instruments import INSTRUMENTS
-from chemlab.materials import DataError, shipped_materials
+from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.scenario import InstrumentSpec, dump_scenario, load_scenario
 from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.roles.instruments import INSTRUMENTS
 from chemlab.sandbox import Flask
-from chemlab.scenario import InstrumentSpec, dump_scenario, load_scenario
 
 MATERIALS = shipped_materials()
 TIERS = ("paper", "real")

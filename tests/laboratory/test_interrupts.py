@@ -20,12 +20,12 @@ from gymnasium.vector import AutoresetMode
 
 import chemlab
 from chemlab.agents.background import focal_env, focal_vector_env
-from chemlab.laboratory import wrappers
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.parallel import parallel_env
+from chemlab.envs import wrappers
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.parallel import parallel_env
+from chemlab.lab.engine import Laboratories
 from chemlab.sandbox import Flask
 
 WURTZ = "wurtz_dodecane"

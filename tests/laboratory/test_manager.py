@@ -12,16 +12,16 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO, allowed, laboratory, litres, manager, mapping
 
-from chemlab.bench.base import channel_slices
-from chemlab.chemistry import AMOUNTS, CLOCK, CLOCK_WAS
-from chemlab.instruments.balance import RANGE_KG
-from chemlab.laboratory.actions import ManagerActions
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.state import COST_ITEMS
-from chemlab.laboratory.text import named_costs, named_events
-from chemlab.scenario import load_scenario
-from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import named_costs, named_events
+from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.instruments.balance import RANGE_KG
+from chemlab.roles.manager_actions import ManagerActions
+from chemlab.roles.manager_state import COST_ITEMS
 
 WURTZ = "wurtz_dodecane"
 

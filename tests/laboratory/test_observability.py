@@ -15,14 +15,14 @@ from helpers import EVERY_SCENARIO, litres, slow_but
 
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.bench.base import channel_slices
-from chemlab.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
-from chemlab.datafile import DataError
-from chemlab.laboratory.actions import MEASURE, SUBMIT
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.scenario import Scenario, load_scenario, scenario_names
-from chemlab.shelf import CLOCK_SETTLED, T_MIX
+from chemlab.config.datafile import DataError
+from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_actions import MEASURE, SUBMIT
 
 WURTZ = "wurtz_dodecane"
 

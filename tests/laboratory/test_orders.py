@@ -17,15 +17,15 @@ import chemlab.scenarios
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.bench.base import channel_slices
-from chemlab.chemistry import PRESENT, element_matrix
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.actions import SUBMIT, ManagerActions
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.state import LIMIT
-from chemlab.materials import DataError
-from chemlab.scenario import REWARD_MIXES, RewardSpec, load_scenario, scenario_names
+from chemlab.physics.chemistry import PRESENT, element_matrix
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_actions import SUBMIT, ManagerActions
+from chemlab.roles.manager_state import LIMIT
 
 LINES = "wurtz_two_lines"
 

@@ -14,12 +14,12 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 from pettingzoo.test import parallel_api_test
 
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import named_costs
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.actions import SUBMIT, WAIT
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.text import named_costs
-from chemlab.scenario import load_scenario, scenario_names
+from chemlab.roles.manager_actions import SUBMIT, WAIT
 
 WURTZ = "wurtz_dodecane"
 

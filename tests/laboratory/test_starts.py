@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 import chemlab
-from chemlab.datafile import DataError
-from chemlab.laboratory.bench_env import BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.starts import Start, goals_met, lab_starts, starts_file, write_starts
-from chemlab.scenario import load_scenario
+from chemlab.config.datafile import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import Start, goals_met, lab_starts, starts_file, write_starts
 
 
 @pytest.mark.parametrize(

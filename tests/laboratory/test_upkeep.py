@@ -16,15 +16,15 @@ from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.bench.operations import OperationBench
-from chemlab.chemistry import CLOCK, TEMPERATURE
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.state import COST_ITEMS, LIMIT
-from chemlab.materials import DataError
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import CLOCK, TEMPERATURE
 from chemlab.record import Recorder, verify_record
-from chemlab.scenario import Scenario, load_scenario
+from chemlab.roles.manager_state import COST_ITEMS, LIMIT
+from chemlab.roles.operation_bench import OperationBench
 
 GC = "gas_chromatograph"
 HOLD = np.array([0.5, 0.5, 0.0])

@@ -13,16 +13,16 @@ import pytest
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.chemistry import element_matrix
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.focal import FocalEnv, FocalVectorEnv
+from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.focal import FocalEnv, FocalVectorEnv
-from chemlab.materials import DataError
+from chemlab.physics.chemistry import element_matrix
 from chemlab.record import Recorder, verify_record
-from chemlab.scenario import Scenario, load_scenario
 
 HALIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
 COUPLING = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"

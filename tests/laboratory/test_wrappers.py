@@ -19,9 +19,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
-from chemlab.bench.base import channel_slices
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.wrappers import (
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.wrappers import (
     GoalConditioned,
     LinearSchedule,
     ObservationNoise,
@@ -30,6 +29,7 @@ from chemlab.laboratory.wrappers import (
     VectorObservationNoise,
     VectorPotentialShaping,
 )
+from chemlab.roles.bench import channel_slices
 
 BENCHES = ["rxn", "ext", "dit"]
 MODES = ["NextStep", "SameStep", "Disabled"]

@@ -1,13 +1,8 @@
-"""What is published stands in the root of a checkout, outside the package."""
+"""Published results stand in the root of a checkout, outside the package."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-
-if (ROOT / "papers").is_dir():
-    sys.path.append(str(ROOT))
-else:
+if not (Path(__file__).parents[2] / "studies").is_dir():
     collect_ignore_glob = ["test_*.py"]

@@ -17,21 +17,21 @@ import pytest
 import run_files
 from run_files import HEURISTIC
 
-from chemlab.agents.evaluation.results import Cell, read_runs, write_runs
-from chemlab.agents.evaluation.tables import write_table
-from chemlab.agents.training.sweep import plan
-from chemlab.scenario import load_scenario
+from chemlab.agents.evaluate.results import Cell, read_runs, write_runs
+from chemlab.agents.evaluate.tables import write_table
+from chemlab.agents.train.sweep import plan
+from chemlab.config.scenario import load_scenario
 
 pytest.importorskip("matplotlib")
 
 from chemlab.render.figure import SETTINGS
-from papers import __main__ as published
-from papers.chemgymrl import results as module
-from papers.chemgymrl import traces
-from papers.chemgymrl.figures import FIGURES, write_figures
-from papers.chemgymrl.measures import MEASURES
-from papers.chemgymrl.page import paper_table, write_page
-from papers.chemgymrl.results import (
+from studies.paper import __main__ as published
+from studies.paper.chemgymrl import results as module
+from studies.paper.chemgymrl import traces
+from studies.paper.chemgymrl.figures import FIGURES, write_figures
+from studies.paper.chemgymrl.measures import MEASURES
+from studies.paper.chemgymrl.page import paper_table, write_page
+from studies.paper.chemgymrl.results import (
     EXPERIMENTS,
     TRACE_COLUMNS,
     TRACE_FILE,
@@ -41,9 +41,9 @@ from papers.chemgymrl.results import (
     read_results,
     source_of,
 )
-from papers.chemgymrl.statements import Claim, Finding, Reference, compare_with_paper, load_claims
+from studies.paper.chemgymrl.statements import Claim, Finding, Reference, compare_with_paper, load_claims
 
-ROOT = Path(published.__file__).parents[1]
+ROOT = Path(published.__file__).parents[2]
 
 
 @cache
@@ -602,7 +602,7 @@ def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
     target.mkdir()
     (target / "figure_12_wurtz_dit_curves.png").write_text("old")
     lacking = write_figures(read_results(source), target)
-    assert "traces (python -m papers --collect" in lacking["figure_09_fictitious_rxn_actions"][0]
+    assert "traces (python -m studies.paper --collect" in lacking["figure_09_fictitious_rxn_actions"][0]
     assert "Wurtz RxN: no runs of PPO, A2C, SAC, TD3." in write_page(read_results(source), target, lacking).read_text()
     assert {path.name for path in target.iterdir()} == {"summary.md"}
     write_run(source, "wurtz_rxn", "sac", 0)
@@ -642,8 +642,8 @@ def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its best checkpoint is played; what the tables have of other runs stays. Runs of laboratories go elsewhere."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.training.arguments import TrainArguments
-    from chemlab.agents.training.learn import train
+    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.learn import train
 
     monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
     monkeypatch.setattr(published, "LABORATORY", tmp_path / "laboratory")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from chemlab.agents.evaluation.play import evaluate, find_target
+from chemlab.agents.evaluate.play import evaluate, find_target
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED
-from papers import shipped
-from papers.shipped import bench_policies, benches_table, collect_benches
+from studies.paper import shipped
+from studies.paper.shipped import bench_policies, benches_table, collect_benches
 
 
 @pytest.fixture

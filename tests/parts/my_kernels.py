@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from chemlab.arrays import FloatArray, Handle
-from chemlab.bench.base import Bench
-from chemlab.chemistry import AMOUNTS
-from chemlab.jit import kernel
-from chemlab.operations import Operation, Turn
+from chemlab.kernels.arrays import FloatArray, Handle
+from chemlab.kernels.jit import kernel
+from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.transfer import take
+from chemlab.roles.bench import Bench
+from chemlab.roles.operations import Operation, Turn
 
 
 def vapour_event(bench: Bench) -> FloatArray:

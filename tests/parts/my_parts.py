@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from chemlab.arrays import FloatArray, Handle, IntArray
-from chemlab.bench.base import Bench, Channel, Experiments, Observation
-from chemlab.chemistry import AMOUNTS, Chemistry, ChemistryTable
-from chemlab.instruments import Instrument, Reading
-from chemlab.jit import opened
-from chemlab.laboratory.core import Laboratories
-from chemlab.operations import Operation, Turn
+from chemlab.kernels.arrays import FloatArray, Handle, IntArray
+from chemlab.kernels.jit import opened
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import AMOUNTS, Chemistry, ChemistryTable
+from chemlab.physics.shelf import Shelf
 from chemlab.physics.transfer import take
-from chemlab.shelf import Shelf
+from chemlab.roles.bench import Bench, Channel, Experiments, Observation
+from chemlab.roles.instruments import Instrument, Reading
+from chemlab.roles.operations import Operation, Turn
 
 # -- instrument: refractometer ------------------------------------------------------------------------------------
 

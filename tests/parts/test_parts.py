@@ -18,20 +18,20 @@ import pytest
 from helpers import litres
 from pettingzoo.test import api_test, parallel_api_test, seed_test
 
-from chemlab.bench.base import channel_slices
-from chemlab.chemistry import AMOUNTS, CLOCK
+from chemlab.config.materials import DataError
+from chemlab.config.parts import PartError
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env
-from chemlab.laboratory.actions import SUBMIT
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.batch import BatchedLaboratory
-from chemlab.laboratory.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.text import named_costs, named_events
-from chemlab.materials import DataError
-from chemlab.parts import PartError
+from chemlab.physics.chemistry import AMOUNTS, CLOCK
 from chemlab.record import Play, Recorder, verify_record
-from chemlab.scenario import load_scenario
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_actions import SUBMIT
 
 HERE = Path(__file__).parent
 FILE = HERE / "my_laboratory.toml"
@@ -372,10 +372,18 @@ def scalar(bench, shelf, experiments, members):
         ),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", "has no 'SPECTROMETER'; it has .*REFRACTOMETER"),
         ("my_parts.py:REFRACTOMETER", "refractometer", "unknown kind 'refractometer'; known: uv_vis"),
-        ("my_parts.py:REFRACTOMETER", "my_parts.py:EVAPORATE", "must be a chemlab.instruments.base.Instrument"),
-        ("my_parts.py:EVAPORATE", "my_parts.py:REFRACTOMETER", "must be a chemlab.operations.base.Operation"),
+        (
+            "my_parts.py:REFRACTOMETER",
+            "my_parts.py:EVAPORATE",
+            "must be a chemlab.roles.instruments.instrument.Instrument",
+        ),
+        (
+            "my_parts.py:EVAPORATE",
+            "my_parts.py:REFRACTOMETER",
+            "must be a chemlab.roles.operations.operation.Operation",
+        ),
         ("my_parts.py:EVAPORATE", "evaporate", "process.0: kind: this bench can drain"),
-        ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.bench.base.Observation"),
+        ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.roles.bench.Observation"),
         ("my_parts.py:HYDROMETER", "my_parts.py", "ext.observe: cannot load 'my_parts.py' .*no colon"),
         ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
         ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from chemlab.chemistry import AMOUNTS, TIERS, build_chemistry
-from chemlab.materials import DataError
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import Scenario, dump_scenario, load_scenario, restore_scenario
+from chemlab.physics.backends import rate_constant
+from chemlab.physics.chemistry import AMOUNTS, TIERS, build_chemistry
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.kinetics import integrate as react
 from chemlab.physics.kinetics import react_work_size
-from chemlab.physics.laws import rate_constant
-from chemlab.scenario import Scenario, dump_scenario, load_scenario, restore_scenario
-from chemlab.shelf import Shelf
+from chemlab.physics.shelf import Shelf
 
 START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}
 TEMPERATURE_K = 320.0

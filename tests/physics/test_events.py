@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from helpers import Glassware, mapping
 
-from chemlab.chemistry import AMOUNTS, build_chemistry
-from chemlab.datafile import DataError
-from chemlab.physics.laws import settle_phases
-from chemlab.scenario import load_scenario
-from chemlab.shelf import Shelf
+from chemlab.config.datafile import DataError
+from chemlab.config.scenario import load_scenario
+from chemlab.physics.backends import settle_phases
+from chemlab.physics.chemistry import AMOUNTS, build_chemistry
+from chemlab.physics.shelf import Shelf
 
 NEUTRAL = """
 name = "neutral"

@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from chemlab.agents.policies import RandomPolicy
-from chemlab.chemistry import AIR, AMOUNTS, CAPACITY, CLOCK, PRESENT, ROLE_GAS, ROLE_ION, TEMPERATURE
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
-from chemlab.laboratory.global_state import GlobalState
-from chemlab.materials import COLDEST_K, HOTTEST_K
-from chemlab.physics.laws import vapor_pressure
+from chemlab.config.materials import COLDEST_K, HOTTEST_K
+from chemlab.config.scenario import Scenario, load_scenario, scenario_names, synthesis_names
+from chemlab.envs.global_state import GlobalState
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.backends import vapor_pressure
+from chemlab.physics.chemistry import AIR, AMOUNTS, CAPACITY, CLOCK, PRESENT, ROLE_GAS, ROLE_ION, TEMPERATURE
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
 from chemlab.physics.thermal import pressure
-from chemlab.scenario import Scenario, load_scenario, scenario_names, synthesis_names
-from chemlab.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

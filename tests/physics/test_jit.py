@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import chemlab
-from chemlab.jit import _checksum
-from chemlab.rng import uniform
+from chemlab.kernels.jit import _checksum
+from chemlab.kernels.rng import uniform
 
 PLAY = """
 import numpy as np
-from chemlab.rng import uniform
+from chemlab.kernels.rng import uniform
 print(uniform(np.array([7], dtype=np.uint64)))
 """
 
@@ -97,7 +97,7 @@ INTERRUPTED = """
 import sys
 from pathlib import Path
 import numba.extending
-from chemlab.jit import kernel
+from chemlab.kernels.jit import kernel
 
 def _two(): ...
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
-from chemlab.chemistry import AMOUNTS, Chemistry
+from chemlab.kernels.tables import Table
+from chemlab.physics.chemistry import AMOUNTS, Chemistry
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.kinetics import integrate as react
 from chemlab.physics.kinetics import react_work_size
-from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 Step = tuple[Mapping[int, float], Mapping[int, float], float, float]

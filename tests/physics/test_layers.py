@@ -12,9 +12,9 @@ from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from chemlab.chemistry import CAPACITY, CLOCK, PRESENT
+from chemlab.physics.chemistry import CAPACITY, CLOCK, PRESENT
 from chemlab.physics.layers import camera
-from chemlab.shelf import CLOCK_SETTLED, T_MIX
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 
 FloatArray = npt.NDArray[np.float64]
 

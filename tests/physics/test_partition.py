@@ -10,8 +10,8 @@ from helpers import Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chemlab.chemistry import CLOCK, CLOCK_WAS
-from chemlab.shelf import CLOCK_SETTLED, T_MIX
+from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 
 FOUR = Glassware(four_solvents(), 2)
 SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")

@@ -9,9 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from chemlab.chemistry import AMOUNTS
+from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.events import METAL_IN_WATER
-from chemlab.shelf import CLOCK_SETTLED
+from chemlab.physics.shelf import CLOCK_SETTLED
 
 GLASS = Glassware(four_solvents(), 1)
 SALTS = {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.chemistry import AIR, AMOUNTS, CLOCK, TEMPERATURE, element_matrix
-from chemlab.pairs import log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.config.scenario import Scenario, load_scenario
 from chemlab.physics import laws
+from chemlab.physics.backends.real.heats import enthalpy
+from chemlab.physics.backends.real.partition import place_new
+from chemlab.physics.chemistry import AIR, AMOUNTS, CLOCK, TEMPERATURE, element_matrix
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.heats import enthalpy
-from chemlab.physics.laws.real.partition import place_new
+from chemlab.physics.shelf import T_MIX, Shelf
 from chemlab.physics.surroundings import Surroundings
 from chemlab.physics.thermal import pressure
 from chemlab.physics.transfer import pour
-from chemlab.scenario import Scenario, load_scenario
-from chemlab.shelf import T_MIX, Shelf
 
 FORMIC_ACID = Path(__file__).parent / "formic_acid"
-VALIDATION = Path(__file__).resolve().parents[2] / "validate"
+VALIDATION = Path(__file__).resolve().parents[2] / "studies" / "physics"
 
 
 def scenario(
@@ -109,7 +109,7 @@ CHARGES = {
 
 
 def judged(charge: str) -> list[tuple[float, float, float]]:
-    """(purity, recovery, K) of an independent integration with UNIFAC (validate/distillation.py)."""
+    """(purity, recovery, K) of an independent integration with UNIFAC (studies/physics/distillation.py)."""
     with (VALIDATION / "distillation.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["charge"] == charge]
     return [(float(r["purity"]), float(r["recovery"]), float(r["pot_k"])) for r in rows if float(r["purity"]) >= 0.95]
@@ -380,7 +380,7 @@ def test_what_water_dissolves() -> None:
 @pytest.mark.parametrize("solute", ["1-chlorohexane", "ethanol", "benzoic_acid"])
 @pytest.mark.parametrize("solvent", ["diethyl_ether", "toluene"])
 def test_distribution_is_that_of_the_pairs(solute: str, solvent: str) -> None:
-    # validate/distribution.csv: the same pairs at infinite dilution, in phases as UNIFAC has them.
+    # studies/physics/distribution.csv: the same pairs at infinite dilution, in phases as UNIFAC has them.
     with (VALIDATION / "distribution.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if (row["solute"], row["solvent"]) == (solute, solvent)]
     glass = Glass("water", solvent, solute)

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from real_tier import enthalpy_of, filled, real_table
 from scipy.optimize import brentq
 
-from chemlab.chemistry import AMOUNTS, ROLE_ION, ROLE_SOLVENT, TEMPERATURE
-from chemlab.jit import kernel
+from chemlab.kernels.jit import kernel
+from chemlab.kernels.tables import Table
+from chemlab.physics.backends.real.acids import acid_work_size, ph, settle_acids
+from chemlab.physics.chemistry import AMOUNTS, ROLE_ION, ROLE_SOLVENT, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.laws.real.acids import acid_work_size, ph, settle_acids
-from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 

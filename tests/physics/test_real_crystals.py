@@ -9,18 +9,18 @@ import pytest
 from scipy.integrate import solve_ivp
 from test_real import Glass
 
-from chemlab.agents.heuristics.crystallization import solubility
-from chemlab.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
-from chemlab.materials import shipped_materials
-from chemlab.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.agents.scripted.crystallization import solubility
+from chemlab.config.materials import shipped_materials
+from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.config.scenario import load_scenario
 from chemlab.physics import laws
+from chemlab.physics.backends.real.chemistry import CURVE_POINTS
+from chemlab.physics.backends.real.heats import enthalpy
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
 from chemlab.physics.constants import GAS_CONSTANT, TRACE_MOL
-from chemlab.physics.laws.real.chemistry import CURVE_POINTS
-from chemlab.physics.laws.real.heats import enthalpy
 from chemlab.physics.layers import profile
+from chemlab.physics.shelf import Shelf
 from chemlab.physics.transfer import add, free_liquid, liquid_volume, pour, strain
-from chemlab.scenario import load_scenario
-from chemlab.shelf import Shelf
 
 MATERIALS = shipped_materials()
 CRUDE = ("benzoic_acid", "salicylic_acid", "NaCl", "silica", "water", "ethanol")

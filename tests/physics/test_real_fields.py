@@ -11,13 +11,13 @@ import pytest
 from helpers import composition
 from real_tier import enthalpy_of, filled, react, real_table
 
-from chemlab.chemistry import AMOUNTS, TEMPERATURE, build_chemistry
-from chemlab.jit import kernel
-from chemlab.materials import DataError, shipped_materials
-from chemlab.physics.laws.real.acids import acid_work_size, ph, settle_acids
-from chemlab.physics.laws.real.fields import acid_fields, independent_reactions, kinetic_fields
-from chemlab.scenario import PHYSICS_TIERS, Scenario, dump_scenario, load_scenario, restore_scenario
-from chemlab.tables import Table
+from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.scenario import PHYSICS_TIERS, Scenario, dump_scenario, load_scenario, restore_scenario
+from chemlab.kernels.jit import kernel
+from chemlab.kernels.tables import Table
+from chemlab.physics.backends.real.acids import acid_work_size, ph, settle_acids
+from chemlab.physics.backends.real.fields import acid_fields, independent_reactions, kinetic_fields
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry
 
 MATERIALS = {
     # name: (composition, charge, role, formation enthalpy, source of that: NBS tables of 1982)
@@ -75,7 +75,7 @@ source = "Goldberg, Kishore, Lennen, J. Phys. Chem. Ref. Data 31 (2002) 231"
 @pytest.fixture
 def esters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """A scenario of the tier with the family above, as a mapping."""
-    monkeypatch.setitem(PHYSICS_TIERS, "real", "chemlab.physics.laws.real")
+    monkeypatch.setitem(PHYSICS_TIERS, "real", "chemlab.physics.backends.real")
     weights = {"C": 12.011, "H": 1.008, "O": 15.999, "S": 32.06}
     lines = []
     for name, (atoms, charge, role, _) in MATERIALS.items():

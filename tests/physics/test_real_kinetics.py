@@ -15,9 +15,9 @@ from real_tier import enthalpy_of, filled, give_enthalpy, network, react
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
-from chemlab.chemistry import AMOUNTS, TEMPERATURE
+from chemlab.kernels.tables import Table
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.tables import Table
 
 FloatArray = npt.NDArray[np.float64]
 Step = Mapping[str, Any]

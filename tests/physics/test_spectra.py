@@ -9,8 +9,8 @@ from helpers import Glassware
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from chemlab.config.scenario import Scenario
 from chemlab.physics.spectra import spectrum
-from chemlab.scenario import Scenario
 
 WAVELENGTHS = np.linspace(200.0, 800.0, 200)
 

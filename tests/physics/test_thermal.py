@@ -10,9 +10,9 @@ from helpers import Glassware, molar_volume
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from chemlab.chemistry import AIR, AMOUNTS, CAPACITY, TEMPERATURE
+from chemlab.physics.backends import vapor_pressure, vent
+from chemlab.physics.chemistry import AIR, AMOUNTS, CAPACITY, TEMPERATURE
 from chemlab.physics.events import BOILED_DRY, DRY_HEATING, RELIEF, SPILL
-from chemlab.physics.laws import vapor_pressure, vent
 from chemlab.physics.thermal import pressure, seal_vessel
 
 R = 8.31446261815324

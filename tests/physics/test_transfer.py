@@ -8,11 +8,11 @@ from helpers import PIXELS, Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chemlab.chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
+from chemlab.physics.backends import solid_volume
+from chemlab.physics.chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, TEMPERATURE
 from chemlab.physics.events import SPILL
-from chemlab.physics.laws import solid_volume
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.physics.transfer import clear, liquid_volume, place, remove_fraction, volume
-from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 SCENARIO = four_solvents()
 MATERIALS = ["water", "diethyl_ether", "hexane", "dodecane", "1-chlorohexane", "NaCl"]

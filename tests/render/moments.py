@@ -11,12 +11,12 @@ from helpers import FEATURED, slow_but
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import bench_heuristic, make_policies
-from chemlab.chemistry import CLOCK, CLOCK_WAS
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.bench_env import BenchEnv
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
 from chemlab.render.scene import Scene, bench_scene, laboratory_scene
-from chemlab.scenario import Scenario, load_scenario, scenario_names
 
 BENCHES = [(name, key) for name in scenario_names() for key in load_scenario(name).benches]
 EVERY_BENCH = slow_but(BENCHES, *(bench for bench in BENCHES if bench[0] in FEATURED))

@@ -17,14 +17,14 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
-from chemlab.laboratory.bench_env import BenchEnv
+from chemlab.config.scenario import scenario_names
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.physics.shelf import T_MIX
 from chemlab.render import draw as drawing
 from chemlab.render.canvas import TextBox
 from chemlab.render.draw import GlassBox, draw, paint
 from chemlab.render.frames import Viewer
 from chemlab.render.scene import Scene, VesselPicture, laboratory_scene
-from chemlab.scenario import scenario_names
-from chemlab.shelf import T_MIX
 
 CROWDS = [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (1, 1, 1, 1), (6, 16, 1, 1)]
 
@@ -270,7 +270,7 @@ def test_pictures_need_pillow_and_neither_a_screen_nor_pygame() -> None:
     """Without Pillow they say what is missing."""
     code = (
         "import os, sys; os.environ.pop('DISPLAY', None); sys.modules['pygame'] = None\n"
-        "from chemlab.laboratory.bench_env import BenchEnv\n"
+        "from chemlab.envs.bench_env import BenchEnv\n"
         "assert 'PIL' not in sys.modules, 'imported before it is needed'\n"
         "env = BenchEnv(render_mode='rgb_array'); env.reset(seed=0); sys.modules['PIL'] = None\n"
         "try:\n    env.render()\nexcept ImportError as error:\n    print(error)\n"

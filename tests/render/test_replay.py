@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
+from chemlab.config.scenario import Scenario, dump_scenario, restore_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, Replay, read_record
 from chemlab.render.replay import replay_data, replay_page
-from chemlab.scenario import Scenario, dump_scenario, restore_scenario, scenario_names
 
 runner = CliRunner()
 
@@ -244,7 +244,7 @@ def turn(page: Any) -> int:
 
 
 def test_a_long_episode_is_drawn(browser: Any, tmp_path: Path) -> None:
-    """How long that takes: ``tests/benchmarks/replay.py``."""
+    """How long that takes: ``studies/speed/replay.py``."""
     found = read_record(record(tmp_path / "long.jsonl", "wurtz_any", "random", 5))
     assert found.turns[-1]["tick"] > 100
     path = tmp_path / "long.html"

@@ -11,13 +11,13 @@ from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory.aec import raw_env
-from chemlab.laboratory.core import Laboratories
-from chemlab.laboratory.experiments import ExperimentBatch
+from chemlab.config.scenario import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.render.scene import MIXTURE_SLICES, VesselPicture, bench_scene, laboratory_scene, material_pictures
 from chemlab.sandbox import Flask
-from chemlab.scenario import load_scenario
-from chemlab.shelf import CLOCK_SETTLED, T_MIX
 
 WURTZ = load_scenario("wurtz_any")
 

@@ -1,0 +1,160 @@
+"""Learning curves of any training runs, finished or not, with their evaluations beside the scripted policy."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chemlab.kernels.arrays import FloatArray
+from chemlab.render.figure import new_figure
+
+from ..runs import Evaluation
+from .results import TrainedRun, display_name, read_runs, task_title
+
+__all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_tasks"]
+
+Tasks = dict[str, dict[str, list[TrainedRun]]]
+"""Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
+
+# Okabe and Ito's palette, which the colour-blind can tell apart; line styles tell the same in grey.
+_STYLES: dict[str, tuple[str, Any]] = {
+    "ppo-xl": ("#56B4E9", "-"),
+    "ppo": ("#0072B2", "-"),
+    "a2c": ("#E69F00", "--"),
+    "dqn": ("#009E73", "-."),
+    "sac": ("#D55E00", "-."),
+    "td3": ("#CC79A7", (0, (3, 1, 1, 1, 1, 1))),
+}
+_MORE = ("#882255", "#999933", "#332288")
+"""Of Paul Tol's muted palette, for variants where those of the algorithms are all taken."""
+_GRID = 200
+"""Points of a learning curve."""
+_LEGEND_COLUMNS = 3
+
+
+def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
+    """Colour and line of an algorithm, the same in every figure; other labels take free colours."""
+    if label in _STYLES:
+        colour, line = _STYLES[label]
+        return {"color": colour, "linestyle": line}
+    taken = {_STYLES[name][0] for name in labels if name in _STYLES}
+    free = [colour for colour, _ in reversed(list(_STYLES.values())) if colour not in taken] + list(_MORE)
+    number = [name for name in labels if name not in _STYLES].index(label)
+    return {"color": free[number % len(free)], "linestyle": (0, (8, 1.5) + (1, 1.5) * (number % 3))}
+
+
+def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """Learning curves [P, 3] of step, mean and standard deviation on a common grid.
+
+    Returns:
+        Steps [P]; mean return over runs [P]; standard deviation of the runs' means [P] (of a sample; NaN for one run);
+        standard deviation of single returns [P], within runs and between them. None where no run has a curve.
+    """
+    curves = [curve for curve in curves if len(curve)]
+    if not curves:
+        return None
+    first, last = max(curve[0, 0] for curve in curves), min(curve[-1, 0] for curve in curves)
+    steps = np.linspace(first, max(first, last), _GRID)
+    means = np.array([np.interp(steps, curve[:, 0], curve[:, 1]) for curve in curves])
+    deviations = np.array([np.interp(steps, curve[:, 0], curve[:, 2]) for curve in curves])
+    between = means.std(axis=0, ddof=1) if len(curves) > 1 else np.full(_GRID, np.nan)
+    single = np.sqrt((deviations**2).mean(axis=0) + means.var(axis=0))
+    return steps, means.mean(axis=0), between, single
+
+
+def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
+    """Those runs that have begun to learn, by task (bench, goals, starting states) and label."""
+    tasks: Tasks = {}
+    for run in runs:
+        if len(run.curve) or run.evaluations:
+            label = str(run.config.get("label", run.name))
+            tasks.setdefault(task_title(run), {}).setdefault(label, []).append(run)
+    return tasks
+
+
+def draw_curves(folders: Sequence[Path]) -> Any:
+    """A figure with a part for each task: training returns, evaluations, the scripted policy.
+
+    Raises:
+        ValueError: a folder is not there, or has no run.
+        ImportError: matplotlib is not installed.
+    """
+    runs: dict[Path, TrainedRun] = {}
+    for folder in folders:
+        own = {(folder / run.name).resolve(): run for run in read_runs(folder)}
+        if not group_tasks(own.values()):
+            raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
+        runs |= own
+    return draw_tasks(group_tasks(runs.values()))
+
+
+def draw_tasks(tasks: Tasks) -> Any:
+    """The same of runs that have been grouped already, of which every one has a curve or evaluations.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    columns = min(len(tasks), 2)
+    rows = -(-len(tasks) // columns)
+    # Below each part there is room for a legend of two lines.
+    lines = max(-(-(len(labels) + 1) // _LEGEND_COLUMNS) for labels in tasks.values())
+    deep = 4.1 + 0.2 * max(0, lines - 2)
+    width, height = 6.6 * columns, 0.4 + deep * rows
+    figure = new_figure(width, height)
+    for i, (task, labels) in enumerate(tasks.items()):
+        left, top = 6.6 * (i % columns), 0.1 + deep * (i // columns)
+        axes = figure.add_axes(((left + 0.8) / width, 1.0 - (top + 3.15) / height, 5.6 / width, 2.75 / height))
+        _panel(axes, task, labels)
+    text = (
+        "Lines: mean return of training episodes, mean over runs; shaded: one standard deviation between runs. "
+        "Thin: runs that have gone on longer. Points: evaluations without exploration."
+    )
+    text = textwrap.fill(text, int(14.5 * width))
+    figure.text(0.01, 0.08 / height, text, fontsize=8, color="#333333", va="bottom")
+    return figure
+
+
+def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
+    scripted = []
+    for label, runs in labels.items():
+        style = algorithm_style(label, list(labels))
+        count = f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
+        curves = [run.curve for run in runs]
+        curve = average_curves(curves)
+        if curve is not None:
+            steps, mean, between, _ = curve
+            axes.plot(steps / 1000.0, mean, lw=1.5, label=f"{display_name(label)} ({count})", **style)
+            if np.isfinite(between).all():
+                low, high = mean - between, mean + between
+                axes.fill_between(steps / 1000.0, low, high, color=style["color"], alpha=0.15, linewidth=0.0)
+            # The mean ends with the shortest run; what the others have come to since is drawn alone.
+            for own in curves:
+                later = own[own[:, 0] > steps[-1]]
+                if len(later):
+                    axes.plot(later[:, 0] / 1000.0, later[:, 1], lw=0.7, color=style["color"], alpha=0.5)
+        evaluations = [evaluation for run in runs for evaluation in run.evaluations]
+        _points(axes, evaluations, style["color"], None if curve is not None else f"{display_name(label)} ({count})")
+        scripted += [e.heuristic_mean for e in evaluations if e.heuristic_mean is not None]
+    if scripted:
+        axes.axhline(float(np.mean(scripted)), color="black", lw=1.3, ls=(0, (5, 3)), label="heuristic")
+    axes.set_title(task)
+    axes.set_xlabel("training steps, all environments together (thousands)")
+    axes.set_ylabel("mean return")
+    axes.set_xlim(left=0.0)
+    axes.grid(alpha=0.25)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=_LEGEND_COLUMNS, frameon=False)
+
+
+def _points(axes: Any, evaluations: Sequence[Evaluation], color: str, label: str | None) -> None:
+    """The mean over runs at each step; a single run's where only one has come so far."""
+    if not evaluations:
+        return
+    steps = sorted({evaluation.step for evaluation in evaluations})
+    means = [float(np.mean([e.mean for e in evaluations if e.step == step])) for step in steps]
+    axes.plot(np.array(steps) / 1000.0, means, ls="", marker="o", ms=5, mfc="white", mec=color, mew=1.5, label=label)

@@ -1,0 +1,359 @@
+"""What audits and benchmarks play, in parts that are kept: each is a job for an executor, and a broken-off command goes
+on with those that are missing."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from chemlab.config.datafile import DataError, read_json
+from chemlab.config.datamodel import validated
+from chemlab.config.files import write_text
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.record import scenario_hash
+from chemlab.roles.manager_actions import ManagerActions
+
+from ..executors import Inline, completed
+from ..plans import all_contexts
+from ..player import play_laboratory
+from ..policies import make_policies, manager_heuristic
+from ..runs import versions
+from .contention import CONTENDED, Contention
+from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
+
+__all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "foreseen", "planner_jobs"]
+
+AUDIT_SEED = 4_000_000
+"""Of the first episode that is scored: seeds that neither training nor a search plays."""
+_NO_BUDGET = 1e-9
+_CHUNK = 10
+"""Episodes that one process searches in, one after the other."""
+_TENTHS = 10
+"""Into so many parts the clairvoyant's curve divides its budget."""
+_PART_BYTES = 10_000_000
+"""Of a file of a finished part: that of 200 episodes is a tenth of a megabyte."""
+
+
+@dataclass(frozen=True)
+class AuditBudget:
+    """How much is played.
+
+    Attributes:
+        episodes: that everybody is scored on.
+        plans: tried by the search for the best constant plan.
+        fewer: the same for each bench left out.
+        donors: of replayed episodes, for each public context.
+        planned: plans that the clairvoyant tries in each episode.
+    """
+
+    episodes: int
+    plans: int
+    fewer: int
+    donors: int
+    planned: int
+
+
+BUDGETS = {
+    "small": AuditBudget(episodes=40, plans=2_000, fewer=400, donors=20, planned=240),
+    "full": AuditBudget(episodes=200, plans=40_000, fewer=4_000, donors=20, planned=1_500),
+}
+"""``small``: under two minutes on two cores; ``full``: under thirty."""
+
+
+def budget_of(budget: str | AuditBudget) -> AuditBudget:
+    """One of :data:`BUDGETS` by its name; others are what they are.
+
+    Raises:
+        ValueError: no such name.
+    """
+    if isinstance(budget, str) and budget not in BUDGETS:
+        raise ValueError(f"budget: known: {', '.join(BUDGETS)}; given {budget!r}")
+    return BUDGETS[budget] if isinstance(budget, str) else budget
+
+
+@dataclass(frozen=True)
+class Job:
+    """Something to be played.
+
+    Attributes:
+        name: under which it is kept.
+        kind: a key of ``_KINDS``.
+        arguments: of that function, besides scenario and budget.
+    """
+
+    name: str
+    kind: str
+    arguments: dict[str, Any]
+
+
+def _played(scenario: Scenario, policies: Callable[[Laboratories], Any], episodes: int, seed: int, split: str) -> Any:
+    labs = Laboratories(scenario, episodes, split=split)
+    return play_laboratory(labs, policies(labs), None, seed)
+
+
+def _play(
+    scenario: Scenario,
+    budget: AuditBudget,
+    policy: str,
+    split: str,
+    seed: int,
+    instruments: bool = True,
+    without: str = "",
+    episodes: int | None = None,
+    contended: bool = False,
+    reports: bool = True,
+) -> dict[str, Any]:
+    """Scores of a policy by name in so many episodes (default: the budget's), or None where none of this name fits."""
+    if not reports:
+        mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
+        scenario = scenario.model_copy(update={"benches": mute})
+    if not instruments:
+        limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
+        scenario = scenario.model_copy(update={"limits": limits})
+
+    def policies(labs: Laboratories) -> Any:
+        with warnings.catch_warnings():
+            if not (instruments and reports):  # that the scenario is not the one they were trained in is the point
+                warnings.simplefilter("ignore", UserWarning)
+            found = make_policies(policy, labs, seed)
+        if without:
+            found[MANAGER_AGENT] = manager_heuristic(labs, policy != "hasty", [without])
+        if contended:
+            found[MANAGER_AGENT] = counter = Contention(found[MANAGER_AGENT], labs)
+            counters.append(counter)
+        return found
+
+    counters: list[Contention] = []
+    try:
+        count = budget.episodes if episodes is None else episodes
+        scores = _played(scenario, policies, count, seed, split).returns.tolist()
+        return {"scores": scores, **({"contention": counters[0].events().tolist()} if contended else {})}
+    except ValueError as error:
+        return {"scores": None, "reason": str(error)}
+
+
+def _plan(scenario: Scenario, budget: AuditBudget, without: str = "", split: str = "test") -> dict[str, Any]:
+    """The best constant plan that a search finds in training worlds, and its scores; with all benches, also those with
+    the benches' actions repeated."""
+    most = budget.fewer if without else budget.plans
+    search = search_plan(scenario, budget=most, without=[without] if without else ())
+    found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist()}
+    if not without:
+        found["plans"] = [[list(context), list(plan)] for context, plan in search.plans.items()]
+        found["everybody"] = _replayed(scenario, budget, search, split)
+    return found
+
+
+def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
+    blind = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
+    scores: list[float] = blind.scores.tolist()
+    return scores
+
+
+def _replay(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
+    return {"scores": _replayed(scenario, budget, policy)}
+
+
+def _foresee(
+    scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any], split: str = "test"
+) -> dict[str, Any]:
+    """The best that a search finds in each of some episodes, and what it had found by each tenth of its budget."""
+    known = {tuple(context): tuple(plan) for context, plan in plans}
+    scores, curves = [], []
+    for episode in range(first, min(first + _CHUNK, budget.episodes)):
+        seed = AUDIT_SEED + episode
+        score, curve = best_in_episode(scenario, seed, split, budget.planned, known)
+        reached = [
+            max(s for tried, s in curve if tried <= max(part * budget.planned / _TENTHS, curve[0][0]))
+            for part in range(1, _TENTHS + 1)
+        ]
+        scores.append(score)
+        curves.append(reached)
+    return {"scores": scores, "curves": curves}
+
+
+def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
+    """Mean over the orders of what each comes to in a laboratory that has no other."""
+    labs = Laboratories(scenario, budget.episodes, split="test")
+    for member in labs.members.tolist():
+        labs.seed(member, np.random.SeedSequence(AUDIT_SEED + member))
+    labs.reset(labs.members)
+    goals = np.array(scenario.goals)[labs.state.goal]
+    alone = _alone(scenario)
+    scores = np.zeros(goals.shape)
+    for goal in np.unique(goals):
+        one = Laboratories(alone, budget.episodes, split="test")
+        returns = play_laboratory(one, make_policies(policy, one, AUDIT_SEED), str(goal), AUDIT_SEED).returns
+        scores += (goals == goal) * returns[:, None]
+    return {"scores": scores.mean(axis=1).tolist()}
+
+
+def _alone(scenario: Scenario) -> Scenario:
+    """The laboratory for one of the orders. Its share of the score is the whole there: prices grow by as much."""
+    times = scenario.orders
+    instruments = {}
+    for name, spec in scenario.instruments.items():
+        drift = spec.drift and spec.drift.model_copy(update={"price": times * spec.drift.price})
+        instruments[name] = spec.model_copy(update={"price": times * spec.price, "drift": drift})
+    benches = {}
+    for key, bench in scenario.benches.items():
+        wear = bench.wear and bench.wear.model_copy(update={"repair_price": times * bench.wear.repair_price})
+        benches[key] = bench.model_copy(update={"wear": wear})
+    costs = scenario.costs.model_copy(
+        update={
+            "stock_per_mol": {name: times * price for name, price in scenario.costs.stock_per_mol.items()},
+            "waste_per_l": times * scenario.costs.waste_per_l,
+            "tick": times * scenario.costs.tick,
+            "illegal_action": times * scenario.costs.illegal_action,
+        }
+    )
+    safety = scenario.safety.model_copy(update={"reward_price": times * scenario.safety.reward_price})
+    limits = scenario.limits.model_copy(update={"budget": times * scenario.limits.budget})
+    prices = {"benches": benches, "instruments": instruments, "costs": costs, "safety": safety, "limits": limits}
+    return scenario.model_copy(update={"orders": 1, **prices})
+
+
+_KINDS: dict[str, Callable[..., dict[str, Any]]] = {
+    "play": _play,
+    "plan": _plan,
+    "replay": _replay,
+    "foresee": _foresee,
+    "apart": _apart,
+}
+
+
+def planner_jobs(budget: AuditBudget, plans: list[Any], split: str = "test") -> list[Job]:
+    """The best plan of every episode, in worlds that the planner knows.
+
+    Args:
+        budget: how many episodes, and how many plans are tried in each.
+        plans: [context, plan] that the search begins with.
+        split: worlds.
+    """
+    other = {} if split == "test" else {"split": split}
+    firsts = range(0, budget.episodes, _CHUNK)
+    return [Job(f"foresee-{first}", "foresee", {"first": first, "plans": plans, **other}) for first in firsts]
+
+
+def foreseen(found: Mapping[str, dict[str, Any]], what: str = "scores") -> FloatArray:
+    """The planner's best of each episode, [E], or its ``curves``, [E, tenths of the budget], of what jobs came to."""
+    names = [name for name in found if name.startswith("foresee-")]
+    order = sorted(names, key=lambda name: int(name.partition("-")[2]))
+    return np.concatenate([np.array(found[name][what]) for name in order])
+
+
+def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
+    return _KINDS[job.kind](scenario, budget, **job.arguments)
+
+
+class _Result(BaseModel):
+    """What a job has come to, as a file has it: which of these depends on its kind."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    scores: list[float] | None
+    reason: str = ""
+    contention: list[list[float]] = []
+    plans: list[tuple[list[str], list[int]]] = []
+    everybody: list[float] = []
+    curves: list[list[float]] = []
+
+    def is_of(self, job: Job, budget: AuditBudget, scenario: Scenario) -> bool:
+        """Whether it has what such a job comes to, of as many episodes, and plans that can be played."""
+        given, wanted = self.model_fields_set, {"scores"}
+        if job.kind == "play" and self.scores is None:
+            return given == {"scores", "reason"}
+        episodes = job.arguments.get("episodes") or budget.episodes
+        if job.kind == "play" and job.arguments.get("contended"):
+            wanted |= {"contention"}
+        if job.kind == "foresee":
+            wanted |= {"curves"}
+            episodes = min(_CHUNK, budget.episodes - job.arguments["first"])
+        if job.kind == "plan" and not job.arguments.get("without"):
+            wanted |= {"plans", "everybody"}
+        lists = [getattr(self, name) for name in wanted - {"plans"}]
+        rows = [*((row, len(CONTENDED)) for row in self.contention), *((row, _TENTHS) for row in self.curves)]
+        count = len(ManagerActions.of(scenario))
+        return (
+            given == wanted
+            and all(part is not None and len(part) == episodes for part in lists)
+            and all(len(row) == width for row, width in rows)
+            and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*all_contexts(scenario)})
+            and all(0 <= action < count for _, plan in self.plans for action in plan)
+        )
+
+
+class _Part(BaseModel):
+    """A file of a finished part."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    stamp: str
+    result: _Result
+
+
+class Crew:
+    """Has jobs of a scenario played, and keeps what each has come to.
+
+    Args:
+        scenario: the audited one.
+        budget: how much is played.
+        keep: folder of results, from which a broken-off audit goes on; None: nowhere.
+        executor: plays the jobs (:mod:`chemlab.agents.executors`); None: this process.
+        watch: called with the name of each job that is done.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        budget: AuditBudget,
+        keep: Path | None = None,
+        executor: Executor | None = None,
+        watch: Callable[[str], None] | None = None,
+    ) -> None:
+        self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch or (lambda _: None)
+        self._made_of = [scenario_hash(scenario), vars(budget), versions()]
+        self._executor = executor or Inline()
+
+    def run(self, jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
+        """What every job has come to, by name."""
+        found = {job.name: kept for job in jobs if (kept := self.kept(job)) is not None}
+        for name in found:
+            self._watch(name)
+        missing = [job for job in jobs if job.name not in found]
+        run = functools.partial(_run, scenario=self._scenario, budget=self._budget)
+        for job, result in completed(self._executor, run, missing):
+            if self._keep is not None:
+                write_text(self._keep / f"{job.name}.json", json.dumps({"stamp": self._stamp(job), "result": result}))
+            found[job.name] = result
+            self._watch(job.name)
+        return found
+
+    def _stamp(self, job: Job) -> str:
+        """What tells a part from that of another scenario, version, budget or policy."""
+        told = json.dumps([*self._made_of, job.kind, job.arguments]).encode()
+        return hashlib.blake2b(told, digest_size=16).hexdigest()
+
+    def kept(self, job: Job) -> dict[str, Any] | None:
+        """What was kept of a job; None, and it is played again, where that is nothing or cannot be what it came to."""
+        path = None if self._keep is None else self._keep / f"{job.name}.json"
+        if path is None or not path.is_file():
+            return None
+        try:
+            part: _Part = validated(_Part, read_json(path, _PART_BYTES), str(path))
+        except DataError:
+            return None
+        fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget, self._scenario)
+        return part.result.model_dump(mode="json", exclude_unset=True) if fits else None

@@ -1,0 +1,462 @@
+"""What managers have learned: their runs' checkpoints beside managers that learned nothing, as tables and curves.
+
+:func:`collect` plays, and makes tables (:mod:`chemlab.agents.evaluate.results`, and ``managers.csv``);
+:func:`write_laboratory` makes the page from tables alone.
+
+Runs belong together if they have one scenario, one background (who plays the roles that did not learn) and one folder
+(a table of a sweep, say, with a folder for each seed), whose name is their label.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+import chemlab
+from chemlab.config.files import write_text
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.lab.engine import Laboratories
+from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
+
+from ..policies import make_policies
+from ..pretrained import fingerprint
+from ..roles import MANAGER_ROLE, role_of
+from ..runs import RESULT_SEED
+from ..saved import find_saved
+from . import statistics
+from .curves import Tasks, draw_tasks
+from .play import LaboratoryTarget
+from .results import TrainedRun, display_name, read_runs, write_runs
+from .statistics import interval_text, number_text
+from .tables import markdown_table, number, read_table, write_table
+
+__all__ = [
+    "BASELINES",
+    "EPISODES",
+    "MEASURES",
+    "LaboratoryPage",
+    "brief_table",
+    "collect",
+    "collect_count",
+    "has_manager",
+    "write_laboratory",
+]
+
+EPISODES = 200
+"""For each goal."""
+
+MEASURES: tuple[str, ...] = (
+    "score",
+    "safety_cost",
+    "submitted_mol",
+    "purity",
+    "instruments",
+    "ticks",
+    "manager_actions",
+)
+"""Means that are stored: the score and what measuring has cost in units of the score, the weighted safety events (the
+constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where nothing was submitted), and two counts."""
+
+BASELINES: dict[str, tuple[str, str]] = {
+    "scripted": ("heuristic", "scripted"),
+    "direct": ("direct", "scripted, without extraction"),
+    "plan": ("plan", "best constant plan found"),
+    "random": ("random", "random legal actions"),
+}
+"""Managers that learned nothing: their policy's name (the benches are the background's) and what the table says.
+
+This is the one place where a baseline enters the tables: ``chemlab figures TABLES --collect TABLES`` plays those that a
+table does not have yet, and drops from it those that are not here any more.
+"""
+
+_PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
+_COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
+_NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
+_LEARNED, _SCRIPTED = "learned", "scripted"
+
+Means = dict[str, dict[str, float]]
+"""By goal and measure."""
+Rows = list[dict[str, str]]
+
+
+@dataclass
+class _Group:
+    """Runs of one scenario with one background, by label, and the rows of ``managers.csv`` on them."""
+
+    scenario: str
+    background: str
+    labels: dict[str, list[TrainedRun]]
+    rows: Rows
+
+    @property
+    def runs(self) -> list[TrainedRun]:
+        """Of all labels."""
+        return [run for runs in self.labels.values() for run in runs]
+
+    def of(self, policy: str, run: str = "") -> Rows:
+        """The rows of a policy, by goal; none if it was not played."""
+        return [row for row in self.rows if (row["policy"], row["run"]) == (policy, run)]
+
+
+@dataclass(frozen=True)
+class LaboratoryPage:
+    """What was written.
+
+    Attributes:
+        page: the table's file.
+        left_out: runs that the table does not have, and why.
+    """
+
+    page: Path
+    left_out: list[str]
+
+
+def has_manager(run: TrainedRun) -> bool:
+    """Whether a run's learners are a laboratory's agent or roles (``manager_0``; ``manager,rxn``) with its manager."""
+    return MANAGER_ROLE in _learned(run)
+
+
+def _learned(run: TrainedRun) -> list[str]:
+    """The roles that learned: a run of several names roles, a run of one an agent (or a bench on its own)."""
+    names = str(run.config.get("bench")).split(",")
+    return sorted(names) if len(names) > 1 or names == [MANAGER_ROLE] else [role_of(names[0])]
+
+
+def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
+    """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
+    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS, _NUMBERS)
+    groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
+    for run in runs:
+        if run.result is not None and has_manager(run):
+            key = str(run.config["scenario"]), str(run.config.get("background") or "heuristic")
+            groups.setdefault(key, {}).setdefault(PurePosixPath(run.name).parent, []).append(run)
+    found = []
+    for (scenario, background), parents in sorted(groups.items()):
+        names = [parent.name for parent in parents]
+        labels = {
+            # Two trainers may have folders of one name; a folder of seeds alone has none.
+            parent: (parent.name if names.count(parent.name) == 1 else str(parent)) or some[0].finished.label
+            for parent, some in parents.items()
+        }
+        ordered = sorted(parents.items(), key=lambda item: labels[item[0]])
+        by_label = {labels[parent]: sorted(some, key=lambda run: run.finished.seed) for parent, some in ordered}
+        rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
+        found.append(_Group(scenario, background, by_label, rows))
+    return found
+
+
+def _means(rows: Rows) -> Means:
+    return {row["goal"]: {name: float(row[name]) for name in MEASURES} for row in rows}
+
+
+# -- playing ----------------------------------------------------------------------------------------------------------
+
+
+def collect_count(folder: Path, keep: Callable[[TrainedRun], bool] = lambda _: True) -> int:
+    """Number of policies that :func:`collect` will play, or leave as they are, of a folder's own runs.
+
+    Raises:
+        ValueError: the folder is not there, or a file in it is not what a run writes.
+    """
+    groups = _groups([run for run in read_runs(folder) if keep(run)])
+    return sum(len(BASELINES) + len(group.runs) for group in groups)
+
+
+def collect(
+    folder: Path,
+    tables: Path,
+    episodes: int = EPISODES,
+    watch: Callable[[str], None] | None = None,
+    keep: Callable[[TrainedRun], bool] = lambda _: True,
+) -> list[str]:
+    """Make tables of the finished runs below a folder, and play the best checkpoints of those that have a manager.
+
+    All play the same seeds, which neither training nor the choice of the checkpoint has seen. A run is compared with
+    the scripted manager over its own benches: where benches have learned with the manager, those play there as well.
+
+    What the tables have of other runs stays, and so does what was played of a run that cannot be played any more.
+    Baselines are played anew where a run of their group is, and where the tables do not have them.
+
+    Args:
+        folder: runs as training leaves them, or tables (of which nothing but baselines can be played).
+        tables: the folder that gets the tables.
+        episodes: for each goal.
+        watch: called with each policy's name when it has been played or left as it was.
+        keep: which runs of the folder are meant.
+
+    Returns:
+        Runs that were not played, and baselines that a scenario does not have, with the reason.
+
+    Raises:
+        ValueError: the folder is not there, or a file in it is not what was written.
+        ImportError: a run was trained with Stable-Baselines3, which is not installed.
+    """
+    given = [run for run in read_runs(folder) if keep(run)]
+    known = read_runs(tables) if tables.is_dir() else []
+    runs = list({run.name: run for run in (*known, *given)}.values())
+    rows: list[Mapping[str, Any]] = []
+    left_out: list[str] = []
+    for group in _groups(runs, tables):
+        some, lacking = _play_group(group, episodes, watch or (lambda _: None))
+        rows += some
+        left_out += lacking
+    write_runs(tables, runs)
+    if rows:
+        write_table(tables / _TABLE, _COLUMNS, rows)
+    return left_out
+
+
+def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """A group's rows, anew where it can be played and else as they were; and what was not played."""
+    reasons = {run.name: _obstacle(group, run) for run in group.runs}
+    rows: list[Mapping[str, Any]] = []
+    left_out = []
+    for name, (policy, _) in BASELINES.items():
+        stored = group.of(name)
+        try:
+            again = not stored or None in reasons.values()
+            players = f"{group.background},{MANAGER_ROLE}={policy}"
+            rows += _play(group, name, players, episodes) if again else stored
+        except ValueError as error:  # the scenario is gone, or does not have such a manager
+            left_out.append(f"{group.scenario}, {name}: {error}")
+            rows += stored
+        told(f"{group.scenario}: {name}")
+    for run in group.runs:
+        reason, stored = reasons[run.name], [*group.of(_LEARNED, run.name), *group.of(_SCRIPTED, run.name)]
+        rows += _play_run(group, run, episodes) if reason is None else stored
+        if reason is not None and (run.folder is not None or not stored):
+            left_out.append(f"{run.name}: {reason}{'; the table has what was played earlier' if stored else ''}")
+        told(f"{group.scenario}: {run.name}")
+    return rows, left_out
+
+
+def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
+    assert run.folder is not None, "it can be played"
+    path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
+    task = scenario if rewards is None else scenario.with_rewards(str(rewards))
+    same_task = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
+    rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
+    # The scripted manager over the same benches: those that have learned are other ones than the background's.
+    if _learned(run) != [MANAGER_ROLE]:
+        rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=heuristic", episodes, run=run.name)
+    return rows
+
+
+def _play(
+    group: _Group, policy: str, players: str, episodes: int, run: str = "", same_task: bool = True
+) -> list[Mapping[str, Any]]:
+    """A row for each goal."""
+    target = LaboratoryTarget(load_scenario(group.scenario))
+    own = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
+    own |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
+    rows: list[Mapping[str, Any]] = []
+    for goal in target.goals:
+        played = target.play(players, goal, episodes, RESULT_SEED)
+        values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
+        means = {name: number(float(values[name].mean())) for name in MEASURES}
+        rows.append({**own, "goal": goal, "same_task": same_task, **means})
+    return rows
+
+
+def _obstacle(group: _Group, run: TrainedRun) -> str | None:
+    """Why a run cannot be played, or None."""
+    if run.folder is None:
+        return "a table has no checkpoints"
+    path, checkpoints = run.folder.path, run.folder.checkpoints
+    if run.folder.checkpoint("best") is None and run.folder.checkpoint("last") is None:
+        return f"its checkpoints are missing ({checkpoints})"
+    try:
+        if MANAGER_ROLE not in find_saved(str(path)).load:
+            return f"its checkpoint has no manager ({checkpoints})"
+        make_policies(str(path), Laboratories(load_scenario(group.scenario)))
+    except ValueError as error:  # the scenario or a policy of the background is gone, or does not fit any more
+        return str(error)
+    return None
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> LaboratoryPage | None:
+    """Write ``laboratory.md`` and the pictures ``laboratory_curves``; nothing is played.
+
+    Args:
+        folder: tables that :func:`collect` has made; or runs, of which there are then learning curves only.
+        out: where page and pictures go.
+        formats: endings that matplotlib knows, such as ``png`` and ``svg``.
+
+    Returns:
+        What was written; None, and what earlier results have left in ``out`` goes, where there are no finished runs of
+        managers.
+
+    Raises:
+        ValueError: the folder is not there, a file in it is not what was written, or the format is unknown.
+        ImportError: matplotlib is not installed.
+    """
+    groups = _groups(read_runs(folder), folder)
+    tasks: Tasks = {}
+    for group in groups:
+        for label, runs in group.labels.items():
+            begun = [run for run in runs if len(run.curve) or run.evaluations]
+            if begun:
+                tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = begun
+    page, pictures = out / _PAGE, [out / f"{_CURVES}.{ending}" for ending in formats]
+    for path in pictures if tasks else (*pictures, page):
+        path.unlink(missing_ok=True)
+    if not groups:
+        return None
+    for path in pictures if tasks else ():
+        with import_matplotlib().rc_context(SETTINGS):
+            save_figure(draw_tasks(tasks), path)
+    left_out = [
+        f"{run.name}: not played yet (chemlab figures RUNS --collect TABLES)"
+        for group in groups
+        for run in group.runs
+        if not group.of(_LEARNED, run.name)
+    ]
+    picture = pictures[0].name if tasks else None
+    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
+    return LaboratoryPage(page, left_out)
+
+
+def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | None) -> Iterator[str]:
+    yield "# Managers of laboratories"
+    tables = [(group, list(_rows(group))) for group in groups]
+    if any(rows for _, rows in tables):
+        episodes, seed = (
+            max(int(row[name]) for group in groups for row in group.rows) for name in ("episodes", "seed")
+        )
+        yield ""
+        yield (
+            f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
+            f"seed {seed}, the same for everybody, which training has not seen. Means over episodes, goals "
+            f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % t intervals over the seeds of "
+            "training; a single seed has none. "
+            "Minus scripted: the score less that of the scripted manager over the same benches. "
+            "Last: score of the last checkpoint, as the evaluation that ended training has it. "
+            "Safety: weighted safety events. Instruments: what measuring has cost, in units of the score. "
+            "Where nothing was submitted, purity is 0. Minutes and steps are those of training, a seed."
+        )
+    for scenario in dict.fromkeys(group.scenario for group, rows in tables if rows):
+        lines = [line for group, rows in tables if group.scenario == scenario for line in rows]
+        yield from ("", f"## {scenario}", "", *_table(lines, _HEADINGS))
+    notes = [note for group in groups for note in _notes(group)]
+    if notes:
+        yield from ("", "## Notes", "", *(f"- {note}" for note in notes))
+    if picture is not None:
+        yield from ("", "## Learning curves", "", f"![{_CURVES}]({picture})", "")
+        yield (
+            "Dashed: the scripted manager. Where a curriculum lets training episodes begin half way, the lines are "
+            "above what a whole episode comes to until it is over; the points are whole episodes."
+        )
+    if left_out:
+        yield from ("", "## Left out", "", *(f"- {line}" for line in left_out))
+
+
+_HEADINGS = (
+    *("benches", "manager", "score", "minus scripted", "last", "safety", "submitted (mol)", "purity (%)"),
+    *("instruments", "ticks", "seeds", "minutes", "steps"),
+)
+_BRIEF = ("scenario", "benches", "manager", "score", "last", "safety", "instruments", "seeds", "minutes")
+_WORDS = ("scenario", "benches", "manager")
+
+
+def _table(rows: Sequence[Mapping[str, str]], headings: Sequence[str]) -> list[str]:
+    columns = {name: name not in _WORDS for name in headings}
+    return markdown_table(columns, ([row.get(name, "") for name in headings] for row in rows))
+
+
+def brief_table(folder: Path, shipped: bool) -> list[str]:
+    """The scores of a folder of tables as the lines of one Markdown table: of what has learned (best checkpoints, and
+    last ones beside them), of the best constant plan, and of the scripted managers.
+
+    Args:
+        folder: the tables.
+        shipped: whether of the scenarios that come with chemlab, or of the others.
+
+    Raises:
+        ValueError: there is no ``managers.csv``, or a table is not what was written.
+    """
+    if not (folder / _TABLE).exists():
+        raise ValueError(f"{folder}: has no {_TABLE}; chemlab figures RUNS --collect {folder} makes it")
+    groups = [group for group in _groups(read_runs(folder), folder) if (group.scenario in scenario_names()) == shipped]
+    rows = [
+        {**row, "scenario": f"`{group.scenario}`"}
+        for group in groups
+        for row in _rows(group, baselines=("plan", "scripted", "direct"))
+    ]
+    return _table(rows, _BRIEF)
+
+
+def _rows(group: _Group, baselines: Sequence[str] = tuple(BASELINES)) -> Iterator[dict[str, str]]:
+    """A group's lines, {heading: cell}: every label, then the managers that learned nothing."""
+    scripted = _means(group.of(_SCRIPTED))
+    for label, runs in group.labels.items():
+        shown = [run for run in runs if group.of(_LEARNED, run.name)]
+        if not shown:
+            continue
+        means = [_means(group.of(_LEARNED, run.name)) for run in shown]
+        beside = [_means(group.of(_SCRIPTED, run.name)) or scripted for run in shown]
+        scores = np.array([_overall(one, "score") for one in means])
+        others = [role for role in _learned(shown[0]) if role != MANAGER_ROLE]
+        steps = [run.finished.steps for run in shown]
+        minutes = float(np.mean([run.finished.seconds for run in shown])) / 60.0
+        yield {
+            **_cells(f"{group.background}; learned: {', '.join(others)}" if others else group.background, means),
+            "manager": display_name(label),
+            "score": _interval(scores),
+            "minus scripted": _interval(scores - [_overall(one, "score") for one in beside], "+"),
+            "last": number_text(float(np.mean([run.finished.last_mean for run in shown]))),
+            "seeds": str(len(shown)),
+            "minutes": f"{minutes:.0f}" if minutes >= 10.0 else f"{minutes:.1f}",
+            "steps": f"{min(steps):,}" if min(steps) == max(steps) else f"{min(steps):,} to {max(steps):,}",
+        }
+    for name in baselines:
+        own = _means(group.of(name))
+        if own:
+            score = _overall(own, "score")
+            gain = "" if name == _SCRIPTED else number_text(score - _overall(scripted, "score"), sign="+")
+            said = {"manager": BASELINES[name][1], "score": number_text(score), "minus scripted": gain}
+            yield {**_cells(group.background, [own]), **said}
+
+
+def _cells(benches: str, means: Sequence[Means]) -> dict[str, str]:
+    """What learned and other managers have alike; ``means`` are those of each seed."""
+    over = {measure: float(np.mean([_overall(one, measure) for one in means])) for measure in MEASURES}
+    return {
+        "benches": benches,
+        "safety": number_text(over["safety_cost"]),
+        "submitted (mol)": number_text(over["submitted_mol"]),
+        "purity (%)": f"{100.0 * over['purity']:.1f}",
+        "instruments": number_text(over["instruments"]),
+        "ticks": f"{over['ticks']:.0f}",
+    }
+
+
+def _overall(means: Means, measure: str) -> float:
+    """Mean over goals."""
+    return float(np.mean([by_measure[measure] for by_measure in means.values()]))
+
+
+def _interval(values: Any, sign: str = "") -> str:
+    """Mean over seeds and its interval; one seed has none."""
+    return interval_text(statistics.mean([values]).as_dict(), sign=sign)
+
+
+def _notes(group: _Group) -> Iterator[str]:
+    """What a reader has to know of runs."""
+    how = ("episodes", "seed", "chemlab")
+    scripted = group.of(_SCRIPTED)
+    for run in group.runs:
+        for row in group.of(_LEARNED, run.name)[:1]:
+            if scripted and any(row[name] != scripted[0][name] for name in how):
+                yield (
+                    f"{run.name}: played earlier than the others, by chemlab {row['chemlab']}: "
+                    f"{row['episodes']} episodes a goal from seed {row['seed']}"
+                )
+            if row["same_task"] != "True":
+                yield f"{run.name}: the scenario has changed since it was trained"

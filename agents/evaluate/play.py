@@ -1,0 +1,271 @@
+"""Evaluate policies: many experiments at once, per goal, every policy from the same seeds."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from chemlab.config.materials import DataError
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.lab.engine import Laboratories
+
+from ..executors import Inline, completed
+from ..player import Played, play_bench, play_laboratory
+from ..policies import bench_policy, make_policies
+from ..runs import versions
+from . import statistics
+from .statistics import Estimate
+
+__all__ = ["BenchTarget", "LaboratoryTarget", "evaluate", "find_target"]
+
+BATCH = 256
+"""Most experiments played at once; results do not depend on it (but those of random policies)."""
+
+
+# -- what is evaluated ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BenchTarget:
+    """A single bench of a scenario; ``env_id`` where it was asked for by one."""
+
+    scenario: Scenario
+    bench: str
+    starts: str = "paper"
+    env_id: str | None = None
+    split: str = "train"
+
+    @property
+    def goals(self) -> tuple[str, ...]:
+        """Goals its experiments may be run for."""
+        return tuple(self.scenario.goals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For results files."""
+        return {
+            "kind": "bench",
+            "env_id": self.env_id,
+            "scenario": self.scenario.name,
+            "bench": self.bench,
+            "starts": self.starts,
+            "split": self.split,
+        }
+
+    def environment(self, members: int) -> BenchVectorEnv:
+        """A batch of it."""
+        return BenchVectorEnv(
+            members,
+            scenario=self.scenario,
+            bench=self.bench,
+            starts=self.starts,
+            autoreset_mode="SameStep",
+            split=self.split,
+        )
+
+    def play(
+        self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
+    ) -> Played:
+        """Episodes of a policy given by name, see :func:`~chemlab.agents.player.play_bench`."""
+        parts = []
+        for first in range(0, episodes, BATCH):
+            env = self.environment(min(BATCH, episodes - first))
+            parts.append(play_bench(env, bench_policy(policy, env.bench, seed + first), goal, seed + first))
+            if watch is not None:
+                watch(env.num_envs)
+        return Played.joined(parts)
+
+
+@dataclass(frozen=True)
+class LaboratoryTarget:
+    """A whole laboratory."""
+
+    scenario: Scenario
+    split: str = "train"
+
+    @property
+    def goals(self) -> tuple[str, ...]:
+        """Goals a laboratory may be asked for."""
+        return tuple(self.scenario.lab_goals)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For results files."""
+        return {
+            "kind": "laboratory",
+            "env_id": None,
+            "scenario": self.scenario.name,
+            "bench": None,
+            "starts": None,
+            "split": self.split,
+        }
+
+    def play(
+        self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
+    ) -> Played:
+        """Episodes of a policy given by name, see :func:`~chemlab.agents.player.play_laboratory`."""
+        parts = []
+        for first in range(0, episodes, BATCH):
+            labs = Laboratories(self.scenario, min(BATCH, episodes - first), split=self.split)
+            parts.append(play_laboratory(labs, make_policies(policy, labs, seed + first), goal, seed + first))
+            if watch is not None:
+                watch(len(labs.members))
+        return Played.joined(parts)
+
+
+Target = BenchTarget | LaboratoryTarget
+
+
+def find_target(name: str, bench: str | None = None, starts: str = "paper", split: str = "train") -> Target:
+    """What ``chemlab evaluate`` was asked for.
+
+    Args:
+        name: id of a registered single-bench environment, or a scenario.
+        bench: bench of the scenario; without one the whole laboratory.
+        starts: starting states of a single bench, ``paper``, ``lab`` or ``both``.
+        split: worlds, of a scenario that draws some.
+
+    Raises:
+        ValueError: ``name`` is an id that is not registered or not a bench's.
+        DataError: unknown scenario or bench.
+    """
+    if name in gymnasium.registry:
+        spec = gymnasium.spec(name)
+        if not str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
+            raise ValueError(f"{name}: not a single bench of chemlab")
+        arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}
+        return BenchTarget(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)
+    if name.startswith("chemlab/"):
+        known = ", ".join(key for key in gymnasium.registry if key.startswith("chemlab/"))
+        raise ValueError(f"{name}: no such environment; known: {known}")
+    scenario = load_scenario(name)
+    if bench is None:
+        return LaboratoryTarget(scenario, split)
+    if bench not in scenario.benches:
+        raise DataError(f"bench: {scenario.name} has {', '.join(scenario.benches)}, given {bench!r}")
+    return BenchTarget(scenario, bench, starts, split=split)
+
+
+# -- evaluating -----------------------------------------------------------------------------------------------------
+
+
+def evaluate(
+    target: Target,
+    policies: Sequence[str],
+    episodes: int = 100,
+    seed: int = 0,
+    goals: Sequence[str] | None = None,
+    baseline: str = "heuristic",
+    watch: Callable[[int], None] | None = None,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
+    """Play every policy from the same seeds and compare it with a baseline.
+
+    Args:
+        target: a bench or a laboratory.
+        policies: names or paths, see :func:`~chemlab.agents.policies.bench_policy`; the baseline is played whether or
+            not it is among them.
+        episodes: for each goal; episode i has seed + i, whatever the policy and the goal.
+        seed: of the first episode.
+        goals: default: all of the target's.
+        baseline: what improvement is measured over.
+        watch: called with the number of episodes just played.
+        executor: plays batches of episodes, see :mod:`chemlab.agents.executors`; None: this process.
+
+    Returns:
+        Plain data, as ``chemlab evaluate --out`` writes it: what was played, and for each policy the mean,
+        interquartile mean, mean paired difference to the baseline and paired probability of improvement over it (each
+        ``value``, ``low``, ``high``), the same by goal, and every episode's return.
+
+    Raises:
+        ValueError: unknown policy or goal, or fewer than one episode.
+    """
+    chosen = tuple(goals or target.goals)
+    unknown = [goal for goal in chosen if goal not in target.goals]
+    if unknown or len(set(chosen)) < len(chosen):
+        raise ValueError(f"goals: known: {', '.join(target.goals)}, each once; given {', '.join(chosen)}")
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, given {episodes}")
+    names = list(dict.fromkeys((baseline, *policies)))
+    batches = [(name, goal, first) for name in names for goal in chosen for first in range(0, episodes, BATCH)]
+    play = functools.partial(_batch, target=target, episodes=episodes, seed=seed)
+    played: dict[tuple[str, str, int], Played] = {}
+    for batch, part in completed(executor or Inline(), play, batches):
+        played[batch] = part
+        if watch is not None:
+            watch(len(part.returns))
+    found = {
+        name: {
+            goal: Played.joined([played[name, goal, first] for first in range(0, episodes, BATCH)]) for goal in chosen
+        }
+        for name in names
+    }
+    return {
+        "kind": "evaluation",
+        "format": 1,
+        "target": target.as_dict(),
+        "goals": list(chosen),
+        "episodes_per_goal": episodes,
+        "seed": seed,
+        "baseline": baseline,
+        "confidence": statistics.CONFIDENCE,
+        "versions": versions(),
+        "policies": [_report(name, played, found[baseline]) for name, played in found.items()],
+    }
+
+
+def _batch(batch: tuple[str, str, int], target: Target, episodes: int, seed: int) -> Played:
+    """The episodes of (policy, goal) that are played at once from number ``first`` on."""
+    policy, goal, first = batch
+    return target.play(policy, goal, min(BATCH, episodes - first), seed + first)
+
+
+def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -> dict[str, Any]:
+    """One policy's part of the results."""
+    episodes = list(played.values())
+    cases = sorted({case for goal in episodes for case in goal.cases} - {""})
+    everything = Played.joined(episodes)
+    return {
+        "policy": name,
+        **_statistics(list(played), played, baseline),
+        "by_goal": {
+            goal: {**_statistics([goal], played, baseline), "mean_length": float(episodes.lengths.mean())}
+            for goal, episodes in played.items()
+        },
+        "by_case": {case: _case_mean(case, episodes).as_dict() for case in cases},
+        "mean_length": float(everything.lengths.mean()),
+        "mean_cost": float(everything.cost.mean()),
+        "illegal_actions_per_episode": float(everything.illegal.mean()),
+        "measures": {key: float(values.mean()) for key, values in everything.measures.items()},
+        # 6 decimals: far finer than anything a score depends on, and half the file.
+        "returns": {goal: np.round(episodes.returns, 6).tolist() for goal, episodes in played.items()},
+        "cases": {goal: episodes.cases for goal, episodes in played.items()} if cases else {},
+    }
+
+
+def _case_mean(case: str, goals: Sequence[Played]) -> Estimate:
+    """Mean return of the episodes that began in a state of one kind."""
+    chosen = [np.array(goal.cases) == case for goal in goals]
+    together = all(np.array_equal(one, chosen[0]) for one in chosen)
+    returns = [goal.returns[one] for goal, one in zip(goals, chosen, strict=True) if one.any()]
+    return statistics.mean(returns, together=together)
+
+
+def _statistics(
+    goals: Sequence[str], played: dict[str, Played], baseline: dict[str, Played]
+) -> dict[str, dict[str, float]]:
+    """Statistics over goals, whose episodes have the same seeds and so belong together."""
+    ours = [played[goal].returns for goal in goals]
+    theirs = [baseline[goal].returns for goal in goals]
+    estimates: dict[str, Estimate] = {
+        "mean": statistics.mean(ours, together=True),
+        "interquartile_mean": statistics.interquartile_mean(ours, together=True),
+        "difference": statistics.mean([x - y for x, y in zip(ours, theirs, strict=True)], together=True),
+        "improvement": statistics.paired_improvement(ours, theirs, together=True),
+    }
+    return {key: estimate.as_dict() for key, estimate in estimates.items()}

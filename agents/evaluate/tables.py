@@ -1,0 +1,92 @@
+"""Tables of results: CSV files with a header, ``.csv`` or, packed, ``.csv.gz``."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import itertools
+import sys
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from chemlab.config.files import read_bytes, write_bytes
+
+__all__ = ["markdown_table", "number", "read_table", "write_table"]
+
+_TABLE_BYTES, _TABLE_ROWS = 32_000_000, 500_000
+"""Of a table, unpacked: several times the curves of a thousand runs."""
+
+
+def number(value: float | None, decimals: int | None = None) -> str:
+    """A number as a table has it, with at most so many decimals (None: as it is); an empty cell stands for None."""
+    if value is None:
+        return ""
+    return repr(float(value) if decimals is None else round(float(value), decimals) + 0.0)
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows as a file; the same rows make the same bytes."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    content = text.getvalue().encode()
+    write_bytes(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+
+
+def read_table(
+    path: Path, columns: Sequence[str], numbers: Mapping[str, type] | None = None, blank: Sequence[str] = ()
+) -> list[dict[str, str]]:
+    """The rows of a file, {column: cell}; none where there is no such file.
+
+    Args:
+        path: the file.
+        columns: the ones it must have.
+        numbers: kind of the columns that have numbers, ``int`` or ``float``, by name; of others, too.
+        blank: of these, the ones in which a cell may be empty.
+
+    Raises:
+        ValueError: it is no table, is larger than one may be, or has other columns, or a cell that is no number.
+    """
+    try:
+        content = read_bytes(path, _TABLE_BYTES)
+        if path.suffix == ".gz":
+            with gzip.open(io.BytesIO(content)) as file:
+                content = file.read(_TABLE_BYTES + 1)
+        if len(content) > _TABLE_BYTES:
+            raise ValueError(f"more than {_TABLE_BYTES} bytes")
+        reader = csv.DictReader(io.StringIO(content.decode()))
+        rows = list(itertools.islice(reader, _TABLE_ROWS + 1))
+        if len(rows) > _TABLE_ROWS:
+            raise ValueError(f"more than {_TABLE_ROWS} rows")
+    except FileNotFoundError:
+        return []
+    except (OSError, EOFError, ValueError, zlib.error, csv.Error) as error:
+        raise ValueError(f"{path}: not a table of results ({error})") from error
+    found = list(reader.fieldnames or ())
+    if found != list(columns):
+        raise ValueError(f"{path}: has the columns {', '.join(found)[:300]}; needs {', '.join(columns)}")
+    if short := next((i for i, row in enumerate(rows, start=2) if None in row.values() or None in row), None):
+        raise ValueError(f"{path}:{short}: has not {len(columns)} cells")
+    for column in columns:
+        kind = (numbers or {}).get(column, str)
+        for line, row in enumerate(rows if kind is not str else (), start=2):
+            if not _is_number(row[column], kind) and (row[column] or column not in blank):
+                raise ValueError(f"{path}:{line}: {column}: must be a number, given {row[column]!r:.100}")
+    return rows
+
+
+def _is_number(cell: str, kind: type) -> bool:
+    try:
+        return bool(abs(kind(cell)) <= sys.float_info.max)
+    except ValueError:
+        return False
+
+
+def markdown_table(columns: Mapping[str, bool], rows: Iterable[Sequence[str]]) -> list[str]:
+    """The lines of a Markdown table; ``columns``: {heading: whether it has numbers, which stand to the right}."""
+    rules = ["--:" if numeric else "---" for numeric in columns.values()]
+    return [f"| {' | '.join(columns)} |", f"|{'|'.join(rules)}|", *(f"| {' | '.join(cells)} |" for cells in rows)]

@@ -1,0 +1,259 @@
+"""Scripted policy of the crystallization bench: dissolve hot, filter, cool, seed, wait, filter, wash, dry."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.physics.constants import GAS_CONSTANT
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.crystallization_bench import CrystallizationBench
+
+__all__ = ["CrystallizationHeuristic", "solubility"]
+
+_PATIENCE = 30
+_FULLEST = 0.85
+"""Share of the vessel that is filled at most."""
+_SPARE = 1.1
+"""Solvent taken, by what would dissolve the crude product if it were all goal."""
+_HOT_K = 3.0
+"""Kept below the hottest, and above the coolest, that the bath can be."""
+_COLD_K = 283.15
+"""Colder, and impurities come down, too."""
+_SEED_AT = 0.8
+"""Seeded where the solubility is this share of what is in solution: past saturation, before crystals come by
+themselves."""
+_STILL = 0.01
+"""Relative change of the solids' volume in a step, below which nothing dissolves or grows any more."""
+_LEAST_SOLIDS = 5e-4
+"""Of the volume: solids worth a filter."""
+_MOSTLY_SOLID = 0.8
+"""Solids' share of the volume below which crystals stand in their liquor: they are collected, not dissolved anew."""
+_THINNED = 2.0
+"""Litres of a bad solvent to each of a solution from which it is to bring crystals down."""
+_DRY = 0.9999
+"""Solids' share of the volume of what counts as dry."""
+_WASHES = 2
+_WASH_L = 0.05
+_SEED_G = 0.05
+_KJ_PER_L_K = 4.2
+
+ADD, DISSOLVE, STRAIN, ASIDE, BACK, COOL, COLLECT, WASH, DRAIN, DRY = range(10)
+
+
+def solubility(scenario: Scenario, solute: str, solvent: str, temperature_k: float) -> float:
+    """mol of a solid that a litre of solvent dissolves, by its heat of fusion and the activity in the solution.
+
+    Args:
+        scenario: whose materials and pairs; physics ``real``.
+        solute, solvent: materials; the solute has a heat of fusion.
+        temperature_k: below its melting point.
+
+    Raises:
+        ValueError: the solute does not crystallize.
+    """
+    material, liquid = scenario.materials[solute], scenario.materials[solvent]
+    if material.real is None or material.real.fusion_enthalpy_j_mol is None or material.melting_point_k is None:
+        raise ValueError(f"{solute!r} has no heat of fusion, and so does not crystallize")
+    ideal = material.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / material.melting_point_k - 1.0 / temperature_k)
+    table = pair_table((solute, solvent), scenario.pairs)
+    tau: FloatArray = table.a + table.b / temperature_k + table.c * math.log(temperature_k / REFERENCE_K)
+    low, high = -50.0, 0.0
+    for _ in range(60):  # the largest ln x below which the activity is less than that of the crystals
+        middle = 0.5 * (low + high)
+        x = math.exp(middle)
+        gamma = log_activity_coefficients(np.array([x, 1.0 - x]), tau, table.alpha)
+        low, high = (middle, high) if middle + float(gamma[0]) < ideal else (low, middle)
+    x = math.exp(low)
+    return x / (1.0 - x) * 1000.0 * liquid.density_kg_l / liquid.molar_mass_g_mol
+
+
+@dataclass
+class _Batch:
+    """What the script remembers of an experiment."""
+
+    phase: int = ADD
+    solvent_l: float = 0.0
+    """still to be added"""
+    seed_k: float = 0.0
+    solids_l: float = math.inf
+    seeded: bool = False
+    washes: int = 0
+    solvent: str = "water"
+    hot_k: float = math.inf
+    patience: int = _PATIENCE
+    """steps that are still waited for everything to dissolve"""
+
+
+class CrystallizationHeuristic:
+    """Collects, washes and dries crystals that come in their liquor. Of a crude product takes as much hot water as it
+    needs, by the goal's solubility; filters off what is left; cools, seeds just past saturation and waits until no more
+    comes down; filters, washes twice with a little, dries.
+
+    Args:
+        bench: the bench it is for.
+        careful: False neither filters the hot solution nor seeds.
+    """
+
+    def __init__(self, bench: CrystallizationBench, careful: bool = True) -> None:
+        self._bench, self._careful = bench, careful
+        self._slices = channel_slices(bench.channels)
+        self._gauges = {channel.name: channel for channel in bench.channels}
+        self._hot_k = bench.options.hottest_k - _HOT_K
+        self._cold_k = max(_COLD_K, bench.options.coolest_k + _HOT_K)
+        processes = bench.options.process
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+        self._actions: dict[tuple[str | None, ...], list[tuple[float, int]]] = {}
+        for process, start in zip(processes, starts.tolist(), strict=False):
+            key = (process.kind, process.target if process.kind in ("filter", "pour") else None, process.material)
+            self._actions[key] = sorted((m, start + i) for i, m in enumerate(process.magnitudes))
+        self._wait = self._most(("settle", None, None), math.inf)
+        self._memory: dict[int, _Batch] = {}
+
+    def _solvent_for(self, goal: str, mol: float, room_l: float) -> tuple[str, float, float]:
+        """The solvent at the bench that gives most of a solid back when it cools, how hot it can be, and litres of it:
+        of those that dissolve all in what the vessel has room for, if there are any."""
+        scenario = self._bench.scenario
+        found: list[tuple[bool, float, str, float, float]] = []
+        for process in self._bench.options.process:
+            if process.kind != "add" or process.material is None or process.material == goal:
+                continue
+            hot_k = min(self._hot_k, scenario.materials[process.material].boiling_point_k - _HOT_K)
+            hot, cold = (solubility(scenario, goal, process.material, t) for t in (hot_k, self._cold_k))
+            litres = _SPARE * mol / hot
+            found.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
+        if not found:
+            raise ValueError(f"benches.{self._bench.key}: its script needs a process that adds a solvent")
+        _, _, liquid, hot_k, litres = max(found)
+        return liquid, hot_k, min(litres, max(room_l, 0.0))
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the crystallization bench has discrete actions"
+        chosen = []
+        for o, m, s, i in zip(observation, mask, step.tolist(), members.tolist(), strict=True):
+            read = {name: self._read(o, name) for name in ("temperature", "volume", "solids")}
+            if s == 0:
+                goal = int(o[self._slices["goal"]].argmax())
+                self._memory[i] = self._wet(read["volume"], read["solids"], goal)
+            action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)
+            chosen.append(action if mask is not None and m[action] else self._bench.end_action)
+        return np.array(chosen, dtype=np.int64)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return copy.deepcopy(self._memory)
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._memory = copy.deepcopy(memory)
+
+    def _read(self, observation: ObservationArray, name: str) -> float:
+        gauge = self._gauges[name]
+        return gauge.low + float(observation[self._slices[name]][0]) * (gauge.high - gauge.low)
+
+    def _wet(self, litres: float, solids: float, goal: int) -> _Batch:
+        """What is to be done with what comes: dissolve it anew if it is mostly solid; of a slurry collect the crystals;
+        of a solution bring them down with the liquid at the bench that dissolves the least."""
+        if solids >= _MOSTLY_SOLID:
+            return self._begin(litres, goal)
+        if solids > _LEAST_SOLIDS:
+            return _Batch(phase=COOL, seeded=True)
+        name, scenario = self._bench.goals.names[goal], self._bench.scenario
+        liquids = [key[2] for key in self._actions if key[0] == "add" and key[2] not in (None, name)]
+        worst = min(liquids, key=lambda liquid: solubility(scenario, name, str(liquid), self._cold_k))
+        room = max(_FULLEST * self._bench.spec.start.capacity_l - litres, 0.0)
+        return _Batch(solvent_l=min(_THINNED * litres, room), solvent=str(worst), hot_k=0.0, seed_k=math.inf)
+
+    def _begin(self, crude_l: float, goal: int) -> _Batch:
+        """How much solvent, and where to seed, for that much crude product."""
+        scenario, name = self._bench.scenario, self._bench.goals.names[goal]
+        material = scenario.materials[name]
+        mol = max(crude_l, 1e-6) * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
+        room = _FULLEST * self._bench.spec.start.capacity_l - crude_l
+        liquid, hot_k, solvent = self._solvent_for(name, mol, room)
+        low, high = self._cold_k, hot_k
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            wanted = _SEED_AT * mol / max(solvent, 1e-9)  # a vessel may have come full
+            low, high = (middle, high) if solubility(scenario, name, liquid, middle) < wanted else (low, middle)
+        return _Batch(solvent_l=solvent, seed_k=low, solvent=liquid, hot_k=hot_k)
+
+    def _most(self, key: tuple[str | None, ...], wanted: float) -> int:
+        """The largest magnitude of at most ``wanted``, or else the smallest."""
+        found = self._actions[key]
+        return next((action for magnitude, action in reversed(found) if magnitude <= wanted), found[0][1])
+
+    def _warm(self, kelvin: float, litres: float, wanted_k: float) -> int:
+        """Heat or cool towards a temperature; wait where that is close."""
+        joules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
+        heats = self._actions["heat", None, None]
+        fitting = [(abs(q), a) for q, a in heats if q * joules > 0.0 and abs(q) <= abs(joules)]
+        return max(fitting)[1] if fitting else self._wait
+
+    def _still(self, batch: _Batch, solids_l: float) -> bool:
+        """Whether the solids have stayed what they were."""
+        before, batch.solids_l = batch.solids_l, solids_l
+        return abs(solids_l - before) <= _STILL * max(solids_l, 1e-9)
+
+    def _decide(self, batch: _Batch, kelvin: float, litres: float, solids: float, mask: MaskArray) -> int:
+        add = ("add", None, batch.solvent)
+        least = self._actions[add][0][0]
+        if batch.phase == ADD:
+            if batch.solvent_l > least:
+                action = self._most(add, batch.solvent_l)
+                batch.solvent_l -= next(m for m, a in self._actions[add] if a == action)
+                return action
+            batch.phase = DISSOLVE
+        if batch.phase == DISSOLVE:
+            still = self._still(batch, solids * litres)
+            action = self._warm(kelvin, litres, batch.hot_k)
+            batch.patience -= 1
+            # Where the smallest step of heat is too much, or it boils before, it is as hot as it gets.
+            if batch.patience and (not still or (kelvin < batch.hot_k - _HOT_K and action != self._wait)):
+                return action
+            batch.phase = STRAIN if self._careful and solids > _LEAST_SOLIDS else COOL
+        if batch.phase in (STRAIN, ASIDE, BACK):
+            batch.phase += 1
+            kind, target = {ASIDE: ("filter", "F"), BACK: ("pour", "W"), COOL: ("pour", "CV")}[batch.phase]
+            return self._pour_back() if target == "CV" else self._most((kind, target, None), 1.0)
+        if batch.phase == COOL:
+            if self._careful and not batch.seeded and kelvin <= batch.seed_k:
+                batch.seeded = True
+                return self._most(("seed", None, None), _SEED_G)
+            still = self._still(batch, solids * litres)
+            if kelvin > self._cold_k + 1.0 or not still:
+                unseeded = self._careful and not batch.seeded
+                action = self._warm(kelvin, litres, batch.seed_k if unseeded else self._cold_k)
+                if not still or action != self._wait:
+                    return action
+            batch.phase = COLLECT
+        if batch.phase == COLLECT:
+            batch.phase = WASH
+            return self._most(("filter", "F", None), 1.0)
+        if batch.phase == WASH and batch.washes < _WASHES:
+            batch.washes, batch.phase = batch.washes + 1, DRAIN
+            return self._most(add, _WASH_L)
+        if batch.phase == DRAIN:
+            batch.phase = WASH
+            return self._most(("filter", "F", None), 1.0)
+        batch.phase = DRY
+        dry = self._most(("dry", None, None), math.inf)
+        return dry if solids < _DRY and mask[dry] else self._bench.end_action
+
+    def _pour_back(self) -> int:
+        """Pour F -> CV."""
+        for action, meaning in enumerate(self._bench.action_meanings):
+            if meaning.startswith("pour F -> CV"):
+                return action
+        raise ValueError(f"benches.{self._bench.key}: its script needs a process that pours F -> CV")

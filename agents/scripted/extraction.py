@@ -1,0 +1,115 @@
+"""Scripted policy of the extraction bench: decant off metal, or wash, settle, drain, repeat."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.roles.bench import CAMERA_PIXELS
+from chemlab.roles.extraction_bench import ExtractionBench
+
+from .script import count_pixels
+
+__all__ = ["ExtractionHeuristic"]
+
+_WASHES = 4
+
+DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
+
+
+class ExtractionHeuristic:
+    """If metal lies at the bottom, drains the solids off and ends: water must not meet it, and it now stands in B1.
+    Else
+    washes with the first solvent: add, mix, settle, drain the lower layer into B1, several times: little and often
+    takes out more than much at once.
+
+    Args:
+        bench: the bench it is for.
+        careful: False washes whatever lies at the bottom.
+    """
+
+    wash_l = 0.05
+    """Litres that a wash should have."""
+
+    def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
+        materials = bench.scenario.materials
+        violent = {name for step in bench.scenario.family.violent for name in step.reactants}
+        self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent and careful]
+        self._solids = [m.shade for m in materials.values() if m.role == "solid"]
+        processes = bench.options.process
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+
+        def find(kind: str, **wanted: str) -> int:
+            for i, process in enumerate(processes):
+                if process.kind == kind and all(getattr(process, key) == value for key, value in wanted.items()):
+                    return i
+            raise ValueError(f"benches.{bench.key}: its script needs a process {kind!r}")
+
+        drain, add, mix, settle = find("drain", vessel="EV", target="B1"), find("add"), find("mix"), find("settle")
+        self._wash_shade = materials[str(processes[add].material)].shade
+        # (magnitude, action), largest first: what fits of it is taken.
+        self._drains = sorted(
+            ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
+        )
+        self._add = int(starts[add]) + int(np.argmin([abs(m - self.wash_l) for m in processes[add].magnitudes]))
+        self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
+        self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
+        self._end = bench.end_action
+        self._phase: dict[int, int] = {}
+        self._washes: dict[int, int] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the extraction bench has discrete actions"
+        rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
+        return np.array([self._decide(*row) for row in rows], dtype=np.int64)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return copy.deepcopy((self._phase, self._washes))
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._phase, self._washes = copy.deepcopy(memory)
+
+    def _drain(self, pixels: int) -> int:
+        percent = 100.0 * pixels / CAMERA_PIXELS
+        return next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), self._drains[-1][1])
+
+    def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        if step == 0:
+            self._phase[member] = DECANT if count_pixels(picture, self._metals) else ADD
+            self._washes[member] = 0
+        phase = self._phase[member]
+        if phase == DECANT:
+            solid = count_pixels(picture, self._solids)
+            if solid:
+                return self._drain(solid)
+            # What is less than a pixel may hide: one pixel of liquid more takes it along.
+            self._phase[member] = DONE
+            return self._drains[-1][1]
+        if phase == ADD and (self._washes[member] >= _WASHES or not mask[self._add]):
+            phase = DONE
+        if phase == ADD:
+            self._phase[member] = MIX
+            return self._add
+        if phase == MIX:
+            self._phase[member] = SETTLE
+            return self._mix
+        if phase == SETTLE:
+            self._phase[member] = DRAIN
+            return self._settle
+        if phase == DRAIN:
+            lower = count_pixels(picture, [self._wash_shade])
+            if lower:
+                return self._drain(lower)
+            self._phase[member] = ADD
+            self._washes[member] += 1
+            return self._decide(picture, mask, step, member)
+        return self._end

@@ -1,0 +1,500 @@
+"""Scripted manager that foresees: plays recipes on worlds drawn from the prior, and weighs these by what it reads.
+
+A *recipe* is a sequence of experiments of the scripted benches on one vessel. Before an episode the manager plays every
+recipe that may be worth it in laboratories of the public scenario whose worlds it draws itself, and keeps what the
+instrument would read and what a submission would be worth after each experiment. In an episode it keeps the
+probability of each of those worlds for every vessel, brings it up to date with every reading (Bayes), goes on with the
+best recipe, and looks where the expected gain of knowing more is above the price.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.draws import VESSEL_QUANTITIES
+from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Players, Policy
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench import Bench, channel_slices
+
+from .script import ScriptedManager, Setting, cheapest, likelihood
+
+__all__ = ["ForeseeingManager", "foresees", "run_experiment"]
+
+_COMMON, _OWN = 12, 512
+"""Worlds that are played: numbers that vessels share, and those that a vessel has for itself; where there are both,
+fewer of these."""
+_OWN_OF_COMMON = 32
+_MOST_RUNS = 12
+"""Experiments of a reaction bench that one vessel may have."""
+_SAMPLES = 32
+"""Readings that are thought of before one is paid for."""
+_MODEL_ERROR = 0.006
+"""Standard deviation of readings besides their noise: a world lies between those that were played."""
+_SURPRISE = 1e-9
+"""Likelihood that is left to what a reading speaks against."""
+_MOST_LOOKS = 3
+_SEED = 7_000_000
+"""Of the worlds that are thought of."""
+
+Step = tuple[str, str]
+"""An experiment: the bench's agent, and the goal."""
+
+
+def run_experiment(
+    laboratories: Laboratories, policies: Sequence[Policy | None], step: Step, members: IntArray, slot: int = 0
+) -> None:
+    """Run one experiment on a slot of every laboratory, up to the manager's next turn.
+
+    Args:
+        laboratories: where.
+        policies: of every agent, in order; None for the manager.
+        step: the bench's agent, and the goal.
+        members: [B] laboratories in which it may be begun.
+        slot: of the vessel.
+    """
+    actions = laboratories.actions
+    for action in (actions.encode("start", step[0], slot, step[1]), actions.encode("wait")):
+        laboratories.act(0, members, np.full(len(members), action))
+    Players(laboratories, policies).play_on(members)
+
+
+def foresees(scenario: Scenario) -> bool:
+    """Whether worlds differ in numbers, and vessels that are alike in the file may be told apart by nothing else: what
+    this module's manager can think through."""
+    draws = scenario.world.draws.values()
+    slots = [f"slot_{i}" for i in range(len(scenario.shelf.vessel))]
+    alike = all(vessel == scenario.shelf.vessel[0] for vessel in scenario.shelf.vessel)
+    everywhere = all(
+        set(slots) <= set(draw.of) or draw.shared == "episode"
+        for draw in draws
+        if draw.what in VESSEL_QUANTITIES and any(name in slots for name in draw.of)
+    )
+    return scenario.physics == "real" and bool(draws) and alike and everywhere
+
+
+@dataclass(frozen=True)
+class _Foresight:
+    """What becomes of a vessel: S worlds of what vessels share, O of what each has for itself, K stages of recipes.
+
+    Attributes:
+        stages: what has been done to a vessel, stage 0 being nothing.
+        after: by stage, the stages that it leads to, itself first.
+        readings: [S * O, K, R] what the instrument reads there without noise.
+        fills: [S * O] fill level that it comes with.
+        worth: [S * O, K] of a submission.
+        costs: [S * O, K] what has been paid by then.
+    """
+
+    stages: list[tuple[Step, ...]]
+    after: list[IntArray]
+    readings: FloatArray
+    fills: FloatArray
+    worth: FloatArray
+    costs: FloatArray
+
+    @functools.cached_property
+    def still(self) -> list[FloatArray]:
+        """By stage, [S * O, stages after it] what a submission is worth there, less what is to be paid until then."""
+        gains = self.worth - self.costs
+        return [gains[:, to] + self.costs[:, stage, None] for stage, to in enumerate(self.after)]
+
+
+@dataclass
+class _Belief:
+    """What the manager knows in an episode of V vessels.
+
+    Attributes:
+        likelihood: [V, S, O] of all that has been read of each.
+        filled: [V, S, O] the same before anything has been: by how full they are.
+        slots: where they stand.
+        stage: [V] what has been done to each.
+        looks: [V] how often each has been measured at its stage.
+        gone: those that have been submitted.
+        order: the one that is to be filled next.
+        asked: vessel that is being measured, or -1.
+        running: vessel and bench's agent of the experiment, or nothing.
+    """
+
+    likelihood: FloatArray
+    filled: FloatArray
+    slots: list[int]
+    stage: list[int]
+    looks: list[int]
+    gone: set[int] = field(default_factory=set)
+    order: int = 0
+    asked: int = -1
+    running: tuple[int, str] | None = None
+
+
+class ForeseeingManager(ScriptedManager[_Belief]):
+    """Looks at vessels, does with the most promising what promises most, and looks again where that pays.
+
+    Args:
+        setting: what it is told; not careful, it never measures.
+        script: who operates a bench in what it foresees.
+        remember: False concludes from the last look at each vessel that is left, and from nothing before it.
+    """
+
+    def __init__(self, setting: Setting, remember: bool = True, *, script: Callable[[Bench], Policy]) -> None:
+        super().__init__(setting)
+        scenario, careful, skip = setting.scenario, setting.careful, setting.skip
+        self._remember = remember
+        specs = scenario.instruments
+        chosen = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis"))
+        # A budget that pays for no look is as good as no instrument.
+        affordable = chosen is not None and specs[chosen].price <= scenario.limits.budget
+        self._instrument = chosen if careful and affordable else None
+        self._foresight = {
+            goal: _foreseen(_public(scenario), goal, chosen, tuple(sorted(skip)), script) for goal in scenario.lab_goals
+        }
+        self._shape = _sizes(scenario)
+        self._noise = float(np.hypot(specs[chosen].noise, _MODEL_ERROR)) if chosen is not None else 1.0
+        self._price = specs[chosen].price if chosen is not None else 0.0
+        self._fill_noise = float(np.hypot(scenario.shelf.gauge / np.sqrt(12.0), _MODEL_ERROR))
+        # The same thoughts every time: which worlds, spread over all that are likely, and which noise.
+        self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        size = next(iter(self._foresight.values())).readings.shape[2]
+        self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
+
+    # -- deciding ---------------------------------------------------------------------------------------------
+
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+        if step == 0:
+            self._kept[member] = self._begin(observation)
+        belief = self._kept[member]
+        if belief.running is not None and self._value(observation, f"{belief.running[1]}_busy") < 0.5:
+            belief.running = None
+        if belief.asked >= 0:
+            v, belief.asked = belief.asked, -1
+            reading = observation[self._slices[f"slot_{belief.slots[v]}_{self._instrument}"]]
+            self._learn(belief, v, reading, self._goal(observation, belief))
+        if belief.running is None and belief.gone and len(belief.gone) == len(belief.slots):
+            # And yet it is not over: somebody else has acted in its place. What is there now?
+            self._kept[member] = self._begin(observation)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        belief = self._kept[member]
+        kind, slot, more = self._taken_apart(action)
+        if slot not in belief.slots or belief.slots.index(slot) in belief.gone:
+            return
+        v = belief.slots.index(slot)
+        if kind == "start":
+            agent, goal = more[:2]
+            stages = next(iter(self._foresight.values())).stages
+            wanted = (*stages[belief.stage[v]], (agent, goal))
+            belief.running = v, agent
+            if wanted in stages:
+                belief.stage[v], belief.looks[v] = stages.index(wanted), 0
+            else:
+                belief.gone.add(v)  # what becomes of it has not been foreseen
+        elif kind == "measure":
+            if more[0] == self._instrument:
+                belief.asked, belief.looks[v] = v, belief.looks[v] + 1
+        else:
+            belief.gone.add(v)
+            if kind == "submit":
+                self._submitted(belief)
+
+    def _submitted(self, belief: _Belief) -> None:
+        belief.order += 1
+        if not self._remember:
+            belief.likelihood[list(belief.gone)] = 1.0
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        belief = self._kept[member]
+        wait = self._actions.encode("wait")
+        if belief.running is not None or not belief.slots:
+            return wait
+        goal = self._goal(observation, belief)
+        promises = self._promises(belief, goal)
+        look = self._next_look(belief, goal, promises, mask)
+        if look is not None:
+            belief.asked, belief.looks[look] = look, belief.looks[look] + 1
+            return self._actions.encode("measure", belief.slots[look], str(self._instrument))
+        v = int(np.argmax(promises.max(axis=1)))
+        stage = int(promises[v].argmax())
+        if stage != belief.stage[v]:
+            return self._go_on(observation, mask, belief, v, goal, stage)
+        return self._submit(mask, belief, v)
+
+    def _begin(self, observation: ObservationArray) -> _Belief:
+        slots = self._occupied(observation)
+        foresight = next(iter(self._foresight.values()))
+        found = np.ones((len(slots), *self._shape))
+        for v, slot in enumerate(slots):
+            fill = np.array([self._value(observation, f"slot_{slot}_fill")])
+            found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
+        return _Belief(found, found.copy(), slots, [0] * len(slots), [0] * len(slots))
+
+    def _goal(self, observation: ObservationArray, belief: _Belief) -> str:
+        channel = self._orders[min(belief.order, len(self._orders) - 1)]
+        return self._scenario.goals[int(observation[self._slices[channel]].argmax())]
+
+    def _go_on(
+        self, observation: ObservationArray, mask: MaskArray, belief: _Belief, v: int, goal: str, stage: int
+    ) -> int:
+        """The next experiment on the way to a stage; room for what comes back first."""
+        done, wanted = (self._foresight[goal].stages[k] for k in (belief.stage[v], stage))
+        step = wanted[len(done)]
+        start = self._actions.encode("start", step[0], belief.slots[v], step[1])
+        if not mask[start]:
+            for slot in self._occupied(observation):
+                discard = self._actions.encode("discard", slot)
+                if slot not in belief.slots and mask[discard]:
+                    return discard
+            return self._submit(mask, belief, v)
+        belief.stage[v] = self._foresight[goal].stages.index(wanted[: len(done) + 1])
+        belief.looks[v], belief.running = 0, (v, step[0])
+        return start
+
+    def _submit(self, mask: MaskArray, belief: _Belief, v: int) -> int:
+        submit = self._encode_submit(belief.slots[v], belief.order)
+        belief.gone.add(v)
+        self._submitted(belief)
+        return submit if mask[submit] else int(mask.argmax())
+
+    # -- knowing ----------------------------------------------------------------------------------------------
+
+    def _likely(self, readings: FloatArray, goal: str, stage: int) -> FloatArray:
+        """[..., S * O] likelihood of readings [..., R] of a vessel at a stage."""
+        return likelihood(readings, self._foresight[goal].readings[:, stage], self._noise, _SURPRISE)
+
+    def _learn(self, belief: _Belief, v: int, reading: ObservationArray, goal: str) -> None:
+        likely = self._likely(reading.astype(np.float64), goal, belief.stage[v])
+        if not self._remember:
+            belief.likelihood[v] = belief.filled[v]
+        belief.likelihood[v] *= likely.reshape(self._shape)
+        belief.likelihood[v] = np.maximum(belief.likelihood[v] / belief.likelihood[v].max(), _SURPRISE)
+
+    def _posterior(self, likely: FloatArray) -> FloatArray:
+        """[V, S * O] probability of every world for each vessel, from likelihoods [V, S, O]: what one vessel says of
+        what they share holds for the others, too."""
+        shared = likely.mean(axis=-1)
+        others = np.exp(np.log(shared).sum(axis=-2, keepdims=True) - np.log(shared))
+        weights = likely * others[..., None]
+        weights = weights.reshape(*weights.shape[:-2], math.prod(weights.shape[-2:]))
+        return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
+
+    def _promises(self, belief: _Belief, goal: str) -> FloatArray:
+        """[V, K] what each vessel is expected to bring, less what is still to be paid, at each stage that it can
+        come to; what it cannot, or what is gone, -inf."""
+        known = self._posterior(belief.likelihood)
+        rows = [self._promise(known[v], goal, stage) for v, stage in enumerate(belief.stage)]
+        for v in belief.gone:
+            rows[v][:] = -np.inf
+        return np.stack(rows)
+
+    def _promise(self, known: FloatArray, goal: str, stage: int) -> FloatArray:
+        """[..., K] the same of one vessel, from the probabilities [..., S * O] of its worlds."""
+        foresight = self._foresight[goal]
+        to = foresight.after[stage]
+        out = np.full((*known.shape[:-1], len(foresight.stages)), -np.inf)
+        out[..., to] = known @ foresight.still[stage]
+        return out
+
+    def _total(self, bests: FloatArray, orders: int) -> FloatArray:
+        """[...] what the best vessels bring to as many orders as are open, from what each brings [..., V]."""
+        best = np.sort(np.maximum(bests, 0.0), axis=-1)
+        return np.asarray(best[..., -orders:].sum(axis=-1))
+
+    def _next_look(self, belief: _Belief, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
+        """The vessel that it pays most to measure, None where it pays for none."""
+        if self._instrument is None:
+            return None
+        orders = max(len(self._orders) - belief.order, 1)
+        bests, posterior = promises.max(axis=-1), self._posterior(belief.likelihood)
+        now = float(self._total(bests, orders))
+        best, most = None, self._price
+        fresh = set[tuple[int, ...]]()
+        for v, slot in enumerate(belief.slots):
+            if v in belief.gone or belief.looks[v] >= _MOST_LOOKS:
+                continue
+            if not mask[self._actions.encode("measure", slot, self._instrument)]:
+                continue
+            # Vessels of which nothing is known are alike: one look is worth as much as another.
+            alike = belief.stage[v], belief.looks[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
+            if alike in fresh:
+                continue
+            fresh.add(alike)
+            gain = float(self._total(self._after_look(belief, goal, v, posterior[v], bests), orders).mean()) - now
+            if gain > most:
+                best, most = v, gain
+        return best
+
+    def _after_look(self, belief: _Belief, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
+        """[_SAMPLES, V] what each vessel is expected to bring after another look at one of them."""
+        worlds = np.searchsorted(np.cumsum(known), self._shares).clip(0, len(known) - 1)
+        readings = self._foresight[goal].readings[worlds, belief.stage[v]] + self._errors
+        likely = self._likely(readings, goal, belief.stage[v])
+        after = np.repeat(bests[None], _SAMPLES, axis=0)
+        if self._shape[0] > 1:
+            shared = (likely * belief.likelihood[v].ravel()).reshape(_SAMPLES, *self._shape).mean(axis=-1)
+            self._tell_others(belief, goal, v, shared, after)
+        posterior = known * likely
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        after[:, v] = self._promise(posterior, goal, belief.stage[v]).max(axis=-1)
+        return after
+
+    def _tell_others(self, belief: _Belief, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
+        """Fill in what the others are expected to bring [B, V], as one vessel's reading tells the worlds that they
+        share apart by ``shared`` [B, S]: what they bring in each of these is only weighed anew."""
+        logs = np.log(belief.likelihood.mean(axis=-1))
+        foresight = self._foresight[goal]
+        for w, stage in enumerate(belief.stage):
+            if w == v or w in belief.gone:
+                continue
+            weights = shared * np.exp(logs.sum(axis=0) - logs[v] - logs[w])
+            here = belief.likelihood[w]
+            worth = (here[:, None] @ foresight.still[stage].reshape(*self._shape, -1))[:, 0]
+            after[:, w] = ((weights @ worth) / (weights @ here.sum(axis=-1))[:, None]).max(axis=-1)
+
+
+# -- foreseeing -------------------------------------------------------------------------------------------------------
+
+
+def _sizes(scenario: Scenario) -> tuple[int, int]:
+    """(S, O): how many worlds are played of what vessels share, and of what each has for itself."""
+    own = any(_is_own(scenario, name) for name in scenario.world.draws)
+    common = any(not _is_own(scenario, name) for name in scenario.world.draws)
+    return (_COMMON if common else 1), (_OWN_OF_COMMON if common else _OWN) if own else 1
+
+
+def _is_own(scenario: Scenario, name: str) -> bool:
+    """Whether every vessel of the shelf has numbers of its own of a draw."""
+    draw = scenario.world.draws[name]
+    return draw.what in VESSEL_QUANTITIES and draw.variables > 1 and any(of.startswith("slot_") for of in draw.of)
+
+
+def _public(scenario: Scenario) -> Scenario:
+    """The scenario as it is thought through: without noise, and with money for every look."""
+    exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
+    limits = scenario.limits.model_copy(update={"budget": 1e6})
+    return scenario.model_copy(update={"instruments": exact, "limits": limits})
+
+
+def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
+    """Every sequence in which steps follow in their order, each up to so many times; shorter ones first."""
+    found: list[tuple[tuple[Step, ...], int, int]] = [((), 0, 0)]
+    while found:
+        longer = []
+        for stage, at, times in found:
+            yield stage
+            for other in range(at, len(steps)):
+                step, most = steps[other]
+                if other > at and stage and steps[other][0][0] == stage[-1][0] and most == 1:
+                    continue  # a bench that is used once is used for one goal
+                if other == at and times == most:
+                    continue
+                longer.append(((*stage, step), other, times + 1 if other == at else 1))
+        found = longer
+
+
+def _steps(labs: Laboratories, goal: str, skip: Collection[str]) -> list[tuple[Step, int]]:
+    """Experiments that may be run, in the order of the benches, each with how often."""
+    steps: list[tuple[Step, int]] = []
+    for bench in labs.benches:
+        if bench.key in skip or any(agent == f"{bench.key}_0" for (agent, _), _ in steps):
+            continue
+        for wanted in [goal] if bench.kind == "extraction" else labs.scenario.goals:
+            steps.append(((f"{bench.key}_0", wanted), _most_runs(labs, bench)))
+    return steps
+
+
+def _most_runs(labs: Laboratories, bench: Bench) -> int:
+    if bench.kind != "reaction":
+        return 1
+    return max(min(_MOST_RUNS, labs.scenario.limits.ticks // (bench.step_limit * labs.scenario.orders)), 1)
+
+
+@functools.lru_cache(maxsize=16)
+def _foreseen(
+    scenario: Scenario, goal: str, instrument: str | None, skip: tuple[str, ...], script: Callable[[Bench], Policy]
+) -> _Foresight:
+    """Play every recipe in worlds of the prior."""
+    common, own = _sizes(scenario)
+    labs = Laboratories(scenario, common * own)
+    members = labs.members
+    _draw(labs, goal, common, own)
+    steps = _steps(labs, goal, skip)
+    policies: list[Policy | None] = [None, *(script(bench) for bench in labs.benches)]
+    slices = channel_slices(labs.channels)
+    fills = labs.observe(0, members)[:, slices["slot_0_fill"]][:, 0].astype(np.float64)
+    for slot in range(1, len(scenario.shelf.vessel)):
+        labs.act(0, members, np.full(len(members), labs.actions.encode("discard", slot)))
+    begun = labs.charges(members).sum(axis=1)
+    kept: dict[tuple[Step, ...], list[npt.NDArray[Any]]] = {(): labs.snapshot()}
+    stages = list(_stages(steps))
+    readings, worth, costs = [], [], []
+    for stage in stages:
+        if stage:
+            labs.restore(kept[stage[:-1]])
+            _make_room(labs, stage[-1], members)
+            run_experiment(labs, policies, stage[-1], members)
+            if any(other[: len(stage)] == stage and other != stage for other in stages):
+                kept[stage] = labs.snapshot()
+        worth.append(_worth(labs, goal))
+        costs.append(labs.charges(members).sum(axis=1) - begun)
+        readings.append(_reading(labs, instrument))
+    after = [
+        np.array([k for k, other in enumerate(stages) if other[: len(stage)] == stage], dtype=np.int64)
+        for stage in stages
+    ]
+    return _Foresight(stages, after, np.stack(readings, 1), fills, np.stack(worth, 1), np.stack(costs, 1))
+
+
+def _draw(labs: Laboratories, goal: str, common: int, own: int) -> None:
+    """Give the laboratories worlds of the prior: number s * O + o has what vessels share of one of S worlds and what a
+    vessel has for itself of one of O."""
+    members = labs.members.tolist()
+    for member in members:
+        labs.seed(member, np.random.SeedSequence(_SEED + member))
+    labs.reset(labs.members, goal)
+    drawn = [labs.worlds.values(member) for member in members]
+    labs.episodes.again[:] = True  # the same episodes, in other worlds
+    for member in members:
+        world = {
+            name: drawn[member % own if _is_own(labs.scenario, name) else member // own][name]
+            for name in labs.scenario.world.draws
+        }
+        labs.reset(labs.members[member : member + 1], goal, world)
+
+
+def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
+    """Discard what has come back besides the first slot's vessel, where nothing can be begun for it."""
+    start = labs.actions.encode("start", step[0], 0, step[1])
+    for slot in reversed(range(1, labs.actions.slots)):
+        mask, discard = labs.mask(0, members), labs.actions.encode("discard", slot)
+        assert mask is not None, "the manager has discrete actions"
+        some = members[(mask[:, start] == 0) & (mask[:, discard] != 0)]
+        if len(some):
+            labs.act(0, some, np.full(len(some), discard))
+
+
+def _worth(labs: Laboratories, goal: str) -> FloatArray:
+    """[N] what a submission of the first slot would add to the score."""
+    rules, g = labs.rules.arrays, labs.scenario.goals.index(goal)
+    amounts = labs.shelf.amounts[:, 0]
+    made, all_there = amounts[:, rules.parts[g, 0]], amounts @ rules.counts[g]
+    purity = made / np.maximum(all_there, 1e-12)
+    met = (purity >= rules.least_purity[g]) & (made >= rules.least_amount[g])
+    return np.asarray(met * made * purity / rules.maximum[g] / labs.scenario.orders)
+
+
+def _reading(labs: Laboratories, instrument: str | None) -> FloatArray:
+    """[N, R] what the instrument reads of the first slot."""
+    if instrument is None:
+        return np.zeros((len(labs.members), 1))
+    table, members = labs.instruments, labs.members
+    number, zeros = table.names.index(instrument), np.zeros(len(members), dtype=np.int64)
+    table.read(labs.shelf, labs.state.reading, labs.state.stream, members, zeros, zeros + number)
+    start, stop = table.start[number : number + 2]
+    return np.array(labs.state.reading[:, 0, start:stop])

@@ -1,0 +1,118 @@
+"""Scripted policy of a distillation bench with a column: what boils below the goal, then the goal, then no more."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.roles.distillation_bench import DistillationBench
+
+from .real import RealDistillationHeuristic
+
+__all__ = ["FractionHeuristic"]
+
+_HEAVIER_K = 5.0
+"""What boils that much above the goal is to stay behind."""
+_HEEL_L = 0.01
+"""Less is not heated any more."""
+_SMALL_KJ = 10.0
+
+_SOME = 0.02
+"""Share of the pot that has to have come over."""
+_LEFT_K = 3.0
+"""Below a solvent's boiling point: next to nothing of the goal is left in it."""
+_MORE = 1.2
+"""Times the most of the goal that there can be is taken over."""
+
+STRIP, COLLECT, DILUTE = range(3)
+
+
+class FractionHeuristic(RealDistillationHeuristic):
+    """Boils off what boils below the goal; where a column can part it from something heavier that may be there, changes
+    the receiver and takes the goal over, up to halfway to what boils next; where there is so little of it in a solvent
+    that the pot boils above that from the start, until it boils nearly as the solvent does, or as much has come over as
+    there can be. So it does with solids that
+    nobody washes out. What there may be, and where it boils, is public.
+
+    Args:
+        bench: the bench it is for.
+        careful: False always heats with all there is.
+    """
+
+    def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
+        super().__init__(bench, careful)
+        materials = bench.scenario.materials
+        liquids = [m.boiling_point_k for m in materials.values() if m.role == "solvent"]
+        washed = any(other.kind == "extraction" for other in bench.scenario.benches.values())
+        solids = not washed and any(m.role == "solid" for m in materials.values())
+        self._until_k: list[float | None] = []
+        self._solvent_k: list[float] = []
+        self._most_l: list[float] = []
+        for goal in bench.goals.names:
+            boils = materials[goal].boiling_point_k
+            heavier = min((t for t in liquids if t > boils + _HEAVIER_K), default=None)
+            if heavier is None and solids:
+                heavier = boils + 2.0 * _HEAVIER_K
+            over = bench.options.stages > 1 and heavier is not None and boils < bench.options.hottest_k
+            self._until_k.append(0.5 * (boils + heavier) if over and heavier is not None else None)
+            others = [materials[name].boiling_point_k for name in bench.spec.start.contents if name != goal]
+            self._solvent_k.append(others[0] - _LEFT_K if len(others) == 1 else 0.0)
+            kilograms = (
+                bench.scenario.theoretical_maximum_mol.get(goal, 0.0) * materials[goal].molar_mass_g_mol / 1000.0
+            )
+            self._most_l.append(_MORE * kilograms / materials[goal].density_kg_l)
+        processes = bench.options.process
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+        swap = next((i for i, p in enumerate(processes) if (p.kind, p.vessel, p.target) == ("pour", "B1", "B2")), None)
+        self._swap = None if swap is None else int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
+        self._phase: dict[int, int] = {}
+        self._full: dict[int, float] = {}
+        """Litres in the pot when the receiver was changed, by member."""
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        assert mask is not None, "the distillation bench has discrete actions"
+        stripping = super().act(observation, mask, step, members)
+        t, v = self._temperature, self._volume
+        out = []
+        for i, (seen, legal, action) in enumerate(zip(observation, mask, stripping.tolist(), strict=True)):
+            member, goal = int(members[i]), int(seen[self._slices["goal"]].argmax())
+            if step[i] == 0:
+                self._phase[member] = STRIP
+            until = self._until_k[goal]
+            litres = v.low + float(seen[self._slices["volume"]][0]) * (v.high - v.low)
+            if litres < _HEEL_L:
+                out.append(self._end)
+                continue
+            if until is None or self._swap is None or (self._phase[member] == STRIP and action != self._end):
+                out.append(action)
+                continue
+            if self._phase[member] == STRIP:
+                self._phase[member], self._full[member] = COLLECT, litres
+                if legal[self._swap]:
+                    out.append(self._swap)
+                    continue
+            kelvin = t.low + float(seen[self._slices["temperature"]][0]) * (t.high - t.low)
+            heat = next((a for q, a in reversed(self._heats) if q <= _SMALL_KJ), self._heats[0][1])
+            if self._phase[member] == COLLECT and kelvin > until and litres > (1.0 - _SOME) * self._full[member]:
+                self._phase[member] = DILUTE
+            done = kelvin > until
+            if self._phase[member] == DILUTE:
+                over = self._full[member] - litres > self._most_l[goal]
+                done = over or kelvin > max(until, self._solvent_k[goal])
+            out.append(self._end if done or not legal[heat] else heat)
+        return np.array(out, dtype=np.int64)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return copy.deepcopy((self._phase, self._full))
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._phase, self._full = copy.deepcopy(memory)

@@ -1,0 +1,187 @@
+"""Scripted policies of benches with real physics: what a careful preparative chemist would do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
+from chemlab.roles.distillation_bench import DistillationBench
+from chemlab.roles.extraction_bench import ExtractionBench
+from chemlab.roles.reaction_bench import ReactionBench
+
+from .extraction import ADD, DRAIN, MIX, SETTLE, ExtractionHeuristic
+
+__all__ = ["RealDistillationHeuristic", "RealExtractionHeuristic", "RealReactionHeuristic"]
+
+_FEED, _QUENCH = 0.6, 0.88
+"""Shares of a reaction: until the first, the liquid reagents are fed in; from the second on, what is left is
+quenched."""
+_QUENCH_SHARE = 0.3
+"""Of what is left of the quenching reagent, at each step."""
+_BELOW_BOILING_K = 8.0
+"""The contents are kept this far below the boiling point of what boils first."""
+_GAIN = 2.0
+"""K that the jacket goes below the wanted temperature for each that the contents are above it."""
+
+
+class RealReactionHeuristic:
+    """Lays the solids on the way to the goal before, feeds the liquids in while the jacket carries off the heat, waits,
+    and at the end quenches what must not meet water.
+
+    Args:
+        bench: the bench it is for.
+        careful: False puts everything in at once and does not quench.
+    """
+
+    def __init__(self, bench: ReactionBench, careful: bool = True) -> None:
+        self._slices = channel_slices(bench.channels)
+        gauges = {channel.name: channel for channel in bench.channels}
+        self._temperature = gauges["temperature"]
+        self._step_k = bench.options.temperature_k.step
+        self._careful = careful
+        materials, family = bench.scenario.materials, bench.scenario.family
+        limit = bench.spec.step_limit
+        self._feed_until, self._quench_from = round(_FEED * limit), round(_QUENCH * limit)
+        reagents = bench.reagent_names
+        dangerous = {n for step in family.violent if step.event != "none" for n in step.reactants} - {"water"}
+        self._needed = np.zeros((len(bench.goals.names), len(reagents)), dtype=bool)
+        for g, goal in enumerate(bench.goals.names):
+            wanted = family.towards(goal)
+            self._needed[g] = [name in wanted for name in reagents]
+        quenching = {n for step in family.reaction if dangerous & set(step.reactants) for n in step.reactants}
+        self._quench = np.array([n in quenching - dangerous for n in reagents]) & ~self._needed.any(axis=0)
+        self._solid = np.array([materials[name].role == "solid" for name in reagents])
+        present = {*bench.spec.start.contents, *reagents}
+        boiling = min((materials[n].boiling_point_k for n in present if materials[n].role == "solvent"), default=400.0)
+        self._wanted_k = min(boiling - _BELOW_BOILING_K, self._temperature.high - _BELOW_BOILING_K)
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        goal = observation[:, self._slices["goal"]].argmax(axis=1)
+        low, span = self._temperature.low, self._temperature.high - self._temperature.low
+        kelvin = low + observation[:, self._slices["temperature"]][:, 0] * span
+        jacket = kelvin
+        if "jacket" in self._slices:
+            jacket = low + observation[:, self._slices["jacket"]][:, 0] * span
+        needed = self._needed[goal]
+        if not self._careful:
+            return np.column_stack((np.ones(len(kelvin)), np.full(len(kelvin), 0.5), needed))
+        excess = kelvin - self._wanted_k
+        target = np.clip(self._wanted_k - _GAIN * (excess + _BELOW_BOILING_K), low, low + span)
+        turn = np.clip(0.5 + (target - jacket) / (2.0 * self._step_k), 0.0, 1.0)
+        # Of what is left, the part that empties the bottle when feeding is over.
+        share = 1.0 / np.maximum(self._feed_until - step, 1)
+        calm = np.clip(1.0 - excess / _BELOW_BOILING_K, 0.0, 1.0)
+        adding = np.where(self._solid, 1.0, (calm * share)[:, None]) * needed
+        late = step >= self._quench_from
+        adding = np.where(late[:, None], (calm * _QUENCH_SHARE)[:, None] * self._quench, adding)
+        return np.column_stack((turn, np.full(len(kelvin), 0.5), adding))
+
+
+_WASHES = 3
+_LOWER = 0.12
+"""Grey values this close to water's are the aqueous layer's."""
+
+
+class RealExtractionHeuristic(ExtractionHeuristic):
+    """Washes with water: add, shake, let settle, drain what looks like water at the bottom; some times over.
+
+    Args:
+        bench: the bench it is for.
+        careful: False washes once.
+    """
+
+    wash_l = 0.2
+
+    def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
+        super().__init__(bench)
+        self._washes_wanted = _WASHES if careful else 1
+
+    def _boundary(self, picture: ObservationArray) -> int:
+        """Pixels from the bottom up to the last one that looks like water."""
+        wet = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
+        return int(wet[-1]) + 1 if len(wet) else 0
+
+    def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        if step == 0:
+            self._phase[member], self._washes[member] = ADD, 0
+        phase = self._phase[member]
+        if phase == ADD:
+            if self._washes[member] >= self._washes_wanted or not mask[self._add]:
+                return self._end
+            self._phase[member] = MIX
+            return self._add
+        if phase == MIX:
+            self._phase[member] = SETTLE
+            return self._mix
+        if phase == SETTLE:
+            self._phase[member] = DRAIN
+            return self._settle
+        percent = 100.0 * self._boundary(picture) / CAMERA_PIXELS
+        chosen = next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), None)
+        if chosen is None or not mask[chosen]:
+            self._phase[member] = ADD
+            self._washes[member] += 1
+            return self._decide(picture, mask, step, member)
+        return chosen
+
+
+_KJ_PER_L_K = 1.8
+_KJ_PER_L = 250.0
+"""Rough heat capacity and heat of vaporization of an organic liquid."""
+_SHORT_OF_K = 6.0
+_LEAST_KJ = 2.0
+
+
+class RealDistillationHeuristic:
+    """Boils off what boils below the goal, by the thermometer: the pot's boiling point says what is left in it.
+
+    Args:
+        bench: the bench it is for.
+        careful: False always heats with all there is.
+    """
+
+    def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
+        materials = bench.scenario.materials
+        self._slices = channel_slices(bench.channels)
+        gauges = {channel.name: channel for channel in bench.channels}
+        self._temperature, self._volume = gauges["temperature"], gauges["volume"]
+        hottest = bench.options.hottest_k
+        boiling = [materials[goal].boiling_point_k for goal in bench.goals.names]
+        self._stop_k = np.array([min(t, hottest) - _SHORT_OF_K for t in boiling])
+        processes = bench.options.process
+        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
+        heat = next(i for i, process in enumerate(processes) if process.kind == "heat")
+        self._heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
+        self._end = bench.end_action
+        self._careful = careful
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        t, v = self._temperature, self._volume
+        kelvin = t.low + observation[:, self._slices["temperature"]][:, 0] * (t.high - t.low)
+        litres = v.low + observation[:, self._slices["volume"]][:, 0] * (v.high - v.low)
+        goal = observation[:, self._slices["goal"]].argmax(axis=1)
+        return np.array(
+            [self._decide(float(k), float(x), int(g)) for k, x, g in zip(kelvin, litres, goal, strict=True)],
+            dtype=np.int64,
+        )
+
+    def _decide(self, kelvin: float, litres: float, goal: int) -> int:
+        gap = self._stop_k[goal] - kelvin
+        if gap <= 0.0:
+            return self._end
+        # Far below the end most of the pot is still to go; close to it only its warmth.
+        wanted = _KJ_PER_L_K * litres * gap + 0.1 * _KJ_PER_L * litres * min(gap / 100.0, 1.0)
+        if not self._careful:
+            return self._heats[-1][1]
+        # Less than the least would only make up for what the room takes.
+        return next((action for q, action in reversed(self._heats) if q <= max(wanted, _LEAST_KJ)), self._heats[-1][1])

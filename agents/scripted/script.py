@@ -1,0 +1,234 @@
+"""What scripted policies have in common."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.kernels.jit import kernel
+from chemlab.roles.bench import Channel, channel_slices
+from chemlab.roles.instruments.table import InstrumentTable
+from chemlab.roles.manager_actions import ManagerActions
+from chemlab.roles.manager_view import order_channels
+
+__all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "apart", "cheapest", "count_pixels", "likelihood"]
+
+M = TypeVar("M")
+
+SAME_SHADE = 1e-3
+"""Grey values closer than this are the same material."""
+
+
+def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
+    """Of a scenario's instruments of some kinds, whose readings the manager sees, the one whose reading costs least;
+    none if there is none."""
+    specs = scenario.seen_instruments
+    return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
+
+
+def apart(readings: FloatArray, expected: FloatArray, variance: FloatArray | None = None) -> FloatArray:
+    """How far readings are from what is expected.
+
+    Args:
+        readings: [..., size].
+        expected: [K, size].
+        variance: [size] of each number; default: 1.
+
+    Returns:
+        [..., K] sums of squares.
+    """
+    found = np.zeros((*readings.shape[:-1], len(expected)))
+    for number in range(readings.shape[-1]):  # a sum over a last axis of so few takes several times as long
+        square = readings[..., number, None] - expected[:, number]
+        square *= square
+        if variance is not None:
+            square /= variance[number]
+        found += square
+    return found
+
+
+def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: float) -> FloatArray:
+    """[..., K] how likely readings are, beside the likeliest of what is expected (see :func:`apart`).
+
+    Args:
+        readings, expected: as for :func:`apart`.
+        noise: standard deviation of each number.
+        least: likelihood that is left to what a reading speaks against.
+    """
+    rows = np.ascontiguousarray(readings.reshape(-1, readings.shape[-1]), dtype=np.float64)
+    found = np.zeros((len(rows), len(expected)))
+    _likelihood(rows, np.ascontiguousarray(expected.T), noise**2, least, found)
+    return found.reshape(*readings.shape[:-1], len(expected))
+
+
+_VANISHES = 38.0
+"""Beside 1, e to the power of minus this is less than half of a last digit."""
+
+
+@kernel
+def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, least: float, out: FloatArray) -> None:
+    """Fill ``out`` [B, K] for readings [B, R] and what is expected [R, K]."""
+    count = out.shape[1]
+    vanishes = np.log(least) - _VANISHES
+    for b in range(out.shape[0]):
+        for r in range(readings.shape[1]):
+            for k in range(count):
+                off = readings[b, r] - expected[r, k]
+                out[b, k] += off * off
+        lowest = np.inf
+        for k in range(count):
+            out[b, k] /= variance
+            lowest = min(lowest, out[b, k])
+        for k in range(count):
+            power = -0.5 * (out[b, k] - lowest)
+            out[b, k] = np.exp(power) + least if power > vanishes else least
+
+
+def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
+    """How many pixels of a picture [pixels] show one of some materials, by their grey values."""
+    return sum(int(np.count_nonzero(np.abs(picture - shade) < SAME_SHADE)) for shade in shades)
+
+
+class Setting(NamedTuple):
+    """What a scripted manager is told of its laboratory, and what it is to do without.
+
+    Attributes:
+        scenario: the public scenario.
+        channels: the manager's observation channels.
+        actions: the manager's actions.
+        instruments: the scenario's instruments.
+        positions: how many vessels each bench works on.
+        careful: False leaves out what only safety and measuring are for.
+        skip: benches it does without.
+    """
+
+    scenario: Scenario
+    channels: Sequence[Channel]
+    actions: ManagerActions
+    instruments: InstrumentTable
+    positions: Mapping[str, int]
+    careful: bool = True
+    skip: Collection[str] = ()
+
+
+class _Advice(NamedTuple):
+    """Attributes: decided: an action; before: the memories that decision was made from, pickled, which takes a fraction
+    of a copy, and most are not asked for; seen: the observation."""
+
+    decided: int
+    before: bytes
+    seen: ObservationArray
+
+
+class ScriptedManager(Generic[M]):
+    """A manager that decides for one laboratory at a time, by what it keeps of it.
+
+    Args:
+        setting: what it is told.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self._scenario, self._actions = setting.scenario, setting.actions
+        self._slices = channel_slices(setting.channels)
+        self._orders = [name for name, _ in order_channels(setting.scenario)]
+        self._kept: dict[int, M] = {}
+        self._memories: list[dict[int, Any]] = [self._kept]
+        self._advised: dict[int, _Advice] = {}
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        decided = self.advise(observation, mask, step, members, copied=False)
+        self._advised.clear()
+        return decided
+
+    def advise(
+        self,
+        observation: ObservationArray,
+        mask: MaskArray | None,
+        step: IntArray,
+        members: IntArray,
+        copied: bool = True,
+    ) -> npt.NDArray[Any]:
+        """What it would play; it has not decided that until :meth:`played` says so.
+
+        Args:
+            observation, mask, step, members: as for :meth:`act`.
+            copied: False keeps nothing to take a decision back with.
+        """
+        assert mask is not None, "the manager has discrete actions"
+        decided = np.zeros(len(members), dtype=np.int64)
+        for n, (o, m, s, i) in enumerate(zip(observation, mask, step.tolist(), members.tolist(), strict=True)):
+            if s == 0:
+                for memory in self._memories:
+                    memory.pop(i, None)
+            elif all(memory.get(i) is None for memory in self._memories):
+                s = 0  # what it decided first was not played
+            self._see(o, s, i)
+            before = pickle.dumps([memory.get(i) for memory in self._memories], -1) if copied else b""
+            decided[n] = self._decide(o, m, s, i)
+            self._advised[i] = _Advice(int(decided[n]), before, o)
+        return decided
+
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """What has been played after its advice: where that is something else, it takes its decision back.
+
+        Args:
+            actions, members: [B].
+        """
+        for action, i in zip(actions.tolist(), members.tolist(), strict=True):
+            advice = self._advised.pop(i)
+            if action != advice.decided:
+                for memory, own in zip(self._memories, pickle.loads(advice.before), strict=True):
+                    memory[i] = own
+                self._take_note(advice.seen, action, i)
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`; what is advised and not yet played is not decided."""
+        before = {i: pickle.loads(advice.before) for i, advice in self._advised.items()}
+        return copy.deepcopy(
+            [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
+        )
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._advised.clear()
+        for own, kept in zip(self._memories, copy.deepcopy(memory), strict=True):
+            own.clear()
+            own.update(kept)
+
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+        """Take in what it sees before it decides."""
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        raise NotImplementedError
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        """Take in that an action has been played that it has not decided."""
+
+    def _taken_apart(self, action: int) -> tuple[str, int, list[Any]]:
+        """(kind, slot of the vessel it is about or -1, other arguments) of an action; of a submission, its order."""
+        kind, *arguments = self._actions.decode(action)
+        place = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
+        slot = -1 if place is None else int(arguments.pop(place))
+        return str(kind), slot, [0] if kind == "submit" and not arguments else list(arguments)
+
+    def _encode_submit(self, slot: int, order: int) -> int:
+        """The action that submits a slot's vessel for an order."""
+        return self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
+
+    def _occupied(self, observation: ObservationArray) -> list[int]:
+        """Slots where a vessel stands."""
+        return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
+
+    def _value(self, observation: ObservationArray, name: str) -> float:
+        """The first number of a channel."""
+        return float(observation[self._slices[name]][0])

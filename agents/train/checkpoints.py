@@ -1,0 +1,207 @@
+"""Checkpoints that a crash cannot spoil, with everything that a run needs to go on as if it had not stopped.
+
+A checkpoint is written into a folder of another name, which is then renamed; the one before is removed afterwards.
+Replay memory is written once: each checkpoint adds the steps since the last one as a file of its own.
+"""
+
+from __future__ import annotations
+
+import pickle
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from chemlab.config.files import draft_of, naming, open_regular, sync_file, sync_folder
+
+from ..learners import load_learner, save_learner
+from ..runs import Run
+from ..sb3 import ChemlabVecEnv
+from ..seals import read_sealed, seal_file
+
+__all__ = [
+    "commit_checkpoint",
+    "load_agent",
+    "load_state",
+    "random_state",
+    "restore_random_state",
+    "save_agent",
+    "save_state",
+    "tidy",
+]
+
+_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def random_state() -> dict[str, Any]:
+    """The process's random streams, for :func:`restore_random_state`."""
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from the global stream
+        "torch": torch.get_rng_state(),
+    }
+
+
+def restore_random_state(state: dict[str, Any]) -> None:
+    """Let the process's random streams go on as they were."""
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002 - SB3 draws from the global stream
+    torch.set_rng_state(state["torch"])
+
+
+def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: bool, best_step: int | None) -> None:
+    """Write the ``last`` checkpoint, and a copy of what plays as ``best`` if it is that.
+
+    Args:
+        run: whose checkpoint.
+        step: where it is in training.
+        write: writes all of it into a folder.
+        best: whether these are the best models so far.
+        best_step: where the best ones were.
+    """
+    draft = run.checkpoints / f"new-{step}"
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    with naming(draft):
+        write(draft)
+    run.keep_lines(draft)
+    if best:
+        copy = run.checkpoints / f"new-best-{step}"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(draft, copy, ignore=shutil.ignore_patterns("state.pkl*", "*.jsonl"))
+        _renamed(copy, run.checkpoints / f"best-{step}")
+    _renamed(draft, run.checkpoints / f"last-{step}")
+    tidy(run, step, best_step)
+
+
+def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any]) -> None:
+    """Write what :func:`load_agent` needs into the folder of a checkpoint.
+
+    Args:
+        run: whose checkpoint; replay memory is beside its checkpoints.
+        folder: the checkpoint's.
+        model, venv: the learner between two rollouts and its environments.
+        progress: what the training loop itself has to remember.
+    """
+    save_learner(folder, model)
+    state = {
+        "replay_rows": _save_replay(run, model) if _replay(model) is not None else 0,
+        "environments": venv.get_state(),
+        "memory": getattr(model, "_last_lstm_states", None),
+        "action_space": model.action_space.np_random.bit_generator.state,
+        **random_state(),
+        "progress": progress,
+    }
+    save_state(folder, state)
+
+
+def save_state(folder: Path, state: dict[str, Any]) -> None:
+    """Write what a run needs to go on into the folder of a checkpoint, for :func:`load_state`."""
+    (folder / "state.pkl").write_bytes(pickle.dumps(state))
+    seal_file(folder / "state.pkl")
+
+
+def load_state(folder: Path) -> dict[str, Any]:
+    """What :func:`save_state` wrote.
+
+    Raises:
+        DataError: it is not this user's file (:mod:`~chemlab.agents.seals`).
+    """
+    return dict(pickle.loads(read_sealed(folder / "state.pkl")))
+
+
+def _renamed(draft: Path, final: Path) -> None:
+    """A folder of that name is from before a crash, of the same step."""
+    # It must not be renamed before its content is on the disk.
+    for file in draft.iterdir():
+        sync_file(file)
+    sync_folder(draft)
+    shutil.rmtree(final, ignore_errors=True)
+    draft.rename(final)
+    sync_folder(final.parent)
+
+
+def tidy(run: Run, last: int, best: int | None) -> None:
+    """Remove every checkpoint but these two, and drafts."""
+    keep = {f"last-{last}", f"best-{best}", "replay"}
+    for folder in run.checkpoints.iterdir():
+        if folder.is_dir() and folder.name not in keep:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    return getattr(model, "replay_buffer", None)
+
+
+def _save_replay(run: Run, model: Any) -> int:
+    """Write the rows that no file has yet; the number of rows there have ever been."""
+    buffer: ReplayBuffer = model.replay_buffer
+    size, rows = buffer.buffer_size, int(model.num_timesteps // model.n_envs)
+    files = _replay_files(run)
+    written = max((stop for _, stop, _ in files), default=0)
+    for _, stop, file in files:
+        if stop <= written - size:  # the last checkpoint does without it
+            file.unlink()
+    start = max(written, rows - size)
+    if start < rows:
+        at = np.arange(start, rows) % size
+        target = run.checkpoints / "replay" / f"{start}-{rows}.npz"
+        with draft_of(target) as draft, draft.open("wb") as handle:
+            np.savez(handle, **{name: getattr(buffer, name)[at] for name in _ARRAYS})
+    return rows
+
+
+def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
+    """(first row, row after the last, file), in order."""
+    found = []
+    for file in (run.checkpoints / "replay").glob("*-*.npz"):
+        start, _, stop = file.stem.partition("-")
+        found.append((int(start), int(stop), file))
+    return sorted(found)
+
+
+def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
+    size, expected = buffer.buffer_size, 0
+    for start, stop, file in _replay_files(run):
+        if stop > rows:  # written just before a crash, for a checkpoint that was not
+            file.unlink()
+            continue
+        if stop > rows - size:
+            most = 2 * sum(getattr(buffer, name).nbytes for name in _ARRAYS)
+            with open_regular(file, most) as opened, np.load(opened) as saved:
+                at = np.arange(start, stop) % size
+                for name in _ARRAYS:
+                    getattr(buffer, name)[at] = saved[name]
+        expected = stop
+    if expected != rows:
+        raise ValueError(f"{run.checkpoints / 'replay'}: has {expected} of {rows} rows; delete the run to begin anew")
+    buffer.pos, buffer.full = rows % size, rows >= size
+
+
+def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[BaseAlgorithm, dict[str, Any]]:
+    """The learner of a ``last`` checkpoint with the environments as they were, and the loop's own memory.
+
+    The process's random streams go on as they were there.
+
+    Raises:
+        ValueError: replay memory is missing.
+        DataError: the checkpoint is not this user's.
+    """
+    state = load_state(folder)
+    model = load_learner(folder, algo, env=venv, force_reset=False)
+    buffer = _replay(model)
+    if buffer is not None:
+        _load_replay(run, buffer, state["replay_rows"])
+    # Making the model has seeded everything anew: the streams come last.
+    venv.set_state(state["environments"])
+    if state.get("memory") is not None:
+        model._last_lstm_states = state["memory"]  # type: ignore[attr-defined]
+    model.action_space.np_random.bit_generator.state = state["action_space"]
+    restore_random_state(state)
+    return model, dict(state["progress"])

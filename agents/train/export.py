@@ -1,0 +1,232 @@
+"""Make a policy that needs numpy alone out of a training run's best checkpoint, and see that it is the same policy.
+
+Needs the extra: ``pip install ".[train]"``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.materials import DataError
+from chemlab.envs.players import as_policy
+from chemlab.kernels.arrays import ObservationArray
+
+from ..advice import with_advice
+from ..policies import RandomPolicy
+from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
+from ..runs import RESULT_SEED, Run
+from .arguments import Arguments, JointArguments, TrainArguments, resolved
+from .tasks import Task, find_task, task_of
+
+try:
+    import torch
+
+    from ..learners import load_learner, load_team
+    from .networks import learned_policy
+except ImportError as error:
+    raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
+
+__all__ = ["export_run", "largest_difference", "training_command"]
+
+_TOLERANCE = 1e-5
+
+
+def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
+    """What SB3's own code makes of observations: Q values, log-probabilities, means, or (off policy) actions."""
+    if hasattr(model.policy, "actor"):
+        return np.asarray(model.predict(observation, deterministic=True)[0])
+    with torch.no_grad():
+        seen, _ = model.policy.obs_to_tensor(observation)
+        if hasattr(model.policy, "q_net"):
+            return np.asarray(model.policy.q_net(seen).numpy())
+        if hasattr(model.policy, "quantile_net"):
+            return np.asarray(model.policy.quantile_net(seen).mean(dim=1).numpy())
+        distribution = model.policy.get_distribution(seen).distribution
+        discrete = isinstance(model.action_space, gymnasium.spaces.Discrete)
+        return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
+
+
+def _observations(task: Task, advised: bool, members: int = 64) -> ObservationArray:
+    """Observations of random episodes, with what is played as the advice if there is any."""
+    env = task.batch(members)
+    policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
+    nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
+    observations, infos = env.reset(seed=0)
+    seen = []
+    for _ in range(21):
+        actions = policy.act(observations, infos.get("action_mask"), nothing, everyone)
+        seen.append(with_advice(observations, actions, env.action_count) if advised else observations)
+        observations, _, _, _, infos = env.step(actions)
+    return np.concatenate(seen)
+
+
+def largest_difference(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
+    """Largest difference between what the two make of the same observations, relative where that is above 1.
+
+    Of actions, and of what they are made from where that says more: Q values, log-probabilities, means before they are
+    clipped. Infinite if another discrete action is chosen and it is not a tie.
+    """
+    if policy.card.memory:
+        return _largest_in_sequence(model, policy, observation)
+    theirs, ours = _outputs(model, observation), policy.values(observation)
+    nothing = np.zeros(len(observation), dtype=np.int64)
+    played = np.asarray(model.predict(observation, deterministic=True)[0])
+    actions = policy.act(observation, None, nothing, nothing)
+    if policy.card.output == "argmax":
+        if not (hasattr(model.policy, "q_net") or hasattr(model.policy, "quantile_net")):
+            highest = ours.max(axis=1, keepdims=True)
+            ours = ours - highest - np.log(np.exp(ours - highest).sum(axis=1, keepdims=True))
+        rows = np.arange(len(played))
+        if _relative(theirs[rows, actions], theirs[rows, played]) > _TOLERANCE:
+            return float("inf")
+        return _relative(ours, theirs)
+    return max(_relative(actions, played), _relative(ours, theirs) if policy.card.output == "clip" else 0.0)
+
+
+def _largest_in_sequence(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
+    """The same of policies with a memory, which see one observation after the other."""
+    original, nobody, worst = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
+    legal = np.ones((1, policy.card.action_size), dtype=np.int8) if policy.card.output == "argmax" else None
+    for i, seen in enumerate(observation):
+        theirs, ours = (one.act(seen[None], legal, nobody + i, nobody) for one in (original, policy))
+        if policy.card.output == "argmax" and (theirs != ours).any():
+            return float("inf")
+        worst = max(worst, _relative(ours, theirs))
+    return worst
+
+
+def _relative(ours: npt.NDArray[Any], theirs: npt.NDArray[Any]) -> float:
+    return float((np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))).max())
+
+
+def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
+    """Write ``OUT.safetensors`` and ``OUT.json`` from a run's best checkpoint.
+
+    Args:
+        folder: the run.
+        out: path of the two files, with or without a suffix; its name is the policy's name.
+        role: which of several that learned together. A bench is evaluated on its own then, with a laboratory's
+            vessels.
+
+    Raises:
+        ValueError: the folder holds no run or no checkpoint, its bench has changed since, the role is missing or
+            nobody's, or the exported policy is not the same as SB3's to 1e-5 (which is only asked of a run of one's
+            own, or that one trusts).
+    """
+    run = Run(folder)
+    config, best = run.config(), run.checkpoint("best")
+    if config is None:
+        raise ValueError(f"{folder}: holds no training run (no config.json)")
+    if best is None:
+        raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
+    team = config["algo"] == "joint"
+    if team != (role is not None) or (role is not None and not (best / f"{role}.safetensors").exists()):
+        known = f"give one of its roles: {', '.join(sorted(f.stem for f in best.glob('*.safetensors')))}"
+        raise ValueError(f"role: {folder}: {known if team else 'is a run of one role: give none'}; given {role!r}")
+    arguments: Arguments
+    if role is None:
+        arguments = _arguments(config, str(run.config_file))
+        task, trained = find_task(arguments), config["fingerprint"]
+    else:
+        values = {f.name: config[f.name] for f in fields(JointArguments) if f.name in config}
+        arguments = JointArguments.as_recorded(values, str(run.config_file))
+        card = load_pretrained(best / role).card
+        task, trained = task_of(card), card.fingerprint
+    if trained != task.fingerprint:
+        raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
+    model = _learner(best, str(config["algo"]), role)
+    policy = _player(best, config, task, model)
+    if model is not None:
+        difference = largest_difference(model, policy, _observations(task, policy.card.advice is not None))
+        if not difference <= _TOLERANCE:
+            raise ValueError(
+                f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
+            )
+    # What is exported is played with masks, however it learned.
+    path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
+    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
+    episodes = arguments.final_episodes
+    found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
+    heuristic = task.scripted(episodes, RESULT_SEED)
+    evaluation = {
+        "episodes_per_goal": episodes,
+        "seed": RESULT_SEED,
+        "mean": sum(found.values()) / len(found),
+        "by_goal": found,
+        "heuristic_mean": sum(heuristic.values()) / len(heuristic) if heuristic else None,
+        "heuristic_by_goal": heuristic,
+    }
+    card = replace(policy.card, evaluation=evaluation)
+    save_policy(path, card, policy.weights)
+    return card
+
+
+def _learner(best: Path, algo: str, role: str | None = None) -> Any:
+    """The learner itself, to compare with; None where it is a stranger's: its weights as they are have to do."""
+    try:
+        return load_learner(best, algo) if role is None else load_team(best)[role]
+    except DataError:
+        if not any(best.glob("*.safetensors")):  # of a run of an older version there is nothing else
+            raise
+        return None
+
+
+def _player(best: Path, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
+    """What plays in a checkpoint."""
+    role = task.workplace.key
+    if (best / f"{role}.safetensors").exists():
+        policy = load_pretrained(best / role)
+        policy.check(task.workplace)
+        return policy
+    return learned_policy(
+        model,
+        task.workplace,
+        name=role,
+        env_id=config["env_id"],
+        goals=config["goals"],
+        starts=config.get("starts", "paper"),
+        algo=config["algo"],
+        label=config["label"],
+        seed=config["seed"],
+        step=int(best.name.rpartition("-")[2]),
+        command=training_command(config),
+        versions=config.get("versions", {}),
+        evaluation={},
+        background=task.background,
+    )
+
+
+def _arguments(config: dict[str, Any], where: str = "config") -> TrainArguments:
+    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given.
+
+    Raises:
+        ValueError: the file has others than a run of this version.
+    """
+    given = {f.name: config[f.name] for f in fields(TrainArguments) if f.name in config}
+    env_id = str(given.get("env_id"))
+    if env_id in gymnasium.registry and "scenario" in gymnasium.spec(env_id).kwargs:
+        given["scenario"] = None
+    if env_id not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
+        given["bench"] = None
+    return TrainArguments.as_recorded(given, where)
+
+
+def training_command(config: dict[str, Any]) -> str:
+    """What trains a run again: the arguments that are not what the others imply.
+
+    Args:
+        config: a run's ``config.json``.
+    """
+    given = vars(_arguments(config))
+    if given["goals"] == tuple(find_task(_arguments({**config, "goals": None})).goals):
+        given = {**given, "goals": None}
+    implied = vars(resolved(TrainArguments.of({name: given[name] for name in ("env_id", "algo", "preset")})))
+    own = {name: value for name, value in given.items() if value != implied[name]}
+    own |= {name: given[name] for name in ("env_id", "algo", "preset")}
+    return TrainArguments.of(own).command_line()

@@ -1,0 +1,496 @@
+"""Train several roles of a laboratory together on Stable-Baselines3: a learner for each, one batch of laboratories.
+
+Heterogeneous spaces are no matter: agents of one kind share a learner, PPO where actions are continuous and MaskablePPO
+where they are discrete. Experience is collected turn by turn (:mod:`chemlab.agents.train.experience`), so that every
+role's reward, elapsed time and episodes are its own.
+
+Two regimes: ``together`` (all learners are updated after every rollout) and ``in-turns`` (round-robin: one role learns
+for a while, the others play as they are).
+
+Critics see what their agent sees, or the laboratory's true state, too (``critic="state"``: MAPPO where all learn
+together); actors never do.
+
+Needs the extra: ``pip install ".[train]"``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.scenario import Scenario
+from chemlab.envs.global_state import GlobalState
+from chemlab.envs.players import Players, as_policy
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import goals_met
+from chemlab.roles.manager_state import RUNNING
+
+from ..advice import Advisor
+from ..policies import Policy, agent_policy
+from ..pretrained import PretrainedPolicy, load_pretrained
+from ..roles import MANAGER_ROLE, role_of
+from ..runs import Evaluation, Run, RunConfig, RunResult
+from .arguments import JointArguments
+from .experience import Experience
+
+try:
+    import torch
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.buffers import RolloutBuffer
+    from stable_baselines3.common.logger import Logger
+    from stable_baselines3.common.vec_env import VecEnv
+
+    from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
+    from ..learners import load_learner, load_team, save_team
+    from .checkpoints import load_state, random_state, restore_random_state, save_state
+    from .imitate import IMITATED, LEAST_SPREAD, fit
+    from .loop import (
+        LaboratoryTrainee,
+        Progress,
+        Watcher,
+        described_team,
+        open_run,
+        reached,
+        train_in_rounds,
+        training_versions,
+    )
+    from .networks import save_learned
+except ImportError as error:
+    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
+
+__all__ = ["JointArguments", "train_together"]
+
+
+class _Spaces(VecEnv):
+    """What a learner needs to know of an environment: its spaces. Experience comes from elsewhere."""
+
+    def __init__(self, observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> None:
+        super().__init__(1, observation_space, action_space)
+
+    def reset(self) -> Any:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def step_async(self, actions: Any) -> None:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def step_wait(self) -> Any:
+        raise NotImplementedError("experience is collected by the laboratory")
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        if attr_name == "render_mode":
+            return [None]
+        raise AttributeError(attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise AttributeError(attr_name)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise AttributeError(method_name)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False]
+
+
+class _Learner:
+    """One role's learner, and the experience it learns from."""
+
+    def __init__(self, model: Any, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any], streams: int) -> None:
+        self.model = model
+        self.experience = Experience(space, actions, streams)
+        self._low = actions.low if isinstance(actions, gymnasium.spaces.Box) else None
+        self._high = actions.high if isinstance(actions, gymnasium.spaces.Box) else None
+
+    def sample(
+        self, observation: ObservationArray, mask: MaskArray | None
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
+        """(action as drawn, action as played, value, log-probability) of a batch."""
+        masks = {} if mask is None else {"action_masks": mask.astype(np.bool_)}
+        with torch.no_grad():
+            seen, _ = self.model.policy.obs_to_tensor(observation)
+            drawn, value, log_probability = self.model.policy(seen, **masks)
+        action = drawn.numpy()
+        played = action if self._low is None else np.clip(action, self._low, self._high)
+        return action, played, value.numpy()[:, 0], log_probability.numpy()
+
+    def update(self, gamma: float, gae_lambda: float, by_ticks: bool, remaining: float) -> int:
+        """Learn from what is complete, and forget it; returns the number of transitions."""
+        model, experience = self.model, self.experience
+        rows = experience.finished()
+        if len(rows) < 2:  # advantages are normalized, which takes two
+            return 0
+        advantages = experience.advantages(gamma, gae_lambda, by_ticks)[rows]
+        if len(rows) % model.batch_size == 1:  # and so does that of a minibatch
+            rows, advantages = rows[:-1], advantages[:-1]
+        masked = isinstance(model, MaskablePPO)
+        kind = MaskableRolloutBuffer if masked else RolloutBuffer
+        buffer: Any = kind(len(rows), model.observation_space, model.action_space, "cpu", gae_lambda, gamma, n_envs=1)
+        buffer.observations[:, 0] = experience.observation[rows]
+        buffer.actions[:, 0] = experience.action[rows].reshape(len(rows), -1)
+        buffer.rewards[:, 0] = experience.reward[rows]
+        buffer.values[:, 0] = experience.value[rows]
+        buffer.log_probs[:, 0] = experience.log_probability[rows]
+        buffer.advantages[:, 0] = advantages
+        buffer.returns[:, 0] = advantages + experience.value[rows]
+        if masked:
+            buffer.action_masks[:, 0] = experience.mask[rows]
+        buffer.pos, buffer.full = len(rows), True
+        model.rollout_buffer = buffer
+        model.num_timesteps += len(rows)
+        model._current_progress_remaining = remaining
+        model.train()
+        experience.forget()
+        return len(rows)
+
+
+class _Acting:
+    """A learner as the policy of one agent: it explores, and its turns become experience.
+
+    Where ``shown`` is given, what that would play becomes experience; it plays itself, or ``tried`` does where that is
+    given, too. Where ``whole`` is, the learner's critic sees that, too.
+    """
+
+    def __init__(
+        self,
+        learner: _Learner,
+        stream: Callable[[IntArray], IntArray],
+        ticks: IntArray,
+        whole: GlobalState | None = None,
+        shown: Advisor | None = None,
+        tried: Policy | None = None,
+    ) -> None:
+        self._learner, self._stream, self._ticks, self._whole = learner, stream, ticks, whole
+        self._shown, self._tried = shown, tried
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.envs.players.Policy`."""
+        seen = observation
+        if self._whole is not None:
+            seen = np.concatenate([observation, self._whole.see(members)], axis=1)
+        if self._shown is None:
+            drawn, played, value, log_probability = self._learner.sample(seen, mask)
+        else:
+            drawn = played = self._shown.advice(observation, mask, step, members)
+            if self._tried is not None:
+                played = self._tried.act(observation, mask, step, members)
+            self._shown.played(played, members)
+            value = log_probability = np.zeros(len(members))
+        self._learner.experience.begin(
+            self._stream(members), seen, mask, drawn, value, log_probability, self._ticks[members]
+        )
+        return played
+
+
+class _Team(LaboratoryTrainee):
+    """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
+
+    def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str], config: RunConfig) -> None:
+        super().__init__(arguments, scenario)
+        a = self.arguments = arguments
+        self._config = config
+        self._taken: dict[str, PretrainedPolicy] | None = None
+        self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
+        # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
+        self._shared = self.scenario.rewards.bench_team > 0.0
+        self._whole = GlobalState(labs) if a.critic == "state" else None
+        self.learning = roles
+        self.learners: dict[str, _Learner] = {}
+        for role in self.learning:
+            number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
+            alike = sum(role_of(agent) == role for agent in labs.agents)
+            actions = labs.action_space(number)
+            model = self._model(role, labs.observation_space(number), actions)
+            self.learners[role] = _Learner(model, model.observation_space, actions, alike * a.envs)
+        self.returns: list[float] = []
+        seeds = np.random.SeedSequence(a.seed).generate_state(a.envs, np.uint64)
+        for member, seed in zip(labs.members, seeds, strict=True):
+            labs.seed(int(member), int(seed))
+        self._begin_anew()
+
+    def _model(self, role: str, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any]) -> Any:
+        a = self.arguments
+        discrete = isinstance(actions, gymnasium.spaces.Discrete)
+        settings: dict[str, Any] = {
+            "learning_rate": a.learning_rate,
+            "n_steps": a.batch_size,  # a buffer is made for every update; this only fits the minibatches
+            "batch_size": a.batch_size,
+            "n_epochs": a.epochs,
+            "ent_coef": a.ent_coef if discrete else 0.0,
+            "clip_range": a.clip_range,
+            "gamma": a.manager_gamma if role == MANAGER_ROLE else a.gamma,
+            "gae_lambda": a.gae_lambda,
+            "seed": a.seed,
+            "device": "cpu",
+            "policy_kwargs": {} if a.net_arch is None else {"net_arch": list(a.net_arch)},
+        }
+        network: Any = "MlpPolicy"
+        if self._whole is not None:
+            network = MaskableCentralisedPolicy if discrete else CentralisedPolicy
+            settings["policy_kwargs"]["own"] = space.shape[0]
+            low, high = (
+                np.append(*both) for both in ((space.low, self._whole.space.low), (space.high, self._whole.space.high))
+            )
+            space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        model: Any = (MaskablePPO if discrete else PPO)(network, _Spaces(space, actions), **settings)
+        model.set_logger(Logger(None, []))
+        return model
+
+    def _stream(self, number: int) -> Callable[[IntArray], IntArray]:
+        """Which stream of its role's experience an agent's laboratories are."""
+        agents = self.labs.agents
+        place = sum(role_of(agent) == role_of(agents[number]) for agent in agents[:number])
+        return lambda members: place * self.arguments.envs + members
+
+    def _begin_anew(self, shown: str | None = None, tried: bool = False) -> None:
+        """New episodes.
+
+        Args:
+            shown: None: the learners play and explore. Else a policy by name plays in their place.
+            tried: the learners play without exploring, and that policy says what it would have played.
+        """
+        for learner in self.learners.values():
+            learner.experience.abandon()
+        self.labs.reset(self.labs.members)
+        self._ended = np.zeros(len(self.labs.members), dtype=np.bool_)
+        """[N] laboratories that have been to an end since"""
+        self._players = Players(
+            self.labs, [self._player(number, shown, tried) for number in range(len(self.labs.agents))]
+        )
+
+    def _player(self, number: int, shown: str | None, tried: bool) -> Policy:
+        labs, seed, role = self.labs, self.arguments.seed, role_of(self.labs.agents[number])
+        if role in self.learners:
+            learner = self.learners[role]
+            teacher = None if shown is None else Advisor(agent_policy(shown, labs, number, seed))
+            own = as_policy(learner.model) if tried else None
+            return _Acting(learner, self._stream(number), labs.state.ticks, self._whole, teacher, own)
+        return agent_policy(self.arguments.background, labs, number, seed)
+
+    def imitate(self, shown: str, turns: int, rounds: int = 1) -> dict[str, float]:
+        """Make every learner the clone of a policy that plays its role in these laboratories, which then begin anew.
+
+        Args:
+            shown: the policy, by name.
+            turns: of each role, about; of episodes that a round does not end nothing is learned.
+            rounds: in how many parts. After the first the learners play together, as long as the policy did, and on
+                until every laboratory has been to an end: mistakes make long episodes.
+
+        Returns:
+            By role, how well it is hit (see :func:`~.imitate.imitate`).
+        """
+        hit: dict[str, float] = {}
+        first = 0
+        for number in range(rounds):
+            self._begin_anew(shown, tried=number > 0)
+            collected = 0
+            while collected < first or not (self._ended.all() if number else self._fewest_turns() >= turns / rounds):
+                self.collect()
+                collected += 1
+            first = first or collected
+            hit = {role: self._clone(learner) for role, learner in self.learners.items()}
+        for learner in self.learners.values():
+            model = learner.model
+            learner.experience = Experience(model.observation_space, model.action_space, learner.experience.streams)
+        self.returns = []
+        self._begin_anew()
+        return hit
+
+    def _fewest_turns(self) -> int:
+        """Of episodes that are over, in the role that has had the fewest."""
+        return min(len(learner.experience.whole()) for learner in self.learners.values())
+
+    def _clone(self, learner: _Learner) -> float:
+        """Fit a learner to its experience; see :func:`~.imitate.fit`."""
+        model, e, a = learner.model, learner.experience, self.arguments
+        rows = e.whole()
+        returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
+        masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
+        actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
+        spread = a.imitate_spread or LEAST_SPREAD
+        return fit(model, e.observation[rows], masks, actions, returns, a.seed, spread=spread)
+
+    def collect(self) -> None:
+        """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
+        labs = self.labs
+        for _ in range(self.arguments.rollout):
+            self._players.play_pass(labs.members, self._after)
+            over = labs.members[labs.state.status != RUNNING]
+            if len(over):
+                self.returns += labs.result(over).tolist()
+                self._ended[over] = True
+                labs.reset(over)
+
+    def _after(self, number: int, members: IntArray) -> None:
+        """Everybody's share of a turn; experiments and episodes that it ended."""
+        labs = self.labs
+        status = labs.state.status[members]
+        for other, agent in enumerate(labs.agents):
+            learner = self.learners.get(role_of(agent))
+            if learner is None:
+                continue
+            streams, experience = self._stream(other)(members), learner.experience
+            experience.earn(streams, labs.rewards[members, other])
+            ended = status != RUNNING
+            if other > 0 and not self._shared:
+                ended |= np.isfinite(labs.scores[members, other])
+            if ended.any():
+                experience.end(streams[ended], labs.state.ticks[members[ended]])
+
+    def update(self, learning: list[str], remaining: float) -> int:
+        """Let some roles learn from the rollout; the others' experience of it is forgotten."""
+        a, turns = self.arguments, 0
+        for role, learner in self.learners.items():
+            if role in learning:
+                gamma = a.manager_gamma if role == MANAGER_ROLE else a.gamma
+                turns += learner.update(gamma, a.gae_lambda, a.by_ticks, remaining)
+            else:
+                learner.experience.forget()
+        return turns
+
+    def learn(self, progress: Progress) -> tuple[int, list[float]]:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        a = self.arguments
+        self.collect()
+        at = progress.rounds // a.period % len(self.learning)
+        learning = self.learning if a.regime == "together" else [self.learning[at]]
+        turns = max(self.update(learning, 1.0 - progress.step / a.steps), 1)
+        returns, self.returns = self.returns, []
+        return turns, returns
+
+    def learned(self) -> Mapping[str, Policy]:
+        """See :class:`~chemlab.agents.train.loop.LaboratoryTrainee`."""
+        return self._taken or {role: as_policy(learner.model) for role, learner in self.learners.items()}
+
+    def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        save_team(folder, {role: learner.model for role, learner in self.learners.items()})
+        save_state(folder, {"team": self.get_state(), **random_state(), "progress": vars(progress)})
+        for number, agent in enumerate(self.labs.agents):
+            role = role_of(agent)
+            if role in self.learners and not (folder / f"{role}.json").exists():
+                save_learned(
+                    folder,
+                    self.learners[role].model,
+                    self.workplaces[role],
+                    self._config,
+                    goals=goals_met(self.scenario, role) if number else list(self.scenario.lab_goals),
+                    starts="lab",
+                    step=progress.step,
+                    command=self.arguments.command_line(),
+                    evaluation=reached(self.arguments, evaluation),
+                    background=self.arguments.background,
+                )
+
+    def load(self, folder: Path) -> Progress:
+        """Go on from a checkpoint."""
+        state = load_state(folder)
+        for role, model in load_team(folder).items():
+            mine = self.learners[role].model
+            mine.policy.load_state_dict(model.policy.state_dict())
+            mine.policy.optimizer.load_state_dict(model.policy.optimizer.state_dict())
+            mine.num_timesteps = model.num_timesteps
+        self.set_state(state["team"])
+        restore_random_state(state)
+        return Progress.of(state["progress"], folder)
+
+    def take(self, folder: Path) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        self._taken = {role: load_pretrained(folder / role) for role in self.learners}
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that changes but the learners' networks."""
+        return {
+            "laboratories": self.labs.snapshot(),
+            "experience": {role: learner.experience.get_state() for role, learner in self.learners.items()},
+            "memories": self._players.get_memory(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from a :meth:`get_state`."""
+        self.labs.restore(state["laboratories"])
+        for role, learner in self.learners.items():
+            learner.experience.set_state(state["experience"][role])
+        self._players.set_memory(state["memories"])
+
+
+def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
+    """Train, or go on training, or return the result of a run that is finished.
+
+    Args:
+        arguments: who learns what.
+        out: the run's folder; what is in it is described in :mod:`chemlab.agents.runs`, and a checkpoint has
+            a model for each role.
+        watcher: is told how it goes.
+
+    Raises:
+        ValueError: the folder holds another run, another process trains it, or an argument is wrong.
+        DataError: unknown scenario.
+    """
+    run, label = Run(out), f"joint-{arguments.regime}"
+    scenario, roles, described = described_team(arguments, label, "joint", training_versions())
+
+    def check() -> None:
+        labs = Laboratories(scenario, 1)
+        for number, agent in enumerate(labs.agents):
+            if arguments.imitate is not None and role_of(agent) in roles:
+                agent_policy(arguments.imitate, labs, number)
+        if arguments.begin_from is not None:
+            _begin_from(arguments.begin_from, _Team(arguments, scenario, roles, described))
+
+    def go_on() -> RunResult:
+        team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
+        progress = Progress() if last is None else team.load(last)
+        if last is None and arguments.imitate is not None:
+            begun = time.perf_counter()
+            team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED, arguments.imitate_rounds or 1)
+            progress.seconds = time.perf_counter() - begun
+        if last is None and arguments.begin_from is not None:
+            _begin_from(arguments.begin_from, team)
+        return train_in_rounds(run, described, team, arguments, progress, watcher)
+
+    return open_run(run, described, arguments, go_on, check)
+
+
+def _begin_from(text: str, team: _Team) -> None:
+    """Start from the best models of another joint run, or of single runs: in folders of the roles' names, or given as
+    ``ROLE=FOLDER``, separated by commas."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    named = {role: Path(folder) for role, equals, folder in pairs if equals}
+    unknown = [role for role in named if role not in team.learners]
+    if unknown:
+        raise ValueError(f"begin_from: nobody called {', '.join(unknown)} learns; roles: {', '.join(team.learners)}")
+    whole = None if named else Run(Path(text)).checkpoint("best")
+    found = {} if whole is None else load_team(whole)
+    for role, learner in team.learners.items():
+        if role not in found:
+            single = Run(named[role] if role in named else Path(text) / role)
+            best, config = single.checkpoint("best"), single.config()
+            if best is None or config is None:
+                if role in named:
+                    raise ValueError(f"begin_from: {single.path}: holds no training run with a checkpoint")
+                continue
+            found[role] = load_learner(best, str(config["algo"]))
+        model, mine = found[role], learner.model
+        if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
+            raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
+        learned, own = model.policy.state_dict(), mine.policy.state_dict()
+        if {name.partition(".")[0] for name in learned} != {name.partition(".")[0] for name in own}:
+            raise ValueError(f"begin_from: {text}: {role} was trained by an algorithm that has other networks")
+        if {name: layer.shape for name, layer in learned.items()} != {name: layer.shape for name, layer in own.items()}:
+            raise ValueError(f"begin_from: {text}: {role} has other hidden layers; give them with --net-arch")
+        mine.policy.load_state_dict(learned)
+    if not found:
+        raise ValueError(f"begin_from: {text}: holds neither a joint run nor runs of {', '.join(team.learners)}")

@@ -1,0 +1,236 @@
+"""Many training runs as jobs of an executor, each in a process of its own.
+
+A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``,
+``scenario``), algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each,
+and may set any other argument of ``chemlab train`` for all of them; ``[defaults]`` sets them for the whole file::
+
+    [[runs]]
+    env_id = ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"]
+    algo = ["ppo", "sac"]
+    seeds = 5
+    steps = 300_000
+
+Within a table the first seed of everything comes first. A run stands in ``OUT/BENCH/LABEL/seed-N``, where the label is
+the algorithm (or preset), or the table's ``name``. A run that is finished is not run again, an interrupted one goes on
+from its checkpoint, a failed one is tried again by the next sweep; what runs say is in ``log.txt`` in their folders.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from chemlab.config.files import write_text
+from chemlab.config.materials import DataError, read_toml
+from chemlab.config.parts import may_run
+
+from ..executors import WorkerLost, run_chemlab
+from ..runs import Run, RunBusy, differences, to_text
+from .arguments import TrainArguments, label_of, resolved
+from .tasks import task_fingerprint
+
+__all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
+
+STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
+"""``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments, or of
+a scenario that has changed since."""
+
+_OWN = ("name", "seeds")
+_LISTS = ("env_id", "scenario", "preset", "algo")
+"""Keys that may have several values, of which every combination is run."""
+
+
+_MOST_RUNS = 10_000
+_FOLDER = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}")
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One run of a sweep."""
+
+    name: str
+    arguments: TrainArguments
+    run: Run
+
+    @property
+    def log(self) -> Path:
+        """What the process said."""
+        return self.run.path / "log.txt"
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a run is doing; ``mean`` is the result's, or the last evaluation's so far."""
+
+    state: str
+    step: int
+    steps: int
+    mean: float | None
+    note: str = ""
+
+
+def plan(file: Path, out: Path) -> list[Planned]:
+    """The runs of a sweep file, in the order in which they are run: the first seed of everything comes first.
+
+    Raises:
+        DataError: the file is missing or not TOML.
+        ValueError: an unknown key or value, or two runs with one folder.
+    """
+    content = read_toml(file)
+    unknown = [key for key in content if key not in ("defaults", "runs")]
+    tables = content.get("runs")
+    if unknown or not isinstance(tables, list) or not tables:
+        raise ValueError(
+            f"{file}: needs [[runs]] tables, and may have [defaults]; found {', '.join(content) or 'nothing'}"
+        )
+    found: dict[Path, Planned] = {}
+    turns: dict[Path, int] = {}
+    defaults = content.get("defaults", {})
+    for number, table in enumerate(tables, start=1):
+        where = f"{file}: runs {number}"
+        if not isinstance(table, dict) or not isinstance(defaults, dict):
+            raise DataError(f"{where}: [[runs]] and [defaults] must be tables")
+        values = {**defaults, **table}
+        for turn, seed in enumerate(_seeds(values.get("seeds", 1), where)):
+            for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
+                own = {k: v for k, v in values.items() if k not in _OWN}
+                arguments = TrainArguments.of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
+                label = str(values.get("name", label_of(arguments)))
+                path = out / _folder(arguments, label, where)
+                one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
+                if path in found and found[path].arguments != arguments:
+                    raise ValueError(f"{where}: {one.name} is another run above; give this table a name")
+                found.setdefault(path, one)
+                turns.setdefault(path, turn)
+                if len(found) > _MOST_RUNS:
+                    raise DataError(f"{where}: more than {_MOST_RUNS} runs")
+    return [found[path] for path in sorted(found, key=turns.__getitem__)]
+
+
+def _folder(arguments: TrainArguments, label: str, where: str) -> Path:
+    """Where a run stands, below the folder of results and nowhere else."""
+    folder = arguments.folder(label)
+    if len(folder.parts) != 3 or not all(_FOLDER.fullmatch(part) for part in folder.parts):
+        raise DataError(
+            f"{where}: a run's folder cannot be called {str(folder)!r:.300}: BENCH/LABEL/seed-N, without slashes "
+            "and without a dot at the beginning"
+        )
+    return folder
+
+
+def _several(values: dict[str, Any], key: str) -> list[Any]:
+    value = values.get(key)
+    return value if isinstance(value, list) else [value]
+
+
+def _seeds(value: Any, where: str) -> list[int]:
+    seeds = list(range(min(value, _MOST_RUNS + 1))) if type(value) is int else value
+    if isinstance(seeds, list) and len(seeds) > _MOST_RUNS:
+        raise DataError(f"{where}: seeds: at most {_MOST_RUNS} of them")
+    if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
+        raise ValueError(f"{where}: seeds: needs a list of integers from 0 or how many, given {value!r}")
+    return seeds
+
+
+def status_of(planned: Planned) -> Status:
+    """How a run is doing, from its folder.
+
+    Raises:
+        ValueError: a file there is damaged.
+    """
+    run, steps = planned.run, planned.arguments.steps
+    config = run.config()
+    if config is None:
+        return _unfinished(planned, 0, None, "waiting")
+    given = {
+        name: value
+        for name, value in vars(resolved(planned.arguments)).items()
+        # The file has what these stand for where they are not given.
+        if value is not None or name not in ("scenario", "bench", "goals")
+    }
+    now = {"fingerprint": task_fingerprint(planned.arguments)}
+    found = differences(config, {**config, **given, **now}, vars(TrainArguments()))
+    if found:
+        return Status("other", 0, steps, None, f"{', '.join(found.values())}: {run.path}")
+    result = run.result()
+    if result is not None:
+        return Status("done", result.steps, result.steps, result.mean)
+    curve, evaluations = run.curve(), run.evaluations()
+    step = curve[-1].step if curve else 0
+    mean = evaluations[-1].mean if evaluations else None
+    return _unfinished(planned, step, mean, "interrupted")
+
+
+def _unfinished(planned: Planned, step: int, mean: float | None, otherwise: str) -> Status:
+    state = "running" if planned.run.busy() else "failed" if planned.run.failed_file.exists() else otherwise
+    return Status(state, step, planned.arguments.steps, mean, str(planned.log) if state == "failed" else "")
+
+
+def run_sweep(
+    runs: list[Planned], executor: Executor, watch: Callable[[list[Status]], None], interval: float = 0.5
+) -> list[Status]:
+    """Run what is not finished; returns how each run ended.
+
+    Runs that another process trains are left to it and waited for. Closing the executor ends runs; the next sweep goes
+    on with them.
+
+    Args:
+        runs: see :func:`plan`.
+        executor: of commands, see :func:`chemlab.agents.executors.executor`. Wherever it runs them, it has the runs'
+            folders.
+        watch: is shown every run's status now and then.
+        interval: seconds between looks.
+
+    Raises:
+        ValueError: a file of a run is damaged.
+    """
+    queue = [one for one in runs if status_of(one).state not in ("done", "other")]
+    active: dict[Future[int], Planned] = {}
+    known: dict[str, Status] = {}
+
+    def look(fresh: set[str]) -> list[Status]:
+        for one in runs:
+            # Finished runs' files do not change: there may be hundreds of them.
+            if one.name not in known or one.name in fresh or known[one.name].state in ("running", "waiting"):
+                known[one.name] = status_of(one)
+        return [known[one.name] for one in runs]
+
+    while queue or active:
+        fresh = set()
+        for future in [future for future in active if future.done()]:
+            one = active.pop(future)
+            fresh.add(one.name)
+            code = _exit_code(future)
+            if code == RunBusy.exit_code:  # another sweep's process was a moment earlier
+                queue.append(one)
+            elif code != 0:
+                write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))
+        for one in [one for one in queue if not one.run.busy()]:
+            queue.remove(one)
+            one.run.path.mkdir(parents=True, exist_ok=True)
+            one.run.failed_file.unlink(missing_ok=True)
+            active[executor.submit(run_chemlab, _words(one), one.log)] = one
+        watch(look({one.name for one in active.values()} | fresh))
+        if queue or active:
+            wait(active, timeout=interval, return_when=FIRST_COMPLETED)
+    final = look({one.name for one in runs})
+    watch(final)
+    return final
+
+
+def _words(one: Planned) -> list[str]:
+    """The command that trains a run."""
+    words = ["train", one.arguments.env_id, *one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
+    return [*words, "--trust"] if may_run(otherwise=False) else words
+
+
+def _exit_code(ended: Future[int]) -> int:
+    try:
+        return ended.result()
+    except WorkerLost:
+        return -9  # as of one that was killed

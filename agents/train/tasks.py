@@ -1,0 +1,296 @@
+"""What there is to train: a bench on its own, or one role of a laboratory in which policies play the others."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.focal import FocalVectorEnv
+from chemlab.kernels.arrays import FloatArray
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.roles.bench import Bench
+
+from ..advice import AdvisedPolicy, Advisor
+from ..background import background_policies, focal_vector_env
+from ..player import play_bench, play_laboratory
+from ..policies import Policy, agent_policy, bench_policy, is_scripted
+from ..pretrained import Card, Workplace, fingerprint, given_as
+from ..roles import MANAGER_ROLE
+from .arguments import TrainArguments
+
+__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint", "task_of"]
+
+
+class Task(ABC):
+    """What a training run is about."""
+
+    scenario: Scenario
+    agent: str
+    """Who learns: a bench by its key, or an agent of a laboratory by its id."""
+    goals: tuple[str, ...]
+    workplace: Workplace
+    background: str | None = None
+    """Who plays the other roles, where there are any."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Equal fingerprints are equal tasks."""
+        return fingerprint(self.workplace)
+
+    @abstractmethod
+    def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
+        """A batch to train in, which resets its members in the same step."""
+
+    def prepare(self, batch: Any, shares: Mapping[str, float] | None) -> None:
+        """Let a share of the episodes of a :meth:`batch` begin half way (see
+        :meth:`~chemlab.lab.engine.Laboratories.prepare`).
+
+        Raises:
+            ValueError: a bench on its own has no half way, or a bench or share is wrong.
+            DataError: no such vessels have been recorded for the scenario.
+        """
+        if shares is not None:
+            raise ValueError("curriculum: is for a laboratory; a bench on its own has goals and starts")
+
+    @abstractmethod
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """[G, episodes] what a policy comes to, for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
+
+    @abstractmethod
+    def policy(self, name: str) -> Policy:
+        """A policy for this task by name.
+
+        Raises:
+            ValueError: unknown name, or nothing that fits.
+        """
+
+    def advisor(self, name: str) -> Advisor:
+        """Who advises the agent that learns.
+
+        Raises:
+            ValueError: unknown name, or it is not a laboratory's manager that learns.
+        """
+        if self.workplace.key != MANAGER_ROLE:
+            raise ValueError(f"advice: is for a laboratory's manager; {self.agent} learns here")
+        return Advisor(self.policy(name), self.workplace.action_count)
+
+    def advised(self, policy: Policy, advice: str | None) -> Policy:
+        """A policy with an advisor of its own by name, where it has one; errors as :meth:`advisor`."""
+        return policy if advice is None else AdvisedPolicy(policy, self.advisor(advice))
+
+    def warning(self) -> str | None:
+        """What whoever trains for this should know before, if anything."""
+        return None
+
+    def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
+        """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
+        if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
+            return None
+        return self.by_goal(self.policy("heuristic"), episodes, seed)
+
+    def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
+        """A policy's mean for each goal."""
+        means = self.returns(policy, episodes, seed).mean(axis=1)
+        return {goal: float(mean) for goal, mean in zip(self.goals, means, strict=True)}
+
+
+@dataclass(frozen=True)
+class _BenchSource:
+    scenario: Any
+    bench: str
+    goals: tuple[str, ...] | None
+    starts: str
+    splits: tuple[str, str]
+
+
+class BenchTask(Task):
+    """One bench of a scenario.
+
+    Args:
+        scenario, bench, goals, starts: as for :class:`~chemlab.envs.bench_env.BenchEnv`.
+        splits: worlds to train in, and to evaluate in.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+    """
+
+    def __init__(
+        self,
+        scenario: Any,
+        bench: str,
+        goals: tuple[str, ...] | None = None,
+        starts: str = "paper",
+        splits: tuple[str, str] = ("train", "validation"),
+    ) -> None:
+        self._source = _BenchSource(load_scenario(scenario), bench, goals, starts, splits)
+        self._batches: dict[int, BenchVectorEnv] = {}
+        self.workplace: Bench = self.batch(1).bench
+        self.scenario, self.agent = self.workplace.scenario, bench
+        self.goals = self.scenario.goals if goals is None else tuple(goals)
+
+    def batch(self, members: int) -> BenchVectorEnv:
+        """See :class:`Task`."""
+        return self._made(members, self._source.splits[0])
+
+    def _made(self, members: int, split: str) -> BenchVectorEnv:
+        s = self._source
+        return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP, split=split)
+
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """See :class:`Task`."""
+        count = len(self.goals)
+        if episodes not in self._batches:
+            self._batches[episodes] = self._made(episodes * count, self._source.splits[1])
+        # All goals in one batch, each with the same seeds.
+        seeds = [seed + i for i in range(episodes)] * count
+        played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
+        return played.returns.reshape(count, episodes)
+
+    def policy(self, name: str) -> Policy:
+        """See :class:`Task`."""
+        return bench_policy(name, self.workplace)
+
+    def warning(self) -> str | None:
+        """See :class:`Task`: the scenario may say nothing of what a single bench begins with."""
+        start, given = self.workplace.spec.start, given_as(self.scenario)
+        if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
+            return None
+        recorded = f"; or record vessels with chemlab starts {given}, and train with --starts lab"
+        return (
+            f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
+            f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"
+            f"{recorded if is_scripted(self.workplace) else ''}"
+        )
+
+
+class LaboratoryTask(Task):
+    """One role of a laboratory; what it comes to is the laboratory's score for the manager, its own return for others.
+
+    Args:
+        scenario: a shipped name, a path, or a loaded scenario.
+        agent: id of the agent that learns.
+        background: who plays the others, by name.
+        goals: laboratory goals to evaluate (default: all).
+        splits: worlds to train in, and to evaluate in.
+
+    Raises:
+        DataError: unknown scenario.
+        ValueError: unknown agent, policy or goal.
+    """
+
+    def __init__(
+        self,
+        scenario: Any,
+        agent: str = MANAGER_AGENT,
+        background: str = "heuristic",
+        goals: tuple[str, ...] | None = None,
+        splits: tuple[str, str] = ("train", "validation"),
+    ) -> None:
+        self._splits = splits
+        self.scenario, self.agent = load_scenario(scenario), agent
+        self.background = self._background = background
+        known = self.scenario.lab_goals
+        self.goals = known if goals is None else tuple(goals)
+        if set(self.goals) - set(known) or not self.goals:
+            raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
+        env = self.batch(1)
+        self._number = env.focal
+        self.workplace = env.laboratories.role(env.focal)
+        self._labs: dict[int, Laboratories] = {}
+
+    def batch(self, members: int) -> FocalVectorEnv:
+        """See :class:`Task`."""
+        return focal_vector_env(
+            members,
+            self.scenario,
+            self.agent,
+            self._background,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            split=self._splits[0],
+        )
+
+    def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
+        """See :class:`Task`."""
+        batch.laboratories.prepare(shares)
+
+    def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
+        """See :class:`Task`."""
+        labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes, split=self._splits[1]))
+        others = background_policies(self._background)
+        policies = {**(others(labs) if callable(others) else others), self.agent: policy}
+        played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
+        own = (one.returns if self._number == 0 else one.measures[f"reward {self.agent}"] for one in played)
+        return np.array(list(own))
+
+    def policy(self, name: str) -> Policy:
+        """See :class:`Task`."""
+        return agent_policy(name, Laboratories(self.scenario), self._number)
+
+
+def task_of(card: Card) -> Task:
+    """Where a card's evaluation was played: a bench on its own where it says how experiments began, else a laboratory.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: unknown policy in the background.
+    """
+    goals = tuple(card.goals)
+    if card.bench != MANAGER_ROLE and (card.background is None or card.starts != "paper"):
+        return BenchTask(card.scenario, card.bench, goals, card.starts)
+    agent = MANAGER_AGENT if card.bench == MANAGER_ROLE else f"{card.bench}_0"
+    return LaboratoryTask(card.scenario, agent, card.background or "heuristic", goals)
+
+
+def task_fingerprint(arguments: TrainArguments) -> str:
+    """The fingerprint of what the arguments' environment id stands for; errors as :func:`find_task`."""
+    # Whoever asks has hundreds of runs of a few tasks.
+    return _fingerprint(arguments.env_id, arguments.scenario, arguments.bench, arguments.actions)
+
+
+@cache
+def _fingerprint(env_id: str, scenario: str | None, bench: str | None, actions: str | None) -> str:
+    return find_task(TrainArguments(env_id=env_id, scenario=scenario, bench=bench, actions=actions)).fingerprint
+
+
+def find_task(arguments: TrainArguments) -> Task:
+    """What the arguments' environment id stands for.
+
+    Raises:
+        DataError: unknown scenario, bench, goal or starting states.
+        ValueError: not an environment of chemlab's, or a scenario, bench or agent for one that has its own.
+    """
+    env_id = arguments.env_id
+    known = {
+        name: spec.kwargs
+        for name, spec in gymnasium.registry.items()
+        if spec.vector_entry_point and "chemlab." in str(spec.entry_point)
+    }
+    if env_id not in known:
+        raise ValueError(f"env_id: known: {', '.join(known)}; given {env_id!r}")
+    own = known[env_id]
+    laboratory = ".background:" in str(gymnasium.spec(env_id).entry_point)
+    asked = {"scenario": arguments.scenario, ("agent" if laboratory else "bench"): arguments.bench}
+    for name, value in asked.items():
+        if value is not None and own.get(name, value) != value:
+            other = "chemlab/LabAgent-v0" if laboratory else "chemlab/Bench-v0"
+            raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs {other}, given {value!r}")
+    task = {**own, **{name: value for name, value in asked.items() if value is not None}}
+    scenario = load_scenario(task.get("scenario", "wurtz_dodecane")).with_actions(arguments.actions)
+    splits = arguments.split, arguments.evaluation_split
+    if not laboratory:
+        if arguments.background is not None:
+            raise ValueError(f"background: {env_id} is a bench on its own, given {arguments.background!r}")
+        return BenchTask(scenario, task.get("bench", "rxn"), arguments.goals, arguments.starts, splits)
+    if arguments.starts != "paper":
+        raise ValueError(f"starts: {env_id} begins with the scenario's own shelf, given {arguments.starts!r}")
+    agent = task.get("agent", MANAGER_AGENT)
+    return LaboratoryTask(scenario, agent, arguments.background or "heuristic", arguments.goals, splits)

@@ -1,1 +1,0 @@
-"""Benches and instruments: actions, observation channels, rewards. One implementation serves every environment."""

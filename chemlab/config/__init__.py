@@ -1,0 +1,1 @@
+"""Scenario files and data files: models, checks, loading."""

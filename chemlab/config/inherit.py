@@ -1,0 +1,184 @@
+"""What a scenario file need not say: what its ``base`` says, and what its kinds of benches have anyway.
+
+All of this works on parsed files, before they are checked against the models of :mod:`chemlab.config.scenario`.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import importlib.resources
+import os.path
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .datafile import DataError, dotted_key, read_toml
+
+__all__ = ["bench_defaults", "completed", "scenario_folder", "scenario_names", "shipped_file", "synthesis_names"]
+
+_BENCHES = Path(__file__).resolve().parent.parent / "data" / "benches"
+_LONGEST_CHAIN = 16
+
+
+def scenario_folder() -> Path:
+    """Folder of the scenario files that come with chemlab."""
+    try:
+        folder = Path(str(importlib.resources.files("chemlab.scenarios")))
+        if folder.is_dir() and any(folder.glob("*.toml")):
+            return folder
+    except ModuleNotFoundError:
+        pass  # a checkout that is on sys.path but not installed: the files lie beside the package
+    return Path(__file__).resolve().parents[2] / "scenarios"
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios that come with chemlab and that its benchmark is made of."""
+    return sorted(path.stem for path in scenario_folder().glob("*.toml"))
+
+
+def synthesis_names() -> list[str]:
+    """Names of the syntheses that come with chemlab: scenarios after publications, beside the benchmark."""
+    return sorted(path.stem for path in (scenario_folder() / "syntheses").glob("*.toml"))
+
+
+def shipped_file(name: object) -> Path | None:
+    """The file of a scenario or synthesis that comes with chemlab; None for any other name."""
+    if name in scenario_names():
+        return scenario_folder() / f"{name}.toml"
+    return scenario_folder() / "syntheses" / f"{name}.toml" if name in synthesis_names() else None
+
+
+@functools.cache
+def _shipped_benches() -> dict[str, dict[str, Any]]:
+    return {path.stem: read_toml(path) for path in sorted(_BENCHES.glob("*.toml"))}
+
+
+def bench_defaults(kind: object) -> Mapping[str, Any]:
+    """What a bench of this kind has where a scenario does not say otherwise, from ``data/benches``; nothing for a kind
+    that has no file there."""
+    return _shipped_benches().get(kind, {}) if isinstance(kind, str) else {}
+
+
+def completed(values: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
+    """A scenario file's content with all that it does not say itself.
+
+    Args:
+        values: the parsed file.
+        where: the file, for error messages.
+        folder: where its relative paths start.
+
+    Returns:
+        The base's tables with the file's own merged into them key by key, less what the file removes; then, for each
+        bench, the keys of its kind that are given nowhere. A bench's key is taken whole, from one or the other.
+
+    Raises:
+        DataError: the base is unknown or has this file as its own base; what is to be removed is not there; an empty
+            table that changes nothing.
+    """
+    content = _inherited(values, where, folder, ())
+    benches = content.get("benches")
+    if isinstance(benches, Mapping):
+        content["benches"] = {
+            key: _whole(bench) if isinstance(bench, Mapping) else bench for key, bench in benches.items()
+        }
+    return content
+
+
+def _whole(bench: Mapping[str, Any]) -> dict[str, Any]:
+    more = {key: value for key, value in bench_defaults(bench.get("kind")).items() if key not in bench}
+    return {**bench, **copy.deepcopy(more)}
+
+
+def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple[str, ...]) -> dict[str, Any]:
+    own = dict(values)
+    if "base" not in own:
+        if "remove" in own:
+            raise DataError(f"{where}: remove: takes keys out of a base, and this scenario has none")
+        return own
+    base, remove = own.pop("base"), own.pop("remove", [])
+    path = shipped_file(base) or folder / str(base)
+    if path.suffix != ".toml" or not os.path.isfile(path):
+        shipped = ", ".join([*scenario_names(), *synthesis_names()])
+        raise DataError(f"{where}: base: unknown {base!r:.200}; shipped: {shipped}; or the path of a .toml file")
+    if str(path.resolve()) in above:
+        raise DataError(f"{where}: base: {base!r} has this scenario as its own base")
+    if len(above) >= _LONGEST_CHAIN:
+        raise DataError(f"{where}: base: more than {_LONGEST_CHAIN} bases, one of the other")
+    under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
+    for key in ("material_files", "pair_files", "reactions"):
+        # Paths are relative to the file that has them.
+        if key not in own and key in under:
+            under[key] = _absolute(under[key], path.parent)
+    under = _parts_from(under, folder, path.parent)
+    if not isinstance(remove, (list, tuple)):
+        raise DataError(f'{where}: remove: must be a list of keys, as ["benches.ext"], given {remove!r:.200}')
+    for entry in remove:
+        under = _without(under, dotted_key(entry, f"{where}: remove"), entry, f"{where}: remove", str(base))
+    return _merged(under, own, where, ())
+
+
+def _absolute(files: Any, folder: Path) -> Any:
+    if isinstance(files, list):
+        return [_absolute(file, folder) for file in files]
+    return str(folder / files) if str(files).endswith(".toml") else files
+
+
+_PARTS = ("kind", "observe", "reward")
+"""Keys that name parts, wherever they stand."""
+
+
+def _parts_from(value: Any, folder: Path, base: Path) -> Any:
+    """A base's tables with the files of its parts (``file.py:NAME``) as they are called from another folder."""
+    if isinstance(value, list):
+        return [_parts_from(item, folder, base) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    return {
+        key: _part_from(item, folder, base) if key in _PARTS else _parts_from(item, folder, base)
+        for key, item in value.items()
+    }
+
+
+def _part_from(name: Any, folder: Path, base: Path) -> Any:
+    if isinstance(name, list):
+        return [_part_from(item, folder, base) for item in name]
+    file, _, wanted = str(name).rpartition(":")
+    if not isinstance(name, str) or not file.endswith(".py"):
+        return name
+    try:
+        path = os.path.relpath(base / file, folder)
+    except ValueError:  # another drive
+        path = str((base / file).resolve())
+    return f"{Path(path).as_posix()}:{wanted}"
+
+
+def _without(table: Mapping[str, Any], key: list[str], entry: str, where: str, base: str) -> dict[str, Any]:
+    """``table`` without ``key``, which must be there."""
+    first, rest = key[0], key[1:]
+    if first not in table or (rest and not isinstance(table[first], Mapping)):
+        there = ", ".join(table) if first not in table else f"{first}, which is no table"
+        raise DataError(f"{where}: {entry!r} is not in the base {base!r}: {there:.1000} is there")
+    kept = dict(table)
+    if rest:
+        kept[first] = _without(kept[first], rest, entry, where, base)
+    else:
+        del kept[first]
+    return kept
+
+
+def _merged(under: Mapping[str, Any], own: Mapping[str, Any], where: str, path: tuple[str, ...]) -> dict[str, Any]:
+    merged = dict(under)
+    for key, value in own.items():
+        below, here = merged.get(key), (*path, key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            if below and not value:
+                name = ".".join(part if re.fullmatch(r"[\w-]+", part, re.ASCII) else f"'{part}'" for part in here)
+                raise DataError(
+                    f"{where}: {name}: an empty table leaves the base's as it is; leave it out, or take the base's out "
+                    f'with remove = ["{name}"]'
+                )
+            value = _merged(below, value, where, here)
+        merged[key] = value
+    return merged

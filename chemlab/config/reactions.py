@@ -1,0 +1,478 @@
+"""Reaction networks as data: stoichiometry, orders and Arrhenius constants, checked for balance.
+
+A reaction family is one TOML file of ``chemlab/data/reactions`` (or a path of the user's): ``[[reaction]]``
+entries integrated by the kinetics kernel, ``[[salt]]`` entries taken to their dissolution equilibrium,
+``[[violent]]`` entries that run to completion at once and may be safety events, and ``[[acid]]`` entries that are at
+their equilibrium with water at any time.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ..kernels.arrays import FloatArray
+from .datafile import DataError, read_toml
+from .datamodel import Grown, validated
+from .materials import Material, Text, atoms_of
+
+__all__ = [
+    "HYDROXIDE",
+    "PROTON",
+    "WATER",
+    "Acid",
+    "Reaction",
+    "ReactionFamily",
+    "Salt",
+    "Solubility",
+    "Violent",
+    "check_reactions",
+    "check_without_real",
+    "dissolved_reactions",
+    "equation",
+    "load_reactions",
+    "shipped_reactions_folder",
+]
+
+PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
+"""Materials by which acids and bases react with each other, and in which they do."""
+
+_BALANCE_TOLERANCE = 1e-9
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+Coefficients = Annotated[
+    dict[Text, Annotated[float, Field(ge=0.001, le=100.0)]],
+    Field(min_length=1, max_length=20),
+]
+"""Stoichiometric coefficients of one side, by material."""
+Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(max_length=20)]
+"""Orders by reactant; together at most 20."""
+_HIGHEST_ORDER = 20.0
+"""Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
+_SMALLEST_CONSTANT = 1e-50
+_SOLUBLE = 0.01
+"""mol/kg of water, above which a salt reacts as its ions there."""
+_KEPT_APART = 1.0
+"""L/mol of water, by which the reaction of an undissolved salt is slowed down: it goes on where there is no water, and
+adds 2 % to that of its ions in a saturated solution."""
+Inhibition = Annotated[dict[Text, Annotated[float, Field(gt=0.0, le=1e12)]], Field(max_length=20)]
+"""Inhibition constants in L/mol, by material."""
+Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""J/mol"""
+
+
+class _Balanced(BaseModel):
+    """What every kind of reaction has."""
+
+    model_config = _FROZEN
+
+    reactants: Coefficients
+    products: Coefficients
+    source: str = Field(min_length=1)
+
+
+class Reaction(_Balanced, Grown):
+    """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit.
+
+    What catalyses and inhibits it, and the reverse reaction, are known to the tier ``real`` only.
+    """
+
+    _later: ClassVar[tuple[str, ...]] = ("catalysts", "inhibitors", "equilibrium_constant", "enthalpy_j_mol")
+
+    orders: Orders = {}
+    """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
+    coefficient (mass action)."""
+    pre_exponential: float = Field(gt=0.0, le=1e30)
+    """A, in (L/mol)^(order - 1) per time unit."""
+    activation_energy_j_mol: float = Field(ge=0.0, le=500_000.0)
+    catalysts: Orders = {}
+    """Order in each material that is not used up; without it the reaction does not run, in neither direction."""
+    inhibitors: Inhibition = {}
+    """K in L/mol by material: the rate is divided by 1 + sum of K times its concentration."""
+    equilibrium_constant: float | None = Field(default=None, gt=0.0, le=1e50)
+    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K) and asks for mass action.
+    Between 1e-50 and 1e50."""
+    enthalpy_j_mol: Enthalpy | None = None
+    """Heat of reaction at 298.15 K, which K follows with temperature (van 't Hoff); without it that of the materials'
+    formation enthalpies, with which it must agree."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Reaction:
+        for key in self.orders:
+            if key not in self.reactants:
+                raise ValueError(f"orders.{key}: not a reactant of this reaction")
+        if self.orders and set(self.orders) != set(self.reactants):
+            raise ValueError("orders must name every reactant, or none")
+        for key in self.catalysts:
+            if key in self.reactants:
+                raise ValueError(f"catalysts.{key}: is a reactant; give it a higher order under orders instead")
+        for key in self.inhibitors:
+            if key in self.catalysts:
+                raise ValueError(f"inhibitors.{key}: is a catalyst of this reaction as well")
+        orders = self.orders or dict(self.reactants)
+        forward, backward = sum(orders.values()), 0.0
+        if self.equilibrium_constant is not None:
+            if self.equilibrium_constant < _SMALLEST_CONSTANT:
+                raise ValueError(
+                    f"equilibrium_constant: at least {_SMALLEST_CONSTANT:g}, given {self.equilibrium_constant:g}; "
+                    "what does not go forward is better left out"
+                )
+            if orders != self.reactants:
+                raise ValueError(
+                    "equilibrium_constant: only mass action leads to it: leave out orders, or write the reverse "
+                    "reaction as one of its own"
+                )
+            backward = sum(self.products.values())
+        total = max(forward, backward) + sum(self.catalysts.values())
+        if total > _HIGHEST_ORDER:
+            raise ValueError(f"orders: add up to {total:g}; at most {_HIGHEST_ORDER:g}")
+        return self.model_copy(update={"orders": orders})
+
+    def materials(self) -> set[str]:
+        """Every material this reaction changes or depends on."""
+        return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
+
+    @property
+    def words(self) -> str:
+        """By what messages call it: it has no name, and its place is another where reactions that cannot run are left
+        out."""
+        return f"{' + '.join(self.reactants)} -> {' + '.join(self.products)}"
+
+
+Point = tuple[Annotated[float, Field(ge=150.0, le=1000.0)], Annotated[float, Field(ge=0.0, le=100.0)]]
+"""A temperature in K and a solubility in mol/kg."""
+
+
+class Solubility(BaseModel):
+    """How much of a salt a kilogram of solvent takes up; a mixture takes up what its solvents do, by their mass."""
+
+    model_config = _FROZEN
+
+    solvents: dict[Text, Annotated[tuple[Point, ...], Field(min_length=1, max_length=50)]] = Field(
+        min_length=1, max_length=50
+    )
+    """Points (K, mol/kg) by solvent, temperatures rising; between two of them it is a straight line, beyond the first
+    and the last constant."""
+    elsewhere_mol_kg: float = Field(default=0.0, ge=0.0, le=100.0)
+    """In any other solvent, at all temperatures."""
+    source: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _rises(self) -> Solubility:
+        for name, points in self.solvents.items():
+            if any(cold[0] >= warm[0] for cold, warm in itertools.pairwise(points)):
+                raise ValueError(f"solvents.{name}: temperatures must rise, given {[point[0] for point in points]}")
+        return self
+
+    def mol_per_kg(self, solvent: str, temperature_k: FloatArray | float) -> FloatArray:
+        """Solubility in one solvent in mol/kg, in the shape of ``temperature_k``."""
+        temperature = np.asarray(temperature_k, dtype=np.float64)
+        points = np.array(self.solvents.get(solvent, ((298.15, self.elsewhere_mol_kg),)))
+        return np.asarray(np.interp(temperature, points[:, 0], points[:, 1]))
+
+
+class Salt(Grown):
+    """A salt that dissolves as ``solid <-> cation + anion`` (one of each): in the tier ``paper`` in every solvent,
+    K = 1 mol/mol, in the tier ``real`` up to its solubility."""
+
+    model_config = _FROZEN
+    _later: ClassVar[tuple[str, ...]] = ("solubility",)
+
+    solid: Text
+    cation: Text
+    anion: Text
+    source: str = Field(min_length=1)
+    solubility: Solubility | None = None
+    """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
+
+
+class Violent(_Balanced, Grown):
+    """A reaction that goes to completion the moment its reactants meet."""
+
+    _later = ("event",)
+
+    event: Text | None = None
+    """Safety event that it counts as, by the mol of its first reactant; without one, a solid element that reacts with
+    water counts as ``metal_in_water_mol``, and others as none."""
+
+
+class Acid(BaseModel):
+    """An acid with its bases, at equilibrium with water at any time; the tier ``real`` alone knows it.
+
+    Strong acids and bases need no entry: they are ions from the start, one of them ``H+`` or ``OH-``.
+    """
+
+    model_config = _FROZEN
+
+    species: tuple[Text, ...] = Field(min_length=2, max_length=8)
+    """From the most acidic one on; each has a proton less than the one before it."""
+    pka: tuple[Annotated[float, Field(ge=-20.0, le=40.0)], ...] = Field(min_length=1, max_length=7)
+    """Of each step, at 298.15 K and infinite dilution."""
+    enthalpy_j_mol: tuple[Enthalpy, ...] = Field(default=(), max_length=7)
+    """Of each step, which its pKa follows with temperature (van 't Hoff); without it that of the materials' formation
+    enthalpies."""
+    source: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Acid:
+        steps = len(self.species) - 1
+        if len(set(self.species)) != len(self.species):
+            raise ValueError("species: one is listed twice")
+        for key, given in (("pka", self.pka), ("enthalpy_j_mol", self.enthalpy_j_mol)):
+            if len(given) != steps and (given or key == "pka"):
+                raise ValueError(f"{key}: {len(self.species)} species have {steps} steps, given {len(given)}")
+        return self
+
+
+class ReactionFamily(Grown):
+    """A named set of reactions, salts, violent reactions and acids."""
+
+    model_config = _FROZEN
+    _later: ClassVar[tuple[str, ...]] = ("acid", "lock")
+
+    name: Text
+    summary: str = ""
+    reaction: tuple[Reaction, ...] = Field(default=(), max_length=200)
+    salt: tuple[Salt, ...] = Field(default=(), max_length=50)
+    violent: tuple[Violent, ...] = Field(default=(), max_length=50)
+    acid: tuple[Acid, ...] = Field(default=(), max_length=50)
+    lock: dict[Text, str] = Field(default={}, max_length=50)
+    """What made the file, if it was made: a command, and versions."""
+
+    def materials(self) -> set[str]:
+        """Every material this family names."""
+        found = {name for salt in self.salt for name in (salt.solid, salt.cation, salt.anion)}
+        for step in self.violent:
+            found |= set(step.reactants) | set(step.products)
+        for reaction in self.reaction:
+            found |= reaction.materials()
+        for acid in self.acid:
+            found |= {*acid.species, PROTON, HYDROXIDE, WATER}
+        return found
+
+    def towards(self, goal: str) -> set[str]:
+        """The goal, and every material that the reactions on the way to it begin with, or do not run without."""
+        steps = itertools.chain.from_iterable(self.ways(goal).values())
+        return {goal}.union(*({*step.reactants, *step.catalysts} for step in steps))
+
+    def ways(self, goal: str) -> dict[str, list[Reaction]]:
+        """The reactions on the way to a goal by the material that each is there to make, in the family's order.
+
+        None begins with what it leads to: that aspirin gives salicylic acid back is no way to aspirin.
+        """
+        found: dict[str, list[Reaction]] = {}
+        wanted = [goal]
+        for name in wanted:  # which grows
+            if name in found:
+                continue
+            made = [s for s in self.reaction if name in s.products and name not in _behind(s.reactants, found)]
+            found[name] = made
+            wanted += itertools.chain.from_iterable(step.reactants for step in made)
+        return {name: made for name, made in found.items() if made}
+
+
+def _behind(names: Iterable[str], ways: Mapping[str, list[Reaction]]) -> set[str]:
+    """Some materials, and all that they are made of by some ways."""
+    seen: set[str] = set()
+    wanted = list(names)
+    while wanted:
+        name = wanted.pop()
+        if name not in seen:
+            seen.add(name)
+            wanted += itertools.chain.from_iterable(step.reactants for step in ways.get(name, ()))
+    return seen
+
+
+def equation(step: Reaction | Violent) -> str:
+    """A reaction as text: ``A + 2 B -> C``."""
+    sides = [
+        " + ".join(f"{'' if number == 1 else f'{number:g} '}{name}" for name, number in side.items())
+        for side in (step.reactants, step.products)
+    ]
+    return " -> ".join(sides)
+
+
+def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
+    """Write reactions of soluble salts as those of their ions, where there is water (tier ``real``).
+
+    A reaction that begins with such a salt, or does not run without it, is followed by the same one of its ions; that
+    of the solid is for where there is no water. Ions on both sides take no part. An ion has the order of its salt, two
+    that are used up have half of it each.
+    """
+    salts = {
+        salt.solid: salt
+        for salt in family.salt
+        if salt.solubility is not None and salt.solubility.mol_per_kg(WATER, 298.15) > _SOLUBLE
+    }
+    steps: list[Reaction] = []
+    for step in family.reaction:
+        needed = {*step.reactants, *step.catalysts, *step.inhibitors}
+        needed |= set(step.products) if step.equilibrium_constant is not None else set()
+        if needed.isdisjoint(salts) or WATER in step.inhibitors:
+            steps.append(step)
+            continue
+        ionic = _of_ions(step, salts)
+        if ionic.reactants.keys() | ionic.catalysts.keys() >= step.reactants.keys() | step.catalysts.keys():
+            steps.append(ionic)  # only products or inhibitors are salts
+            continue
+        steps += [step.model_copy(update={"inhibitors": {**step.inhibitors, WATER: _KEPT_APART}}), ionic]
+    return family.model_copy(update={"reaction": tuple(steps)})
+
+
+def _parted(side: Mapping[str, float], salts: Mapping[str, Salt]) -> dict[str, float]:
+    """Numbers by material, with the ions of salts instead of them."""
+    total: dict[str, float] = {}
+    for name, number in side.items():
+        for part in (salts[name].cation, salts[name].anion) if name in salts else (name,):
+            total[part] = total.get(part, 0.0) + number
+    return total
+
+
+def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
+    """A reaction of dissolved salts."""
+    before, after = _parted(step.reactants, salts), _parted(step.products, salts)
+    taking_part = {*step.reactants, *step.products} & set(salts)
+    for ion in {ion for name in taking_part for ion in (salts[name].cation, salts[name].anion)}:
+        both = min(before.get(ion, 0.0), after.get(ion, 0.0))
+        for side in (before, after):
+            if both and side[ion] - both <= _BALANCE_TOLERANCE:
+                del side[ion]
+            elif both:
+                side[ion] -= both
+    orders: dict[str, float] = {}
+    catalysts: dict[str, float] = {}
+    for name, order in (*step.orders.items(), *step.catalysts.items()):
+        ions = [salts[name].cation, salts[name].anion] if name in salts else [name]
+        used = [ion for ion in ions if ion in before] if name in step.reactants else []
+        acting = used or [ion for ion in ions if ion in (PROTON, HYDROXIDE)] or ions
+        for ion in acting:
+            target = orders if ion in before else catalysts
+            target[ion] = target.get(ion, 0.0) + order / len(acting)
+    orders |= {name: before[name] for name in before if name not in orders}
+    inhibitors: dict[str, float] = {}
+    for name, constant in step.inhibitors.items():
+        inhibitors[salts[name].anion if name in salts else name] = constant
+    values = {
+        **step.model_dump(include={"pre_exponential", "activation_energy_j_mol", "equilibrium_constant"}),
+        "reactants": before,
+        "products": after,
+        "orders": {} if step.equilibrium_constant is not None else orders,
+        "catalysts": catalysts,
+        "inhibitors": inhibitors,
+        "source": f"{step.source}; its salts as ions",
+    }
+    made: Reaction = validated(Reaction, values, f"reaction {step.words}, of ions")
+    return made
+
+
+def shipped_reactions_folder() -> Path:
+    """Folder of the reaction families that come with chemlab."""
+    return Path(__file__).parent.parent / "data" / "reactions"
+
+
+def load_reactions(
+    name: str, materials: Mapping[str, Material], folder: Path | None = None, where: str = ""
+) -> ReactionFamily:
+    """Load a family by shipped name or by path and check it against the materials.
+
+    Args:
+        name: a shipped family's name, or a path to a TOML file (relative to ``folder``).
+        materials: known materials by id.
+        folder: where a relative path starts (the scenario's folder).
+        where: what asks for the family, for the error message.
+
+    Raises:
+        DataError: unknown family or material, or a reaction that does not conserve atoms and charge.
+    """
+    shipped = {path.stem: path for path in sorted(shipped_reactions_folder().glob("*.toml"))}
+    if name in shipped:
+        path = shipped[name]
+    elif name.endswith(".toml"):
+        path = Path(name) if folder is None else folder / name
+    else:
+        asked = f"{where}: reactions" if where else "reactions"
+        raise DataError(
+            f"{asked}: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
+        )
+    family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
+    check_reactions(family, materials, str(path))
+    return family
+
+
+def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], where: str) -> None:
+    """Refuse what no chemistry can be made of.
+
+    Args:
+        family: the reactions.
+        materials: known materials by id.
+        where: the file they are from, for the error message.
+
+    Raises:
+        DataError: unknown material, a reaction that does not conserve atoms and charge, a salt that is not a solid of a
+            positive and a negative ion, salts that share an anion, acids that share a species.
+    """
+    unknown = sorted(family.materials() - set(materials))
+    if unknown:
+        raise DataError(f"{where}: unknown material {unknown[0]!r}; known: {', '.join(sorted(materials))}")
+    steps = [(f"reaction.{i}", r.reactants, r.products) for i, r in enumerate(family.reaction)]
+    steps += [(f"violent.{i}", v.reactants, v.products) for i, v in enumerate(family.violent)]
+    steps += [(f"salt.{i}", {s.solid: 1.0}, {s.cation: 1.0, s.anion: 1.0}) for i, s in enumerate(family.salt)]
+    if family.acid:
+        steps.append(("acid: water", {WATER: 1.0}, {PROTON: 1.0, HYDROXIDE: 1.0}))
+    for i, acid in enumerate(family.acid):
+        for acidic, basic in zip(acid.species, acid.species[1:], strict=False):
+            steps.append((f"acid.{i}: {acidic} to {basic}", {acidic: 1.0}, {basic: 1.0, PROTON: 1.0}))
+    for key, reactants, products in steps:
+        before, after = atoms_of(reactants, materials), atoms_of(products, materials)
+        for element in sorted(set(before) | set(after)):
+            left, right = before.get(element, 0.0), after.get(element, 0.0)
+            if abs(left - right) > _BALANCE_TOLERANCE * max(1.0, abs(left)):
+                raise DataError(f"{where}: {key}: not balanced: {element} {left:g} on the left, {right:g} on the right")
+    for i, salt in enumerate(family.salt):
+        solid, cation, anion = (materials[name] for name in (salt.solid, salt.cation, salt.anion))
+        if solid.role != "solid" or cation.charge <= 0 or anion.charge >= 0:
+            raise DataError(
+                f"{where}: salt.{i}: must be a solid, a positive and a negative ion, "
+                f"given {salt.solid!r} ({solid.role}), "
+                f"{salt.cation!r} (charge {cation.charge}) and {salt.anion!r} (charge {anion.charge})"
+            )
+    anions = [salt.anion for salt in family.salt]
+    if len(set(anions)) != len(anions):
+        # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.
+        raise DataError(f"{where}: salt: two salts share an anion; only a shared cation is supported")
+    taken = {PROTON: "water", HYDROXIDE: "water", WATER: "water"}
+    for i, acid in enumerate(family.acid):
+        for name in acid.species:
+            if name in taken:
+                raise DataError(f"{where}: acid.{i}: species: {name!r} is part of {taken[name]} already")
+            if materials[name].role in ("solid", "gas"):
+                raise DataError(
+                    f"{where}: acid.{i}: species: {name!r} is a {materials[name].role}; it must be dissolved in water"
+                )
+            taken[name] = f"acid.{i}"
+
+
+def check_without_real(family: ReactionFamily, where: str) -> None:
+    """Refuse what only the tier ``real`` has laws for.
+
+    Args:
+        family: reactions of a scenario of another tier.
+        where: the file of the scenario, for the error message.
+
+    Raises:
+        DataError: a reaction with a catalyst, an inhibitor, an equilibrium or a heat, or an acid.
+    """
+    keys = [
+        f"reaction {step.words}: {key}"
+        for step in family.reaction
+        for key in Reaction._later
+        if getattr(step, key) != Reaction.model_fields[key].default
+    ]
+    keys += ["acid"] if family.acid else []
+    if keys:
+        raise DataError(f"{where}: reactions {family.name!r}: {keys[0]} needs physics = 'real' in the scenario")

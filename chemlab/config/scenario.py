@@ -1,0 +1,1061 @@
+"""Scenarios: everything a laboratory is set up with, as one typed, frozen value loaded from TOML.
+
+All numbers a researcher might vary (stock, vessels, action tables, prices, limits, reward mix) live in
+the file; types and bounds live here. A bench's own settings are checked by that bench's options model.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import re
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    field_validator,
+    model_validator,
+)
+
+from .datafile import DataError, bounded, read_toml
+from .datamodel import Grown, validated
+from .draws import (
+    BOTTLE,
+    DEVICE_QUANTITIES,
+    ORDER_QUANTITIES,
+    VESSEL_QUANTITIES,
+    Draw,
+    WorldSpec,
+    changed_limits,
+    draw_limits,
+)
+from .inherit import completed, scenario_names, shipped_file, synthesis_names
+from .materials import Material, load_materials, shipped_materials
+from .pairs import Pair, load_pairs, shipped_pairs
+from .reactions import (
+    HYDROXIDE,
+    PROTON,
+    WATER,
+    Reaction,
+    ReactionFamily,
+    Violent,
+    check_reactions,
+    check_without_real,
+    dissolved_reactions,
+    load_reactions,
+)
+
+__all__ = [
+    "PHYSICS_TIERS",
+    "REWARD_MIXES",
+    "SAFETY_EVENTS",
+    "BenchSpec",
+    "Companion",
+    "CostSpec",
+    "DemandSpec",
+    "DriftSpec",
+    "GradeSpec",
+    "InstrumentSpec",
+    "LimitSpec",
+    "ManagerSpec",
+    "OrderSpec",
+    "OrderTerms",
+    "RealSpec",
+    "RewardSpec",
+    "SafetySpec",
+    "Scenario",
+    "ShelfSpec",
+    "StartSpec",
+    "VesselSpec",
+    "WearSpec",
+    "dump_scenario",
+    "load_scenario",
+    "plain_scenario",
+    "restore_scenario",
+    "scenario_names",
+    "shipped_file",
+    "synthesis_names",
+]
+
+SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "dry_heating", "metal_in_water_mol")
+"""Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
+times a vessel boiled dry, times heat went into a vessel without liquid, moles of metal that met water."""
+
+PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.backends.paper", "real": "chemlab.physics.backends.real"}
+"""Tiers of physical laws that a scenario may name, with the module of each (see :mod:`chemlab.physics.backends`)."""
+
+_DATA = Path(__file__).resolve().parent.parent / "data"
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_MOST_MATERIALS = 256
+_MOST_STARTS = 20_000
+_NEUTRAL = 1e-9
+"""Charge of contents over that of all their ions, up to which it is rounding."""
+_MOST_VESSEL_TICKS = 1_000_000
+"""That may pass within one action of the manager, which nothing interrupts: seconds, as a vessel at rest takes up to 10
+us for a tick."""
+
+Key = Annotated[str, Field(min_length=1, max_length=100)]
+Mol = Annotated[float, Field(ge=0.0, le=1e4)]
+Amounts = Annotated[dict[Key, Mol], Field(max_length=100)]
+"""Moles, or prices of a mole, by material."""
+Maximum = Annotated[float, Field(ge=1e-6, le=1e4)]
+Price = Annotated[float, Field(ge=0.0, le=1e6)]
+"""In units of the score."""
+Capacity = Annotated[float, Field(ge=1e-6, le=100.0)]
+Goals = Annotated[tuple[Key, ...], Field(min_length=1, max_length=64)]
+Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32)]
+Share = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class VesselSpec(BaseModel):
+    """A vessel that stands on the shelf when an episode begins."""
+
+    model_config = _FROZEN
+
+    capacity_l: Capacity
+    """Volume up to the rim; what is more runs over (a spill)."""
+    contents: Amounts = {}
+    """Moles of each material."""
+
+
+class ShelfSpec(Grown):
+    """The shared shelf: a number of slots and what stands in the first of them."""
+
+    model_config = _FROZEN
+    _later = ("gauge", "tick")
+
+    slots: int = Field(ge=1, le=64)
+    """Places for vessels."""
+    vessel: tuple[VesselSpec, ...] = ()
+    """What stands in the first slots, in order; the others are empty. One at least: the manager's actions are about
+    vessels."""
+    gauge: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Step of the marks that the manager reads a vessel's fill level by, as a share of its capacity; 0: exactly."""
+    tick: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Reaction time of a tick for vessels at rest, in the unit of the rate constants: what they hold goes on reacting
+    at the temperature of the room (physics ``paper``; with ``real`` it always does). 0: nothing reacts on the shelf."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> ShelfSpec:
+        if not self.vessel:
+            raise ValueError("vessel: give at least one [[shelf.vessel]]: without a vessel no action is possible")
+        if len(self.vessel) > self.slots:
+            raise ValueError(f"vessel: {len(self.vessel)} vessels do not fit on {self.slots} slots")
+        return self
+
+
+class Companion(BaseModel):
+    """A further material of a starting state: ``if_goal`` replaces ``material`` where that is the goal itself."""
+
+    model_config = _FROZEN
+
+    material: Key
+    """What may be there besides."""
+    mol: float = Field(gt=0.0, le=1e4)
+    """How much of it."""
+    probability: float = Field(default=1.0, ge=0.0, le=1.0)
+    """Of its being there, drawn each episode."""
+    if_goal: Key
+    """What is there instead in experiments for ``material`` itself."""
+
+
+class StartSpec(BaseModel):
+    """The paper's fixed starting state of a single-bench episode."""
+
+    model_config = _FROZEN
+
+    capacity_l: Capacity = 1.0
+    """Volume of the vessel up to the rim."""
+    contents: Amounts = {}
+    """Moles of each material."""
+    goal_mol: Mol = 0.0
+    """Moles of the experiment's goal, besides."""
+    companion: Companion | None = None
+    """A further material that may be there."""
+
+
+class WearSpec(BaseModel):
+    """How a bench's apparatus errs, wears and breaks. Agents are told when it is broken, and nothing else."""
+
+    model_config = _FROZEN
+
+    actuator: Literal["stir", "heat"] = "stir"
+    """What is at stake: ``stir``, the share of a tick in which a reaction bench's contents react (and take up heat), or
+    of a shaking that counts; ``heat``, the share of the heat asked for that arrives: of a heating mantle's kJ, of a
+    jacket's W/K, or of a thermostat's step."""
+    gain: float = Field(default=1.0, ge=0.01, le=100.0)
+    """What that is multiplied by (from 0.01 to 100) where the bench is new or repaired: the median; 1 is right."""
+    spread: float = Field(default=0.0, ge=0.0, le=3.0)
+    """Standard deviation of its natural logarithm then."""
+    drift: float = Field(default=0.0, ge=0.0, le=3.0)
+    """Standard deviation of what its logarithm changes by in a tick of work (a random walk)."""
+    life: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Mean number of ticks of work until it breaks, which is as likely in every tick; 0: it never does."""
+    repair_price: Price = 0.0
+    """What a repair costs, in units of the score: with it the gain and the life are drawn anew."""
+    repair_ticks: int = Field(default=0, ge=0, le=1_000_000)
+    """Ticks until it can be used again."""
+
+
+class BenchSpec(Grown):
+    """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
+
+    Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones. What a file
+    leaves out is what ``chemlab/data/benches`` has for the kind, if it has it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+    _later = ("observe", "reward", "actions", "wear", "report")
+
+    kind: str = Field(min_length=1, max_length=200)
+    """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
+    count: int = Field(default=1, ge=1, le=16)
+    """How many of this kind, each with an agent of its own."""
+    step_limit: int = Field(ge=1, le=10_000)
+    """Steps after which an experiment is over."""
+    observe: Parts = ()
+    """Observation channels of your own, ``my_parts.py:NAME`` each, after the bench's."""
+    reward: Parts = ()
+    """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
+    actions: Literal["native", "discrete"] = "native"
+    """``native``: as the bench's kind has them; ``discrete``: where those are continuous, a choice among some."""
+    wear: WearSpec | None = None
+    """How its apparatus errs, drifts and breaks; none: it does as it is told. The manager may have it repaired."""
+    report: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard deviation of what the bench's own sensors say of an experiment when it ends, on the scale from 0 to 1:
+    mol of the goal, its purity, ticks taken. The manager sees it without paying; left out: nothing is said."""
+    start: StartSpec = StartSpec()
+    """Where an experiment of the single bench starts (``starts="paper"``); not used in a laboratory."""
+
+
+class DriftSpec(BaseModel):
+    """How an instrument's zero goes astray, and what it takes to set it right."""
+
+    model_config = _FROZEN
+
+    first: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value of the (0 to 1) reading is off by when an episode begins."""
+    walk: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value goes off by in a tick (a random walk, each value's its own)."""
+    trend: float = Field(default=0.0, ge=-1.0, le=1.0)
+    """What every value goes off by in a tick, always the same."""
+    price: Price = 0.0
+    """What a calibration costs, in units of the score."""
+    error: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of what every value is off by after one."""
+
+
+class InstrumentSpec(Grown):
+    """An entry of the characterization bench. A reading is gain x what is there + bias + noise, on the scale from 0 to
+    1 of its channel."""
+
+    model_config = _FROZEN
+    _later = ("detection_limit", "gain", "bias", "drift")
+
+    kind: Key
+    """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, ``thermometer``, ``density_meter``,
+    ``karl_fischer``, ``hplc``; with physics ``real`` ``ph_meter`` and ``melting_point``; or one of your own,
+    ``my_parts.py:NAME``."""
+    price: Price = 0.0
+    """Cost of one use, in units of the score."""
+    sample_fraction: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """Fraction of the vessel's contents that one use consumes (it goes to waste)."""
+    noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of Gaussian noise on every value of the (0 to 1) reading."""
+    detection_limit: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Below it a value of the (0 to 1) reading, noise included, is 0."""
+    gain: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Calibration: what every value is multiplied by; 1 is right."""
+    bias: float = Field(default=0.0, ge=-1.0, le=1.0)
+    """Calibration: what is added to every value of the (0 to 1) reading; 0 is right."""
+    drift: DriftSpec | None = None
+    """How it goes astray besides; none: it does not. The manager may then have it calibrated."""
+
+
+class LimitSpec(BaseModel):
+    """Limits of an episode; it terminates when it reaches one."""
+
+    model_config = _FROZEN
+
+    manager_actions: int = Field(ge=1, le=100_000)
+    """Actions of the manager."""
+    ticks: int = Field(ge=1, le=1_000_000)
+    """Ticks of laboratory time, in which every busy bench makes one step."""
+    budget: float = Field(default=1.0, gt=0.0, le=1e6)
+    """What the manager may spend on measuring and calibrating, in units of the score; what is dearer is masked."""
+
+
+class CostSpec(BaseModel):
+    """Prices in units of the score (1 = the theoretical maximum of the product, pure)."""
+
+    model_config = _FROZEN
+
+    stock_per_mol: Amounts = {}
+    """Price of a mole taken from a bottle, by material."""
+    waste_per_l: Price = 0.0
+    """Price of a litre of waste; gas costs nothing."""
+    tick: Price = 0.0
+    """Price of a tick."""
+    illegal_action: Price = 0.0
+    """Taken off the reward of an agent that plays a masked action, which loses its turn."""
+
+
+class SafetySpec(Grown):
+    """Weights of safety events in ``info["cost"]``, and what a unit of that cost takes off the reward."""
+
+    model_config = _FROZEN
+    _later = ("events",)
+
+    weights: dict[Key, Price]
+    """Weight of each kind of event in the cost."""
+    events: dict[Key, str] = Field(default={}, max_length=32)
+    """Kinds of event of your own, with what they mean; a bench or operation of your own says when they happen."""
+    reward_price: Price = 0.0
+    """Taken off the agent's reward for each unit of that cost."""
+
+    @model_validator(mode="after")
+    def _known(self) -> SafetySpec:
+        for key in self.weights:
+            if key not in (*SAFETY_EVENTS, *self.events):
+                raise ValueError(
+                    f"weights.{key}: unknown safety event; known: {', '.join((*SAFETY_EVENTS, *self.events))}; "
+                    "declare your own under safety.events"
+                )
+        return self
+
+
+class RewardSpec(BaseModel):
+    """Each agent's reward = local * own + team * the manager's result.
+
+    A scenario gives the numbers, or the name of one of :data:`REWARD_MIXES`.
+    """
+
+    model_config = _FROZEN
+
+    bench_local: Share = 1.0
+    """Share of a bench's agent in what its own experiments come to."""
+    bench_team: Share = 0.0
+    """Its share in the manager's result."""
+    manager_local: Share = 1.0
+    """The manager's share in its result."""
+    manager_team: Share = 0.0
+    """Its share in the same: its own result is the team's, so that the two add up."""
+
+
+REWARD_MIXES: dict[str, RewardSpec] = {
+    name: RewardSpec(**numbers) for name, numbers in read_toml(_DATA / "rewards.toml").items()
+}
+"""Reward mixes by name, from ``data/rewards.toml``."""
+
+
+def _reward_mix(given: Any) -> Any:
+    if not isinstance(given, str):
+        return given
+    if given not in REWARD_MIXES:
+        raise ValueError(f"unknown reward mix {given!r}; known: {', '.join(REWARD_MIXES)}; or give the numbers")
+    return REWARD_MIXES[given]
+
+
+class OrderSpec(Grown):
+    """What a submission has to be: one that falls short of it is worth nothing."""
+
+    model_config = _FROZEN
+    _later = ("purity_among",)
+
+    purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of the goal in the vessel."""
+    amount_at_least_mol: Mol = 0.0
+    """Moles of the goal."""
+    purity_among: tuple[Key, ...] = Field(default=(), max_length=64)
+    """Materials that purity is the goal's share of, as in a chromatogram of products, which sees neither solvent nor
+    salt; the score counts that purity, too. Empty: everything in the vessel."""
+
+
+class OrderTerms(OrderSpec):
+    """When an order comes, what it asks for, and what it pays."""
+
+    arrives: float = Field(default=0.0, ge=0.0, le=1e6)
+    """Tick at which the manager hears of it; before that nothing can be submitted for it."""
+    within: float | None = Field(default=None, ge=0.0, le=1e6)
+    """Ticks from then on in which a submission is in time; left out: as long as the episode lasts."""
+    price: float = Field(default=1.0, ge=0.0, le=1e3)
+    """What it pays when it is met, in shares of the score that are the same for every order."""
+
+
+class GradeSpec(OrderSpec):
+    """What the manager may ask of an experiment besides its goal. Its agent sees it, and earns nothing for what falls
+    short of it."""
+
+    ticks: int | None = Field(default=None, ge=1, le=10_000)
+    """Ticks that the experiment may take; left out: the bench's step limit."""
+
+
+class DemandSpec(BaseModel):
+    """Orders that come over time, each with terms of its own. An order pays its price for a submission that is in time
+    and as it was asked for, whatever is above that; the score is the mean over the orders, less all costs."""
+
+    model_config = _FROZEN
+
+    order: tuple[OrderTerms, ...] = Field(default=(), max_length=16)
+    """Terms of every order; nothing: all orders are there from the beginning, and are paid by amount and purity."""
+    late: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of its price that an order pays for a submission that is late. Where that is nothing, the episode is over
+    once no order can pay any more."""
+    short: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of its price that an order pays for a submission that has less of the goal, or less pure, than was asked
+    for; nothing where it has none of it."""
+
+
+class ManagerSpec(Grown):
+    """What the manager sees and earns otherwise than every manager does."""
+
+    model_config = _FROZEN
+    _later = ("readings",)
+
+    observe: Parts = ()
+    """Observation channels of your own, ``my_parts.py:NAME`` each, after the manager's."""
+    readings: tuple[Key, ...] | None = Field(default=None, max_length=32)
+    """Instruments whose readings stand in its observation, for each slot; left out: all. Of the others it sees how old
+    the last reading is and no more, so that spectra and pictures need not make it wide."""
+    reward: Parts = ()
+    """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
+
+
+class RealSpec(BaseModel):
+    """What only ``physics = "real"`` reads."""
+
+    model_config = _FROZEN
+
+    tick_s: float = Field(default=60.0, gt=0.0, le=1e6)
+    """Seconds that a tick of laboratory time takes."""
+    room_transfer_w_k_l: float = Field(default=0.5, ge=0.0, le=1e4)
+    """Heat that a litre of contents exchanges with the room, W/K: a flask in still air."""
+    crystal_rate: float = Field(default=2e-3, gt=0.0, le=1e3)
+    """1/s, at which a slurry approaches saturation."""
+    metastable: float = Field(default=1.3, ge=1.0, le=100.0)
+    """Ratio to saturation up to which a solution without crystals stays clear."""
+
+
+class Scenario(Grown):
+    """A laboratory as data; see the files under ``scenarios/`` for commented examples.
+
+    ``materials`` and ``family`` are resolved at load: only what can occur in this scenario is kept.
+    """
+
+    model_config = _FROZEN
+    _later = ("physics", "manager", "real", "pair_files", "world", "specifications", "demand", "grades")
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
+    """By which commands and records call it."""
+    title: str = Field(max_length=300)
+    """One line for lists."""
+    summary: str
+    """A paragraph for its page."""
+    physics: str = "paper"
+    """Tier of physical laws, one of :data:`PHYSICS_TIERS`."""
+    reactions: str
+    """Reaction family: a shipped one's name, or the path of a file, from the scenario's folder."""
+    material_files: tuple[str, ...] = Field(default=(), max_length=20)
+    """Files with materials of your own, from the scenario's folder."""
+    pair_files: tuple[str, ...] = Field(default=(), max_length=20)
+    """Files with activity coefficients of your own pairs of liquids, from the scenario's folder (physics ``real``)."""
+    real: RealSpec = RealSpec()
+    """What only ``physics = "real"`` reads."""
+    goals: Goals
+    """Materials an experiment may be run for, in the order of every one-hot goal."""
+    lab_goals: Goals
+    """The goal of each order is drawn from these, uniformly, each episode."""
+    orders: int = Field(default=1, ge=1, le=16)
+    """Vessels the manager has to submit; each is worth an equal share of the score."""
+    theoretical_maximum_mol: dict[Key, Maximum]
+    """Most moles of each laboratory goal that stock, shelf and kinetics allow, divided among the orders."""
+    ambient_temperature_k: float = Field(default=298.15, ge=200.0, le=350.0)
+    """Temperature at which vessels and bottles stand."""
+    ambient_pressure_kpa: float = Field(default=101.325, ge=1.0, le=1000.0)
+    """Pressure outside the vessels."""
+    stock: Amounts = Field(default_factory=dict)
+    """Moles in the reagent and solvent bottles, shared by all benches."""
+    shelf: ShelfSpec
+    """The shared shelf of vessels."""
+    manager: ManagerSpec = ManagerSpec()
+    """Parts of your own for the manager."""
+    benches: dict[Key, BenchSpec] = Field(min_length=1, max_length=16)
+    """Kinds of benches by key; a bench's agents are called after it (``rxn_0``)."""
+    instruments: dict[Key, InstrumentSpec] = Field(default={}, max_length=32)
+    """The characterization bench, by name."""
+    limits: LimitSpec
+    """When an episode ends without the last submission."""
+    costs: CostSpec = CostSpec()
+    """What is taken off the score."""
+    safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
+    """What events cost."""
+    rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
+    """How rewards are shared; numbers, or a mix's name."""
+    specifications: dict[Key, OrderSpec] = Field(default={}, max_length=64)
+    """What submissions for a laboratory goal have to be at least."""
+    grades: dict[Key, GradeSpec] = Field(default={}, max_length=16)
+    """What the manager may ask of an experiment besides its goal, by name: it starts one for a goal and a grade."""
+    demand: DemandSpec = DemandSpec()
+    """Orders that come over time, with deadlines, prices and terms of their own."""
+    world: WorldSpec = WorldSpec()
+    """What is drawn for an episode and not told."""
+
+    _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
+    _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
+    _pairs: dict[frozenset[str], Pair] = PrivateAttr(default_factory=dict)
+    _origin: str = PrivateAttr(default="(scenario built in code)")
+
+    @field_validator("physics")
+    @classmethod
+    def _known_tier(cls, tier: str) -> str:
+        if tier not in PHYSICS_TIERS:
+            raise ValueError(f"unknown tier; known: {', '.join(PHYSICS_TIERS)}")
+        return tier
+
+    @model_validator(mode="after")
+    def _sound(self) -> Scenario:
+        for key in self.benches:
+            if not re.fullmatch("[a-z]+", key) or key == "manager":
+                raise ValueError(f"benches.{key}: a bench's key is lower-case letters, and manager is taken")
+        starts = len(self.bench_agents()) * self.shelf.slots * len(self.goals) * max(len(self.grades), 1)
+        if starts > _MOST_STARTS:
+            raise ValueError(
+                f"benches x slots x goals x grades: the manager could start {starts}; at most {_MOST_STARTS}"
+            )
+        for name, goals in (("goals", self.goals), ("lab_goals", self.lab_goals)):
+            if len(set(goals)) != len(goals):
+                raise ValueError(f"{name}: a goal is listed twice")
+        listed = {"lab_goals": self.lab_goals, "theoretical_maximum_mol": self.theoretical_maximum_mol}
+        for name, named in {**listed, "specifications": self.specifications}.items():
+            for goal in named:
+                if goal not in self.goals:
+                    raise ValueError(f"{name}: {goal!r} is not one of goals ({', '.join(self.goals)})")
+        for goal, wanted in self.specifications.items():
+            if wanted.purity_among and goal not in wanted.purity_among:
+                raise ValueError(f"specifications.{goal}.purity_among: {goal!r} itself must be one of them")
+        for name, draw in self.world.draws.items():
+            unknown = [key for key in draw.told if key not in self.benches]
+            if unknown:
+                raise ValueError(
+                    f"world.draws.{name}.told: {unknown[0]!r} is not one of benches ({', '.join(self.benches)})"
+                )
+        unknown = [name for name in self.manager.readings or () if name not in self.instruments]
+        if unknown:
+            raise ValueError(
+                f"manager.readings: {unknown[0]!r} is not one of instruments ({', '.join(self.instruments)})"
+            )
+        if self.demand.order and len(self.demand.order) != self.orders:
+            raise ValueError(
+                f"demand.order: give one for each of orders = {self.orders}, given {len(self.demand.order)}"
+            )
+        if self.shelf.tick and self.physics != "paper":
+            raise ValueError(f"shelf.tick: vessels age by themselves with physics = {self.physics!r}; leave it out")
+        repairs = any(bench.wear is not None and bench.wear.repair_ticks for bench in self.benches.values())
+        longest = self.limits.ticks * self.shelf.slots
+        if (self.demand.order or repairs) and longest > _MOST_VESSEL_TICKS:
+            raise ValueError(
+                "limits.ticks x shelf.slots: while the manager waits for an order or a repair, "
+                f"{longest} ticks of a vessel could pass; at most {_MOST_VESSEL_TICKS}"
+            )
+        for goal in self.lab_goals:
+            if goal not in self.theoretical_maximum_mol:
+                raise ValueError(f"theoretical_maximum_mol.{goal}: must be given and above 0")
+        return self
+
+    @property
+    def materials(self) -> dict[str, Material]:
+        """Materials that can occur here, by id, in the order of every amounts array."""
+        return self._materials
+
+    @property
+    def pairs(self) -> dict[frozenset[str], Pair]:
+        """Activity coefficients of its liquids (physics ``real``)."""
+        return self._pairs
+
+    @property
+    def family(self) -> ReactionFamily:
+        """Reactions, salts and violent reactions that can happen here."""
+        return self._family
+
+    @property
+    def origin(self) -> str:
+        """The file this scenario came from, for error messages."""
+        return self._origin
+
+    @property
+    def safety_events(self) -> tuple[str, ...]:
+        """Kinds of safety event, in the order of every events array: chemlab's, then the scenario's own."""
+        return (*SAFETY_EVENTS, *self.safety.events)
+
+    @property
+    def argument(self) -> str:
+        """What ``chemlab`` commands take for this scenario: a shipped one's name, else the path it was loaded from,
+        quoted for a shell; ``FILE.toml`` for one that has no file yet."""
+        path = Path(self._origin)
+        shipped = path == shipped_file(path.stem)
+        if path.suffix != ".toml" or (shipped and path.stem != self.name):  # made or changed in code
+            return "FILE.toml"
+        return self.name if shipped else shlex.quote(self._origin)
+
+    @property
+    def errs(self) -> bool:
+        """Whether any bench or instrument has a condition of its own, which changes while it is used."""
+        wearing = any(bench.wear is not None for bench in self.benches.values())
+        return wearing or any(instrument.drift is not None for instrument in self.instruments.values())
+
+    @property
+    def seen_instruments(self) -> dict[str, InstrumentSpec]:
+        """Those whose readings stand in the manager's observation, by name."""
+        seen = self.manager.readings
+        return {name: spec for name, spec in self.instruments.items() if seen is None or name in seen}
+
+    def bench_agents(self) -> list[str]:
+        """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
+        return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
+
+    def with_rewards(self, rewards: str | RewardSpec | Mapping[str, float]) -> Scenario:
+        """The same laboratory with another reward mix.
+
+        Args:
+            rewards: ``individual``, ``cooperative``, ``mixed``, or the numbers.
+
+        Raises:
+            ValueError: unknown mix, or numbers that are none.
+        """
+        mix = _reward_mix(rewards)
+        if not isinstance(mix, (RewardSpec, Mapping)):
+            raise ValueError(f"rewards: must be {', '.join(REWARD_MIXES)} or the numbers, given {rewards!r}")
+        checked = mix if isinstance(mix, RewardSpec) else validated(RewardSpec, mix, "rewards")
+        return self.model_copy(update={"rewards": checked})
+
+    def with_actions(self, actions: str | None) -> Scenario:
+        """The same laboratory with another kind of actions at all its benches.
+
+        Args:
+            actions: ``native``, as the kind of bench has them; ``discrete``, a choice among representative ones where
+                those are continuous (:meth:`chemlab.roles.bench.Bench.representative_actions`), for value-based
+                learners; None: as the scenario says.
+
+        Raises:
+            ValueError: it is none of these.
+        """
+        if actions is None:
+            return self
+        if actions not in ("native", "discrete"):
+            raise ValueError(f"actions: must be native or discrete, given {actions!r}")
+        benches = {key: bench.model_copy(update={"actions": actions}) for key, bench in self.benches.items()}
+        return self.model_copy(update={"benches": benches})
+
+    def __hash__(self) -> int:
+        return hash((self.name, self._origin))
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        yield None, self.name
+        yield "title", self.title
+        yield "agents", ["manager_0", *self.bench_agents()]
+        yield "goals", list(self.lab_goals)
+        yield "origin", self.origin
+
+
+def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
+    """(key, material) for every material that a scenario file has anywhere, in order; a price alone has none."""
+    found = [("stock", name) for name in spec.stock]
+    for i, vessel in enumerate(spec.shelf.vessel):
+        found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
+    for key, bench in spec.benches.items():
+        found += [(f"benches.{key}.start.contents", name) for name in bench.start.contents]
+        if bench.start.companion is not None:
+            companion = bench.start.companion
+            found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
+    found += [("goals", name) for name in spec.goals]
+    for key, draw in spec.world.draws.items():
+        found += [(f"world.draws.{key}", name) for name in draw.materials]
+    return found
+
+
+def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    """Refuse contents that do not fit their vessel."""
+
+    def litres(name: str, mol: float) -> float:
+        return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
+
+    vessels: list[tuple[str, VesselSpec | StartSpec, float]]
+    vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
+    for key, bench in spec.benches.items():
+        start, also = bench.start, bench.start.companion
+        more = max(litres(goal, start.goal_mol) for goal in spec.goals)
+        if also is not None:
+            more += max(litres(also.material, also.mol), litres(also.if_goal, also.mol))
+        vessels.append((f"benches.{key}.start", start, more))
+    for key, vessel, more in vessels:
+        filled = more + sum(litres(name, mol) for name, mol in vessel.contents.items())
+        if filled > vessel.capacity_l:
+            raise DataError(
+                f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
+            )
+
+
+def _check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
+    """Refuse ions without the counter-ions that balance their charge."""
+
+    def alone(key: str, name: str) -> None:
+        if not known[name].charge:
+            return
+        salts = [salt.solid for salt in family.salt if name in (salt.cation, salt.anion)]
+        hint = f"name a salt of it ({', '.join(salts)})" if salts else "name a salt of it, with its [[salt]] entry"
+        raise DataError(f"{where}: {key}: {name!r} is an ion, of which there is none alone; {hint} instead")
+
+    for name in spec.stock:
+        alone("stock", name)
+    vessels: list[tuple[str, VesselSpec | StartSpec]]
+    vessels = [(f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)]
+    vessels += [(f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()]
+    for key, vessel in vessels:
+        charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
+        if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
+            raise DataError(
+                f"{where}: {key}.contents: have a charge of {charge:+.4g} mol, and must have none; give the ions that "
+                "balance it, or salts"
+            )
+        if isinstance(vessel, StartSpec) and vessel.goal_mol:
+            for goal in spec.goals:
+                alone(f"{key}.goal_mol", goal)
+        if isinstance(vessel, StartSpec) and vessel.companion is not None:
+            for name in (vessel.companion.material, vessel.companion.if_goal):
+                alone(f"{key}.companion", name)
+    for key, bench in spec.benches.items():
+        options = bench.model_extra or {}
+        reagents, process = options.get("reagents"), options.get("process")
+        named = [("reagents", name) for name in reagents] if isinstance(reagents, Mapping) else []
+        for i, entry in enumerate(process if isinstance(process, (list, tuple)) else ()):
+            named += [(f"process.{i}.material", entry.get("material"))] if isinstance(entry, Mapping) else []
+        for option, name in named:
+            if name in known:
+                alone(f"benches.{key}.{option}", name)
+    for key, draw in spec.world.draws.items():
+        if draw.what in VESSEL_QUANTITIES:
+            for name in draw.materials:
+                alone(f"world.draws.{key}", name)
+
+
+def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    """Refuse draws of vessels that are not there, or of contents that do not fit."""
+    starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
+    starts |= {key: bench.start for key, bench in spec.benches.items()}
+    for key, draw in spec.world.draws.items():
+        here = f"{where}: world.draws.{key}"
+        if draw.what in DEVICE_QUANTITIES:
+            _check_devices(spec, draw, here)
+        if draw.what in ORDER_QUANTITIES:
+            _check_terms(spec, draw, here)
+        if draw.what not in VESSEL_QUANTITIES:
+            continue
+        for name in draw.of:
+            if name == BOTTLE and name not in starts:
+                _check_bottle(spec, draw, here)
+                continue
+            if name not in starts:
+                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join([*starts, BOTTLE])}")
+            contents = starts[name].contents
+            if draw.material not in contents:
+                raise DataError(
+                    f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
+                )
+            _check_limits(draw, starts[name], known, f"{here}: {name}")
+
+
+def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of bottles that are not there, or that several draws are of."""
+    if draw.material not in spec.stock:
+        bottles = ", ".join(spec.stock) or "none"
+        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; known: {bottles}")
+    if draw.what == "amount":
+        raise DataError(f"{where}.what: how full a bottle is can be seen; draw its identity or titre")
+    others = [other for other in spec.world.draws.values() if BOTTLE in other.of and other.material == draw.material]
+    if len(others) > 1:
+        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; leave one out")
+    _check_titre(draw, where)
+
+
+def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of the condition of benches or instruments that have none."""
+    if draw.what in ("gain", "life"):
+        table, example = "wear", "{ gain = 1.0 }"
+        known = {
+            **{agent: agent.rpartition("_")[0] for agent in spec.bench_agents()},
+            **{key: key for key in spec.benches},
+        }
+        lacking = {name for name, key in known.items() if spec.benches[key].wear is None}
+    else:
+        table, example = "drift", "{ error = 0.0 }"
+        known = {name: name for name in spec.instruments}
+        lacking = {name for name in known if spec.instruments[name].drift is None}
+    for name in draw.of:
+        if name not in known:
+            raise DataError(f"{where}.of: {name!r} has no {draw.what}; what may have: {', '.join(known)}")
+        if name in lacking:
+            kind = "benches" if table == "wear" else "instruments"
+            raise DataError(f"{where}.of: {name!r} has no {table}; give {kind}.{known[name]} one: {table} = {example}")
+    low, _ = draw_limits(draw)
+    if table == "drift" and draw.change == "factor":
+        raise DataError(f"{where}.change: must be offset or value for {draw.what}, which is nothing to begin with")
+    if table == "wear" and not (draw.change != "offset" and low > 0.0):
+        raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
+
+
+def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of orders that are not there, or of terms that no order may have."""
+    terms = {f"order_{o}": order for o, order in enumerate(spec.demand.order)}
+    for name in draw.of:
+        if name not in terms:
+            raise DataError(
+                f"{where}.of: unknown order {name!r}; known: {', '.join(terms) or 'none: give demand.order'}"
+            )
+        given = getattr(terms[name], draw.what)
+        if given is None and draw.change != "value":
+            raise DataError(f"{where}.change: {name} has no {draw.what} to change; give it one, or change = 'value'")
+        for number in changed_limits(draw, 0.0 if given is None else given):
+            validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
+
+
+def _check_titre(draw: Draw, where: str) -> None:
+    low, high = draw_limits(draw)
+    if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
+        raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
+
+
+def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
+    _check_titre(draw, where)
+    if draw.what != "amount":
+        return  # litre for litre
+    mol = start.contents[str(draw.material)]
+    least, most = changed_limits(draw, mol)
+    material = known[str(draw.material)]
+    litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
+    litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l
+    filled = sum(litres.values()) / 1000.0
+    if not (least >= 0.0 and filled <= start.capacity_l):
+        raise DataError(
+            f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "
+            f"{start.capacity_l:g}; give low and high"
+        )
+
+
+def _check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
+    for key, name in named:
+        if name not in known:
+            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
+        if known[name].role == "gas":
+            raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
+
+
+def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tuple[list[str], ReactionFamily]:
+    """Close ``present`` under the family's reactions; drop what can never happen here. Where water ``ionizes``, its
+    ions are there for reactions that name one of them."""
+    order = list(dict.fromkeys(present))
+    of_water = (PROTON, HYDROXIDE) if any({PROTON, HYDROXIDE} & s.materials() for s in family.reaction) else ()
+    while True:
+        known = set(order)
+        new: list[str] = []
+        steps: list[Reaction | Violent] = [*family.reaction, *family.violent]
+        for step in steps:
+            if _can_run(step, known):
+                new += [name for name in (*step.reactants, *step.products) if name not in known]
+        for salt in family.salt:
+            if salt.solid in known or {salt.cation, salt.anion} <= known:
+                new += [name for name in (salt.solid, salt.cation, salt.anion) if name not in known]
+        if ionizes and WATER in known:
+            new += [name for name in of_water if name not in known]
+        for acid in family.acid:
+            if WATER in known and not known.isdisjoint(acid.species):
+                new += [name for name in (*acid.species, PROTON, HYDROXIDE) if name not in known]
+        if not new:
+            break
+        order += list(dict.fromkeys(new))
+    reactions = [step for step in family.reaction if _can_run(step, known)]
+    kept = family.model_copy(
+        update={
+            "reaction": tuple(
+                step.model_copy(update={"inhibitors": {n: k for n, k in step.inhibitors.items() if n in known}})
+                for step in reactions
+            ),
+            "salt": tuple(salt for salt in family.salt if salt.solid in known),
+            "violent": tuple(step for step in family.violent if _can_run(step, known)),
+            "acid": tuple(acid for acid in family.acid if WATER in known and set(acid.species) <= known),
+        }
+    )
+    return order, kept
+
+
+def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
+    """Whether what a reaction needs is there, in one direction or the other."""
+    if isinstance(step, Violent):
+        return set(step.reactants) <= known
+    backward = step.equilibrium_constant is not None and set(step.products) <= known
+    return set(step.catalysts) <= known and (set(step.reactants) <= known or backward)
+
+
+def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
+    """Load and check a scenario.
+
+    Args:
+        scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
+            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario (returned as it is).
+
+    Raises:
+        DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
+            message names the file, the key, the value and the bound.
+    """
+    if isinstance(scenario, Scenario):
+        return scenario
+    if isinstance(scenario, Mapping):
+        where = "(scenario given as a mapping)"
+        if isinstance(scenario.get("scenario"), Mapping):
+            return restore_scenario(scenario, where)
+        return _resolve(bounded(scenario, where), where, Path.cwd())
+    if isinstance(scenario, str) and (file := shipped_file(scenario)):
+        return _load_file(file)
+    if not isinstance(scenario, (str, Path)):
+        raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
+    path = Path(scenario)
+    if path.suffix != ".toml":
+        raise DataError(
+            f"scenario: unknown name {str(scenario)!r:.200}; "
+            f"shipped: {', '.join([*scenario_names(), *synthesis_names()])}; or give a path to a .toml file"
+        )
+    return _resolve(read_toml(path), str(path), path.parent)
+
+
+@functools.lru_cache(maxsize=32)
+def _load_file(path: Path) -> Scenario:
+    return _resolve(read_toml(path), str(path), path.parent)
+
+
+def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
+    spec: Scenario = validated(Scenario, completed(values, where, folder), where)
+    known = dict(shipped_materials())
+    for name, material in load_materials([folder / file for file in spec.material_files]).items():
+        if name in known:
+            raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
+        known[name] = material
+    family = load_reactions(spec.reactions, known, folder, where)
+    # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
+    _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
+    pairs = load_pairs(folder / file for file in spec.pair_files)
+    return _equipped(spec, known, family, pairs, where)
+
+
+def _equipped(
+    spec: Scenario,
+    known: Mapping[str, Material],
+    family: ReactionFamily,
+    pairs: Mapping[frozenset[str], Pair],
+    where: str,
+) -> Scenario:
+    """``spec`` with the materials and reactions that can occur in it, all checked but for the family itself.
+
+    Raises:
+        DataError: an unknown material, contents that do not fit, a gas in a bottle, too many materials.
+    """
+    named = _mentioned(spec)
+    _check_materials(named, known, where)
+    _check_vessels(spec, known, where)
+    _check_charges(spec, known, family, where)
+    _check_draws(spec, known, where)
+    names, ionizes = [name for _, name in named], spec.physics == "real" and {PROTON, HYDROXIDE} <= set(known)
+    order, kept = _reachable(family, names, ionizes)
+    if spec.physics == "real" and WATER in order:
+        order, kept = _reachable(dissolved_reactions(family), names, ionizes)
+    if len(order) > _MOST_MATERIALS:
+        raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
+    if "air" not in known:
+        raise DataError(f"{where}: material 'air' is missing; every vessel has some")
+    for goal, wanted in spec.specifications.items():
+        never = [name for name in wanted.purity_among if name not in order]
+        if never:
+            raise DataError(
+                f"{where}: specifications.{goal}.purity_among: {never[0]!r} cannot occur here; can: {', '.join(order)}"
+            )
+    present = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
+    if spec.physics == "paper":
+        check_without_real(kept, where)
+        present, kept = _of_paper(present, kept, where)
+    else:
+        every = {**shipped_pairs(), **pairs}
+        spec._pairs = {names: pair for names, pair in every.items() if names <= set(present)}
+    spec._materials = present
+    spec._family = kept
+    spec._origin = where
+    return spec
+
+
+def _of_paper(
+    present: Mapping[str, Material], family: ReactionFamily, where: str
+) -> tuple[dict[str, Material], ReactionFamily]:
+    """Materials and reactions without what the tier ``paper`` does not know, so that its records stay as they are.
+
+    Raises:
+        DataError: a material has no polarity, which that tier's solvents are told apart by.
+    """
+    for name, material in present.items():
+        if material.polarity is None:
+            raise DataError(
+                f"{where}: materials: {name!r} has no polarity, which physics = 'paper' needs; "
+                "give it one with its source, or choose physics = 'real'"
+            )
+    plain = {name: material.model_copy(update={"real": None}) for name, material in present.items()}
+    salts = tuple(salt.model_copy(update={"solubility": None}) for salt in family.salt)
+    return plain, family.model_copy(update={"salt": salts})
+
+
+def dump_scenario(scenario: Scenario) -> dict[str, Any]:
+    """The whole scenario as plain data, with the materials and reactions it uses: needs no file to be restored."""
+    return {
+        "scenario": scenario.model_dump(mode="json"),
+        "materials": {name: material.model_dump(mode="json") for name, material in scenario.materials.items()},
+        "reactions": scenario.family.model_dump(mode="json"),
+        **({"pairs": [pair.model_dump(mode="json") for pair in scenario.pairs.values()]} if scenario.pairs else {}),
+    }
+
+
+def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
+    """Return what :func:`load_scenario` takes for a loaded scenario: its name or its file, as long as these give the
+    same scenario, else a :func:`dump_scenario`."""
+    content = dump_scenario(scenario)
+    for known in (scenario.name, scenario.origin):
+        with contextlib.suppress(DataError):
+            if dump_scenario(load_scenario(known)) == content:
+                return known
+    return content
+
+
+def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
+    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``; checked as a file is.
+
+    Raises:
+        DataError: the data is not what ``dump_scenario`` makes, or is of a scenario that would be refused as a file.
+    """
+    tables: list[dict[str, Any]] = []
+    for key in ("scenario", "materials", "reactions"):
+        if not isinstance(data.get(key), dict):
+            raise DataError(f"{where}: {key}: must be a table")
+        tables.append(bounded(data[key], f"{where}: {key}"))
+    values, materials, reactions = tables
+    spec: Scenario = validated(Scenario, values, where)
+    known = {name: validated(Material, table, f"{where}: materials.{name}") for name, table in materials.items()}
+    family = validated(ReactionFamily, reactions, f"{where}: reactions")
+    check_reactions(family, known, f"{where}: reactions")
+    listed = data.get("pairs", [])
+    if not isinstance(listed, list):
+        raise DataError(f"{where}: pairs: must be a list")
+    made: list[Pair] = [
+        validated(Pair, bounded(pair, f"{where}: pairs.{i}"), f"{where}: pairs.{i}") for i, pair in enumerate(listed)
+    ]
+    return _equipped(spec, known, family, {frozenset(pair.of): pair for pair in made}, where)

@@ -1,0 +1,1 @@
+"""Environments: PettingZoo, Gymnasium, batches of laboratories."""

@@ -1,0 +1,214 @@
+"""The laboratory: a PettingZoo AEC environment of a manager and its benches around a shared shelf of vessels.
+
+| Import | `from chemlab.laboratory import env, raw_env` |
+|---|---|
+| Agents | `manager_0`, then the scenario's benches: `rxn_0`, `ext_0`, `dit_0`, ... |
+| Actions | manager, ext, dit: `Discrete`; rxn: `Box(0, 1)` |
+| Observations | flat float32 `Box(0, 1)`; shapes follow the scenario |
+| Masks | `info["action_mask"]` of every agent with discrete actions, on its turn |
+| Parallel API | `parallel_env`, natively: see `chemlab.envs.parallel` |
+
+### Turn order
+The manager has the turn at the start, whenever an experiment has just ended, and after each of its own actions except
+`wait`. `wait` hands over: ticks run, in each of which every busy bench has one turn in a fixed order, until at least
+one experiment ends. Idle benches have no turn.
+
+### Rewards
+A bench earns the score of its experiment when it ends (see its class for the formula). The manager earns, at
+`submit`, mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum,
+minus all costs; without a submission, minus all costs when the episode reaches a limit. The scenario mixes the two
+(`[rewards]`).
+
+### Infos
+Numbers and arrays, of the same keys, types and shapes at every step. Every agent's: `cost` (weighted safety events of
+its last action), `events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (its
+last action was masked and did nothing), `experiment_over` and `score` (whether its last turn has ended its experiment,
+and with which score, else 0; of the manager: the episode), `elapsed_ticks` (on its turn and at the end: since its
+previous turn, or the episode's beginning: the discount of a semi-Markov step; else 0), and where actions are discrete
+`action_mask` (int8; without the turn it allows one action only, `wait` or `end`). The manager's also: `costs` [items,
+as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] (what it has been charged so far, in units of the score), and for
+each order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 until a vessel has been
+submitted). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.named_costs` give them by
+name.
+
+### State
+`state()` is everything there is to know, in [0, 1], for critics that may know it in training; `state_channels` names
+its parts (:mod:`chemlab.envs.global_state`).
+
+### Arguments
+`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
+None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
+`reaction_model` and `separation_model` (physics of your own), `split` (which worlds there may be, of scenarios that
+draw some: `train`, `validation`, `test` or `private:SALT`), `actions` (`discrete`: benches with continuous actions have
+a choice among representative ones instead). `reset(seed, options={"goal": name})` asks for a goal
+instead of drawing it, `{"world": seed or values}` for a world.
+
+### Version history
+- v0: first version.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from pettingzoo import AECEnv
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
+
+from ..config.scenario import RewardSpec, Scenario
+from ..lab.episodes import INTERRUPTED
+from ..roles.manager_state import RUNNING
+from ..roles.models import ReactionModel, SeparationModel
+from .common import OneLaboratory
+from .rendering import RENDER_MODES
+
+__all__ = ["env", "raw_env"]
+
+
+def env(
+    scenario: str | Path | Scenario = "wurtz_dodecane",
+    render_mode: str | None = None,
+    rewards: str | RewardSpec | None = None,
+    reaction_model: ReactionModel | None = None,
+    separation_model: SeparationModel | None = None,
+    split: str = "train",
+    actions: str | None = None,
+) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
+    """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
+    laboratory = raw_env(scenario, render_mode, rewards, reaction_model, separation_model, split, actions)
+    return OrderEnforcedLaboratory(laboratory)
+
+
+class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
+    """PettingZoo's wrapper, which names what is in it."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} around {self.env!r}>"
+
+
+class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
+    """The laboratory without wrappers; it checks every action itself.
+
+    Args:
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        render_mode: one of ``metadata["render_modes"]``, or None.
+        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
+        reaction_model: replaces the kinetics (see :class:`chemlab.roles.models.ReactionModel`).
+        separation_model: replaces layers and partition (see :class:`chemlab.roles.models.SeparationModel`).
+        split: which worlds there may be (see :mod:`chemlab.config.draws`).
+        actions: replaces the scenario's: ``native`` or ``discrete``
+        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown render mode, reward mix or split.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
+        "name": "chemlab_laboratory_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
+        "is_parallelizable": False,
+    }
+
+    def _allocate(self) -> None:
+        self._one_action = np.zeros(1, dtype=np.int64)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode.
+
+        Args:
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
+                ``{"world": seed or values}`` for a world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+
+        Raises:
+            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+                has changed.
+        """
+        self._begin(seed, options)
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
+        self.terminations = dict.fromkeys(self.agents, False)
+        self.truncations = dict.fromkeys(self.agents, False)
+        self.infos = {agent: self._info(number) for number, agent in enumerate(self.agents)}
+        self._last_turn = dict.fromkeys(self.agents, 0)
+        self._skip_agent_selection = None
+        self._give_turn()
+        self._unfinished = False
+        self._show()
+
+    def _give_turn(self) -> None:
+        labs = self.laboratories
+        number = labs.turn()
+        self.agent_selection = agent = self.possible_agents[number]
+        info = self.infos[agent]
+        mask = labs.mask(number, self._members)
+        if mask is not None:
+            info["action_mask"] = mask[0]
+        ticks = labs.state.ticks.item(0)
+        info["elapsed_ticks"] = ticks - self._last_turn[agent]
+        self._last_turn[agent] = ticks
+
+    def step(self, action: Any) -> None:
+        """The selected agent's turn.
+
+        Raises:
+            ValueError: the action is outside the agent's space; the message names agent, expected and given, and
+                nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
+        """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
+        agent = self.agent_selection
+        if self.terminations[agent]:
+            self._unfinished = True
+            self._was_dead_step(action)
+            self._unfinished = False
+            return
+        number, labs = self._number[agent], self.laboratories
+        if type(action) is int and 0 <= action < labs.action_counts[number]:
+            checked = self._one_action  # most turns: no array has to be made
+            checked[0] = action
+        else:
+            checked = labs.checked(number, action)
+        self._unfinished = True
+        self._cumulative_rewards[agent] = 0.0
+        labs.act(number, self._members, checked)
+        self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
+        infos = self.infos
+        infos[agent] = self._info(number)
+        if number == 0 and labs.state.begun.item(0) >= 0:  # an experiment may begin with an accident
+            for other, cost in enumerate(labs.cost[0].tolist()):
+                if cost:
+                    infos[self.possible_agents[other]] = self._info(other)
+        status = labs.state.status.item(0)
+        if labs.experiment_ended or status != RUNNING:
+            self._add_scores(list(infos.values()))
+        if status == RUNNING:
+            self._give_turn()
+        else:
+            for name in self.agents:  # a limit is an end as well: see chemlab.roles.manager_state
+                self.terminations[name] = True
+                infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
+            self.agent_selection = self.possible_agents[0]
+        if number and self.agent_selection == self.possible_agents[0]:
+            infos[self.agent_selection]["costs"] = labs.charges(self._members)[0]
+        self._accumulate_rewards()
+        self._unfinished = False
+        self._show()
+
+    def action_masks(self) -> npt.NDArray[np.bool_]:
+        """Legal actions of the selected agent, as sb3-contrib's MaskablePPO asks for them.
+
+        Raises:
+            ValueError: the selected agent's actions are continuous.
+        """
+        mask = self.laboratories.mask(self._number[self.agent_selection], self._members)
+        if mask is None:
+            raise ValueError(f"{self.agent_selection}: continuous actions have no mask")
+        return np.asarray(mask[0], dtype=np.bool_)

@@ -1,0 +1,284 @@
+"""Many laboratories at once, every agent present: arrays in, arrays out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..config.scenario import RewardSpec, Scenario, load_scenario
+from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..lab.engine import Laboratories
+from ..lab.hidden import World
+from ..roles.bench import Channel
+from ..roles.manager_state import RUNNING
+from ..roles.models import ReactionModel, SeparationModel
+from .common import manager_accounts
+from .global_state import GlobalState
+from .vector import checked_actions, parsed_reset
+
+__all__ = ["BatchedLaboratory"]
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+class BatchedLaboratory:
+    """N laboratories with the turns of :class:`~chemlab.envs.parallel.parallel_env`, in one set of arrays.
+
+    Member i that is reset with seed s + i plays what a single laboratory reset with that seed plays, whatever N is. A
+    laboratory whose episode ends is reset in the same step, unless ``autoreset`` is off.
+
+    Args:
+        num_envs: N.
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
+        idle_observations: whether agents without the turn are shown the laboratory too; else their rows keep what they
+            saw last, which saves most of the time observing takes.
+        copy: whether returned arrays are copies; without, the next step overwrites them.
+        reaction_model, separation_model: physics of your own (see :mod:`chemlab.roles.models`).
+        split: which worlds there may be (see :mod:`chemlab.config.draws`).
+        autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
+            before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
+        actions: replaces the scenario's: ``native`` or ``discrete``
+        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: ``num_envs`` is not at least 1, or the reward mix or the split is unknown.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        rewards: str | RewardSpec | None = None,
+        idle_observations: bool = False,
+        copy: bool = True,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+        split: str = "train",
+        actions: str | None = None,
+        autoreset: bool = True,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, given {num_envs}")
+        self.num_envs = num_envs
+        self.scenario = load_scenario(scenario).with_actions(actions)
+        if rewards is not None:
+            self.scenario = self.scenario.with_rewards(rewards)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
+        self.possible_agents = list(labs.agents)
+        self._whole = GlobalState(labs)
+        self.idle_observations = idle_observations
+        self.copy, self.autoreset = copy, autoreset
+        self._random = np.random.default_rng()
+        self._begun = False
+        self._turns = np.zeros((len(labs.agents), num_envs), dtype=np.bool_)
+        self._last_turn = np.zeros((len(labs.agents), num_envs), dtype=np.int64)
+        self._observations: list[ObservationArray] = [
+            np.zeros((num_envs, size), dtype=np.float32) for size in labs.observation_sizes
+        ]
+        pairs = zip(labs.resting_actions, labs.action_counts, strict=True)
+        self._masks: list[MaskArray] = [
+            np.tile(np.arange(n) == rest, (num_envs, 1)).astype(np.int8) for rest, n in pairs
+        ]
+        self._idle_actions = [
+            np.zeros(num_envs, dtype=np.int64) if count else np.zeros((num_envs, *(labs.action_space(a).shape or ())))
+            for a, count in enumerate(labs.action_counts)
+        ]
+
+    def observation_space(self, agent: str) -> gymnasium.spaces.Box:
+        """Observation space of one agent in one laboratory."""
+        return self.laboratories.observation_space(self.possible_agents.index(agent))
+
+    def action_space(self, agent: str) -> gymnasium.Space[Any]:
+        """Action space of one agent in one laboratory."""
+        return self.laboratories.action_space(self.possible_agents.index(agent))
+
+    @property
+    def state_space(self) -> gymnasium.spaces.Box:
+        """Space of one laboratory's :meth:`state`."""
+        return self._whole.space
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.envs.global_state`."""
+        return self._whole.channels
+
+    def state(self, members: IntArray | None = None) -> ObservationArray:
+        """[B, size] everything there is to know of laboratories (default: all), which no agent sees, for centralised
+        critics.
+
+        Where an episode has just ended, it is of the one that has begun since (without ``autoreset``: of its end).
+        """
+        return self._whole.see(self.laboratories.members if members is None else members)
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, ObservationArray], dict[str, Arrays]]:
+        """Begin episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
+
+        Args:
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
+            options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
+
+        Returns:
+            Observations [N, size] and infos by agent, as from :meth:`step`.
+
+        Raises:
+            ValueError: unknown option, goal or world, a mask or seeds of the wrong length, or a seed that is not an
+                integer of at least 0; nothing has changed.
+        """
+        mask, seeds, goal, world = parsed_reset(
+            seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
+        )
+        labs, members = self.laboratories, np.flatnonzero(mask)
+        if world is not None:
+            labs.worlds.check(world)
+        self._begun = False  # until it is done: after an interruption only a reset of all helps
+        for member in members.tolist():
+            member_seed = seeds[member]
+            if member_seed is not None:
+                labs.seed(member, member_seed)
+        self._restart(members, goal, world)
+        self._turns[:, members] = True  # rows of masks may be an interrupted step's: all are written
+        self._look()
+        found = self._seen(), self._infos(self._told(members[:0], begun=True))
+        self._begun = True
+        return found
+
+    def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
+        self.laboratories.reset(members, goal, world)
+        self._last_turn[:, members] = 0
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, ObservationArray],
+        dict[str, FloatArray],
+        npt.NDArray[np.bool_],
+        npt.NDArray[np.bool_],
+        dict[str, Arrays],
+    ]:
+        """One round in every laboratory: the manager's action where it has the turn, else one tick.
+
+        Args:
+            actions: of every agent that has the turn anywhere: [N] integers or [N, n] numbers; rows of laboratories
+                where it does not have the turn are ignored.
+
+        Returns:
+            Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
+            and been truncated [N] (none is: a limit terminates it); infos by agent, those of
+            :class:`~chemlab.envs.parallel.parallel_env` with an axis of N in front: ``has_turn`` [N] (in the next
+            step), ``action_mask`` [N, actions] (discrete actions), ``elapsed_ticks`` [N] (since the agent last had the
+            turn, or its episode began; where an episode has ended, until then), ``cost`` [N], ``events`` [N, kinds],
+            ``illegal_action`` [N], ``experiment_over`` [N] and ``score`` [N] (of its experiment, for the manager of the
+            episode; 0 where none has ended), and for the manager ``costs`` [N, items], ``goals``, ``submitted_mol`` and
+            ``purity`` [N, orders] (of an episode that has ended, not of the one that follows). Where episodes have
+            ended also ``final_obs`` [K, size] of the K laboratories, in order.
+
+        Raises:
+            ValueError: actions are missing or outside their space (nothing has changed), :meth:`reset` was never
+                called, or an earlier step was interrupted or failed.
+        """
+        if not self._begun:
+            raise ValueError("step: the episodes have not begun, or a step was interrupted or failed: call reset()")
+        labs, members = self.laboratories, self.laboratories.members
+        if not self.autoreset and (labs.state.status != RUNNING).any():
+            raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')
+        checked = []
+        for number, agent in enumerate(self.possible_agents):
+            turn = self._turns[number]
+            if not turn.any():
+                checked.append(self._idle_actions[number])
+            elif agent in actions:
+                space = labs.action_space(number)
+                checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
+            else:
+                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+        self._begun = False  # until it is done, as in reset
+        labs.act_round(members, checked)
+        rewards = dict(zip(self.possible_agents, labs.state.rewards.copy(), strict=True))
+        ended = labs.state.status != RUNNING
+        over = members[ended]
+        told = self._told(over)
+        finals: list[ObservationArray] = []
+        if len(over):
+            finals = [labs.observe(number, over) for number in range(len(self.possible_agents))]
+            if self.autoreset:
+                self._restart(over)
+        self._look()
+        if not self.autoreset and len(over):
+            for seen, final in zip(self._observations, finals, strict=True):
+                seen[over] = final
+        infos = self._infos(told)
+        for agent, final in zip(self.possible_agents, finals, strict=False):
+            infos[agent]["final_obs"] = final
+        found = self._seen(), rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
+        self._begun = True
+        return found
+
+    def _look(self) -> None:
+        """Bring turns, observations and masks up to date."""
+        labs, members = self.laboratories, self.laboratories.members
+        before = self._turns.copy()
+        labs.turns(members, self._turns)
+        for number, resting in enumerate(labs.resting_actions):
+            who = members[self._turns[number]]
+            shown = members if self.idle_observations else who
+            if len(shown):
+                rows = None if len(shown) == self.num_envs else shown
+                labs.observe(number, shown, self._observations[number], rows)
+            if resting >= 0:
+                masks, rest = self._masks[number], members[before[number] & ~self._turns[number]]
+                if len(rest):
+                    masks[rest] = 0
+                    masks[rest, resting] = 1
+                if len(who):
+                    legal = labs.mask(number, who)
+                    assert legal is not None, "a resting action means discrete actions"
+                    masks[who] = legal
+
+    def _seen(self) -> dict[str, ObservationArray]:
+        pairs = zip(self.possible_agents, self._observations, strict=True)
+        return {agent: array.copy() if self.copy else array for agent, array in pairs}
+
+    def _told(self, over: IntArray, begun: bool = False) -> list[Arrays]:
+        """What every agent is told of the round, before the episodes of ``over``, which it has ended, begin anew; or of
+        episodes that have only ``begun``."""
+        labs, state = self.laboratories, self.laboratories.state
+        acted = np.zeros_like(self._turns) if begun else self._turns
+        scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
+        if len(over):
+            scores[0, over] = labs.result(over)
+        ended, cost = np.isfinite(scores), state.cost.copy()
+        scores[~ended] = 0.0
+        # An experiment may begin with an accident, in a round in which its agent has not acted.
+        eventful = acted | (cost > 0.0)
+        elapsed = state.ticks - self._last_turn
+        told: list[Arrays] = []
+        for number in range(len(self.possible_agents)):
+            info: Arrays = {"elapsed_ticks": elapsed[number], "cost": cost[number]}
+            info["illegal_action"] = labs.illegal(number) & acted[number]
+            if number == 0:
+                info["events"] = np.zeros((self.num_envs, len(self.scenario.safety_events)))
+                info.update(manager_accounts(labs, slice(None)))
+            else:
+                info["events"] = labs.experiments[number - 1].events * eventful[number, :, None]
+            told.append({**info, "experiment_over": ended[number], "score": scores[number]})
+        return told
+
+    def _infos(self, told: list[Arrays]) -> dict[str, Arrays]:
+        """Everybody's infos: what they are ``told`` of the round, whose turn it is next, and what is legal."""
+        turns, ticks = self._turns.copy(), self.laboratories.state.ticks
+        np.copyto(self._last_turn, ticks, where=turns)
+        infos: dict[str, Arrays] = {}
+        for number, agent in enumerate(self.possible_agents):
+            infos[agent] = {"has_turn": turns[number], **told[number]}
+            if self.laboratories.action_counts[number]:
+                infos[agent]["action_mask"] = self._masks[number].copy() if self.copy else self._masks[number]
+        return infos

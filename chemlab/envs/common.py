@@ -1,0 +1,170 @@
+"""What the AEC and the parallel environment share: one laboratory, its spaces, its episodes' beginnings."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..config.scenario import RewardSpec, Scenario, load_scenario
+from ..kernels.rng import checked_seed
+from ..lab.engine import Laboratories
+from ..lab.text import describe_laboratory
+from ..roles.bench import Channel
+from ..roles.manager_state import RUNNING
+from ..roles.models import ReactionModel, SeparationModel
+from .global_state import GlobalState
+from .rendering import Rendered
+
+if TYPE_CHECKING:
+    from ..render.scene import Scene
+
+__all__ = ["OneLaboratory", "manager_accounts"]
+
+
+def manager_accounts(laboratories: Laboratories, which: int | slice = 0) -> dict[str, npt.NDArray[Any]]:
+    """What the manager's infos have besides everybody's: of one laboratory, or, with one more axis, of several.
+
+    ``costs`` [items, as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] so far, in units of the score; and by order
+    ``goals`` [orders] (index into the scenario's), ``submitted_mol`` [orders] and ``purity`` [orders] of the vessel
+    submitted for it (0 until then).
+    """
+    state = laboratories.state
+    if isinstance(which, int):
+        costs = laboratories.charges(laboratories.members[which : which + 1])[0]
+    else:
+        costs = laboratories.charges(laboratories.members[which])
+    return {
+        "costs": costs,
+        "goals": state.goal[which].copy(),
+        "submitted_mol": state.submitted[which, :, 0].copy(),
+        "purity": state.submitted[which, :, 1].copy(),
+    }
+
+
+class OneLaboratory(Rendered):
+    """One laboratory as a PettingZoo environment sees it, whichever of the two interfaces it has."""
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        render_mode: str | None = None,
+        rewards: str | RewardSpec | None = None,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+        split: str = "train",
+        actions: str | None = None,
+    ) -> None:
+        super().__init__()
+        self._set_render_mode(render_mode)
+        self.scenario = load_scenario(scenario).with_actions(actions)
+        if rewards is not None:
+            self.scenario = self.scenario.with_rewards(rewards)
+        self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model, split)
+        self.possible_agents = list(self.laboratories.agents)
+        self.agents: list[str] = []
+        self._number = {agent: i for i, agent in enumerate(self.possible_agents)}
+        self.observation_spaces = {agent: self.laboratories.observation_space(i) for agent, i in self._number.items()}
+        self.action_spaces = {agent: self.laboratories.action_space(i) for agent, i in self._number.items()}
+        self._whole = GlobalState(self.laboratories)
+        self.state_space = self._whole.space
+        self._members = self.laboratories.members
+        self._seeded = False
+        self._unfinished = False
+        pairs = zip(self.laboratories.resting_actions, self.laboratories.action_counts, strict=True)
+        self._resting = [(np.arange(count) == action).astype(np.int8) if count else None for action, count in pairs]
+        self._no_events = np.zeros(len(self.scenario.safety_events))
+        self._allocate()
+
+    @abstractmethod
+    def _allocate(self) -> None:
+        """Make the arrays that the interface reuses in every step."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.scenario.name}: {', '.join(self.possible_agents)}>"
+
+    def observation_space(self, agent: str) -> gymnasium.spaces.Box:
+        """The agent's observation space (always the same object)."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gymnasium.Space[Any]:
+        """The agent's action space (always the same object)."""
+        return self.action_spaces[agent]
+
+    def observe(self, agent: str) -> npt.NDArray[np.float32]:
+        """What the agent sees now; a bench without an experiment sees zeros."""
+        seen: npt.NDArray[np.float32] = self.laboratories.observe(self._number[agent], self._members)[0]
+        return seen
+
+    def state(self) -> npt.NDArray[np.float32]:
+        """[size] everything there is to know, which no agent sees, in [0, 1]: see :attr:`state_channels`."""
+        whole: npt.NDArray[np.float32] = self._whole.see(self._members)[0]
+        return whole
+
+    @property
+    def state_channels(self) -> list[Channel]:
+        """What :meth:`state` holds, in order; see :mod:`chemlab.envs.global_state`."""
+        return self._whole.channels
+
+    def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        seed = checked_seed(seed)
+        options = options or {}
+        unknown = set(options) - {"goal", "world"}
+        if unknown:
+            # PettingZoo's api_test passes options of its own, so these cannot be an error.
+            gymnasium.logger.warn(f"reset options: known: goal, world; ignored: {', '.join(sorted(map(str, unknown)))}")
+        goal, world = options.get("goal"), options.get("world")
+        if goal is not None:
+            self.laboratories.goal_index(goal)
+        if world is not None:
+            self.laboratories.worlds.check(world)
+        sequence = np.random.SeedSequence(seed) if seed is not None or not self._seeded else None
+        self._unfinished = True
+        if sequence is not None:
+            self.laboratories.seed(0, sequence)
+            self._seeded = True
+        self.laboratories.reset(self._members, goal, world)
+        self.agents = self.possible_agents[:]
+
+    def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:
+        """An agent's info, always of the same keys, types and shapes: what its last turn led to, if it has just
+        ``acted``, and the mask of one that does not have the turn."""
+        labs = self.laboratories
+        state = labs.state
+        own: Any = labs.experiments[agent - 1].table.arrays if agent else state
+        info = {
+            "cost": state.cost.item(agent, 0),
+            "illegal_action": acted and own.illegal.item(0),
+            "events": (own.events[0] if acted and agent else self._no_events).copy(),
+            "experiment_over": False,
+            "score": 0.0,
+            "elapsed_ticks": 0,
+        }
+        resting = self._resting[agent]
+        if resting is not None:
+            info["action_mask"] = resting.copy()
+        if agent == 0:
+            info.update(manager_accounts(labs))
+        return info
+
+    def _add_scores(self, infos: list[dict[str, Any]]) -> None:
+        """Tell whose experiment has ended in the last turn or round, and the manager whose episode has."""
+        labs = self.laboratories
+        if labs.experiment_ended:
+            for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
+                if score == score:  # NaN where none of its own has ended
+                    info["experiment_over"], info["score"] = True, score
+        if labs.state.status.item(0) != RUNNING:
+            infos[0]["experiment_over"], infos[0]["score"] = True, labs.result(self._members).item()
+
+    def _text(self) -> str:
+        return describe_laboratory(self.laboratories, 0)
+
+    def _scene(self) -> Scene:
+        from ..render.scene import laboratory_scene
+
+        return laboratory_scene(self.laboratories)

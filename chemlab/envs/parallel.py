@@ -1,0 +1,166 @@
+"""The laboratory as a PettingZoo parallel environment: one manager action, or one tick, a step.
+
+| Import | `from chemlab.laboratory import parallel_env` |
+|---|---|
+| Agents, observations, actions | as in AEC (see `chemlab.envs.aec`) |
+| Masks | `info["action_mask"]` of every agent with discrete actions, always |
+
+### Turns
+Every agent is present in every step. While the manager has the turn the step is its action; after its `wait`, every
+step is one tick, in which every busy bench acts, in the scenario's order, until an experiment ends. Whoever does not
+have the turn (`info["has_turn"]` is False) has a mask that allows one action only, `wait` for the manager and `end` for
+a bench, and what it plays is ignored: it may be left out. The dynamics are those of the AEC environment: the same
+actions give the same rewards and states. Masks are of the tick's beginning: an action that another bench has made
+impossible in the same tick (it took the last of a bottle) is a lost turn, as any other.
+
+### Infos
+As in AEC, of the step, and `has_turn` (in the next one). `elapsed_ticks` is the time since the agent last had the turn,
+or since the episode's beginning.
+
+### Version history
+- v0: first version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from pettingzoo import ParallelEnv
+
+from ..lab.episodes import INTERRUPTED
+from ..roles.manager_state import RUNNING
+from .common import OneLaboratory
+from .rendering import RENDER_MODES
+
+__all__ = ["parallel_env"]
+
+
+class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]):
+    """The laboratory for all agents at once; it checks every action itself.
+
+    Args:
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        render_mode: one of ``metadata["render_modes"]``, or None.
+        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
+        reaction_model, separation_model: physics of your own (see :mod:`chemlab.roles.models`).
+        split: which worlds there may be (see :mod:`chemlab.config.draws`).
+        actions: replaces the scenario's: ``native`` or ``discrete``
+        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: unknown render mode, reward mix or split.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
+        "name": "chemlab_laboratory_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
+    }
+
+    def _allocate(self) -> None:
+        labs = self.laboratories
+        self._turns = np.zeros((len(labs.agents), 1), dtype=np.bool_)
+        self._actions = [
+            np.zeros(1, dtype=np.int64) if count else np.zeros((1, *(space.shape or ())))
+            for count, space in zip(labs.action_counts, self.action_spaces.values(), strict=True)
+        ]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Begin an episode.
+
+        Args:
+            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+                first reset draws a seed).
+            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
+                ``{"world": seed or values}`` for a world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+
+        Raises:
+            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+                has changed.
+        """
+        self._begin(seed, options)
+        self._last_turn = [0] * len(self.agents)
+        found = self._seen([self._info(number) for number in range(len(self.agents))])
+        self._unfinished = False
+        self._show()
+        return found
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, npt.NDArray[np.float32]],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """The manager's action, or one tick.
+
+        Args:
+            actions: an action of every agent that has the turn; the others' are ignored.
+
+        Raises:
+            ValueError: an action is missing or outside its space (the message names the agent, what was expected and
+                what was given), or the episode is over; nothing has changed.
+            gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
+        """
+        if self._unfinished:
+            raise gymnasium.error.ResetNeeded(INTERRUPTED)
+        if not self.agents:
+            raise ValueError("step: the episode is over (or has not begun): call reset()")
+        labs, names = self.laboratories, self.possible_agents
+        acting = [number for number, turn in enumerate(self._turns[:, 0].tolist()) if turn]
+        checked = []
+        for number in acting:
+            if names[number] not in actions:
+                raise ValueError(f"{names[number]}: has the turn, so step() needs its action; given {list(actions)}")
+            checked.append(labs.checked(number, actions[names[number]])[0])
+        for number, action in zip(acting, checked, strict=True):
+            self._actions[number][0] = action
+        self._unfinished = True
+        labs.act_round(self._members, self._actions)
+        infos = [
+            self._info(number, number in acting or cost > 0.0) for number, cost in enumerate(labs.cost[0].tolist())
+        ]
+        self._add_scores(infos)
+        rewards = dict(zip(names, labs.rewards[0].tolist(), strict=True))
+        over = labs.state.status.item(0) != RUNNING
+        observations, found = self._seen(infos)
+        if over:
+            self.agents = []
+        self._unfinished = False
+        self._show()
+        return (
+            observations,
+            rewards,
+            dict.fromkeys(names, over),  # a limit is an end as well: see chemlab.roles.manager_state
+            dict.fromkeys(names, False),
+            found,
+        )
+
+    def _seen(
+        self, infos: list[dict[str, Any]]
+    ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Everybody's observations and, filled in, infos."""
+        labs, members, names = self.laboratories, self._members, self.possible_agents
+        labs.turns(members, self._turns)
+        ticks = labs.state.ticks.item(0)
+        observations = {}
+        for number, has_turn in enumerate(self._turns[:, 0].tolist()):
+            info = infos[number]
+            observations[names[number]] = labs.observe(number, members)[0]
+            info["has_turn"] = has_turn
+            info["elapsed_ticks"] = ticks - self._last_turn[number]
+            if has_turn:
+                self._last_turn[number] = ticks
+                mask = labs.mask(number, members)
+                if mask is not None:
+                    info["action_mask"] = mask[0]
+        return observations, dict(zip(names, infos, strict=True))

@@ -1,0 +1,298 @@
+"""What a policy is, whoever made it: a batch of observations and masks in, a batch of actions out."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..kernels.arrays import IntArray, MaskArray, ObservationArray
+from ..lab.engine import Laboratories
+from ..roles.manager_state import RUNNING
+from .vector import checked_actions
+
+__all__ = ["Memory", "Players", "Policy", "as_policy"]
+
+_MOST_TRIES = 1000
+
+
+class Policy(Protocol):
+    """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario.
+
+    It may also have ``seed(member, seed)``, which starts a member's random stream afresh; an environment that it plays
+    in calls it for every episode, so that none depends on those before. It may have ``get_memory()`` and
+    ``set_memory(memory)``, with a copy of what it remembers, so that an environment it plays in can be put back.
+    """
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """Actions for a batch.
+
+        Args:
+            observation: [B, size].
+            mask: [B, actions] legal actions, or None where actions are continuous.
+            step: [B] how many turns the agent has had in this experiment (the manager: in this episode). At 0 a
+                policy with a memory forgets.
+            members: [B] which member of the batch each row is, for policies with a memory.
+
+        Returns:
+            [B] int64 actions, or [B, n] float64 where actions are continuous.
+        """
+        ...  # a protocol has no body
+
+
+class _Called:
+    """A function of (observation [B, size], mask [B, actions] or None) as a policy."""
+
+    def __init__(self, function: Callable[[ObservationArray, MaskArray | None], Any]) -> None:
+        self._function = function
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`."""
+        actions = self._function(observation, mask)
+        try:
+            return np.asarray(actions)
+        except ValueError:  # lists of different lengths: whoever checks the actions names the agent
+            return np.asarray(actions, dtype=object)
+
+
+class Memory:
+    """What a policy keeps of each member of a batch: some arrays, zeros when an experiment (or episode) begins.
+
+    Args:
+        sizes: length of each array.
+    """
+
+    def __init__(self, *sizes: int) -> None:
+        self._arrays = [np.zeros((0, size)) for size in sizes]
+
+    def recall(self, step: IntArray, members: IntArray) -> list[npt.NDArray[np.float64]]:
+        """[B, size] each array of the members; see :meth:`Policy.act`."""
+        lacking = int(members.max()) + 1 - len(self._arrays[0])
+        if lacking > 0:
+            self._arrays = [np.concatenate([a, np.zeros((lacking, a.shape[1]))]) for a in self._arrays]
+        return [np.where(step[:, None] == 0, 0.0, array[members]) for array in self._arrays]
+
+    def keep(self, members: IntArray, *values: npt.NDArray[Any]) -> None:
+        """Remember values [B, size] of the members."""
+        for array, own in zip(self._arrays, values, strict=True):
+            array[members] = own
+
+    def copy(self) -> list[npt.NDArray[np.float64]]:
+        """Everything, for :meth:`put_back`."""
+        return [array.copy() for array in self._arrays]
+
+    def put_back(self, arrays: Sequence[npt.NDArray[np.float64]]) -> None:
+        """Remember what was there at a :meth:`copy`."""
+        self._arrays = [array.copy() for array in arrays]
+
+
+class _RecurrentModel:
+    """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action.
+
+    Sb3-contrib hands it no masks; one whose observations end with them gets them there.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model, lstm = model, model.policy.lstm_actor
+        self._shape = (lstm.num_layers, lstm.hidden_size)
+        self._memory = Memory(*2 * [lstm.num_layers * lstm.hidden_size])
+        self._size = model.observation_space.shape[0]
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`."""
+        if mask is not None and observation.shape[1] + mask.shape[1] == self._size:
+            observation = np.concatenate([observation, mask], axis=1, dtype=np.float32)
+        layers, hidden = self._shape
+        kept = [
+            array.reshape(-1, layers, hidden).swapaxes(0, 1).astype(np.float32)
+            for array in self._memory.recall(step, members)
+        ]
+        actions, state = self._model.predict(observation, tuple(kept), step == 0, deterministic=True)
+        self._memory.keep(members, *(np.swapaxes(array, 0, 1).reshape(len(members), -1) for array in state))
+        return np.asarray(actions)
+
+    def get_memory(self) -> Any:
+        """See :class:`Policy`."""
+        return self._memory.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`Policy`."""
+        self._memory.put_back(memory)
+
+
+class _Model:
+    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them."""
+
+    def __init__(self, model: Any, deterministic: bool = True) -> None:
+        self._model, self._deterministic = model, deterministic
+        self._masked = "action_masks" in inspect.signature(model.predict).parameters
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`."""
+        masks = {"action_masks": mask} if self._masked and mask is not None else {}
+        actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
+        return np.asarray(actions)
+
+
+def as_policy(given: Any, agent: str = "") -> Policy:
+    """Anything that can play, as a :class:`Policy`.
+
+    Args:
+        given: a policy, a model with Stable-Baselines3's ``predict`` (sb3-contrib's maskable ones get the mask), or a
+            function of (observation [B, size], mask [B, actions] or None) that returns a batch of actions.
+        agent: whom it plays, for the error message.
+
+    Raises:
+        TypeError: it is none of these.
+    """
+    if hasattr(given, "act"):
+        policy: Policy = given
+        return policy
+    if hasattr(given, "predict"):
+        recurrent = hasattr(getattr(given, "policy", None), "lstm_actor")
+        return _RecurrentModel(given) if recurrent else _Model(given)
+    if callable(given):
+        return _Called(given)
+    raise TypeError(
+        f"{agent}{': ' if agent else ''}a policy must have act(), be a model with predict(), or be a function of "
+        f"(observation, mask); given {given!r}"
+    )
+
+
+def _nothing(number: int, members: IntArray) -> None:
+    """After a turn."""
+
+
+class Players:
+    """Policies of the agents of some laboratories; where an agent has none, somebody else moves it.
+
+    Args:
+        laboratories: where they play.
+        policies: of every agent, in order, or None.
+        act: plays some agent's actions in some laboratories: (number, members [B], actions [B, ...]); default:
+            :meth:`Laboratories.act`.
+    """
+
+    def __init__(
+        self,
+        laboratories: Laboratories,
+        policies: Sequence[Policy | None],
+        act: Callable[[int, IntArray, npt.NDArray[Any]], None] | None = None,
+    ) -> None:
+        self._labs, self._policies, self._act = laboratories, list(policies), act or laboratories.act
+        self._played = np.array([policy is not None for policy in policies])
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Start one laboratory's random streams of the policies that have any afresh."""
+        whole = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        for policy, sequence in zip(self._policies, whole.spawn(len(self._policies)), strict=True):
+            start = getattr(policy, "seed", None)
+            if start is not None:
+                start(member, sequence)
+
+    def renew(self, members: IntArray) -> None:
+        """Start the random streams afresh in laboratories [B] whose episodes have just begun, but for the first ones
+        after a seed: those begin as :meth:`seed` says."""
+        if not any(hasattr(policy, "seed") for policy in self._policies):
+            return
+        episodes = self._labs.episodes
+        for member in members[episodes.begun[members] > 1].tolist():
+            self.seed(member, episodes.sequence(member))
+
+    def get_memory(self) -> list[Any]:
+        """What every policy remembers, for :meth:`set_memory`."""
+        return [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
+
+    def set_memory(self, memory: Sequence[Any]) -> None:
+        """Let every policy remember what it did at a :meth:`get_memory`."""
+        for policy, own in zip(self._policies, memory, strict=True):
+            remind = getattr(policy, "set_memory", None)
+            if remind is not None:
+                remind(own)
+
+    def decide(self, number: int, members: IntArray) -> npt.NDArray[Any]:
+        """Actions [B, ...] of an agent that has a policy, in some laboratories [B] that give it the turn.
+
+        Raises:
+            ValueError: the policy's actions are outside its agent's space; the message names the agent.
+        """
+        labs, policy = self._labs, self._policies[number]
+        assert policy is not None, "whom somebody else moves decides nothing here"
+        seen, mask = labs.observe(number, members), labs.mask(number, members)
+        with np.errstate(under="ignore"):  # what is next to impossible to a policy is 0
+            actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
+        return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
+
+    def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
+        """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
+        tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
+
+        Args:
+            members: [B] laboratories that play.
+            after: called after every turn with the agent's number and the laboratories it was in.
+
+        Raises:
+            ValueError: a policy's actions are outside its agent's space; the message names the agent.
+        """
+        labs = self._labs
+        cursor, status = labs.state.cursor, labs.state.status
+        for number, policy in enumerate(self._policies):
+            if policy is None:
+                continue
+            here = members[cursor[members] == number - 1]
+            group = here[status[here] == RUNNING]
+            if len(group):
+                self._act(number, group, self.decide(number, group))
+                after(number, group)
+
+    def play_on(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
+        """Play until in every laboratory the episode is over or an agent without a policy has the turn.
+
+        Arguments and errors are those of :meth:`play_pass`.
+        """
+        state = self._labs.state
+        while True:
+            members = members[(state.status[members] == RUNNING) & self._played[state.cursor[members] + 1]]
+            if not len(members):
+                return
+            self.play_pass(members, after)
+
+    def begin(
+        self, members: IntArray, reset: Callable[[IntArray], None], after: Callable[[int, IntArray], None] = _nothing
+    ) -> None:
+        """New episodes, played on to the first turn of an agent without a policy; those in which it never has one are
+        played over.
+
+        Args:
+            members: [B] laboratories.
+            reset: begins an episode in some of them.
+            after: as for :meth:`play_pass`.
+
+        Raises:
+            RuntimeError: the policies never start the others.
+        """
+        waiting = members
+        for tries in range(_MOST_TRIES):
+            self._labs.episodes.again[waiting] = tries > 0
+            reset(waiting)
+            if not tries:
+                self.renew(waiting)
+            self.play_on(waiting, after)
+            waiting = waiting[self._labs.state.status[waiting] != RUNNING]
+            if not len(waiting):
+                return
+        others = [agent for agent, played in zip(self._labs.agents, self._played, strict=True) if not played]
+        raise RuntimeError(
+            f"{', '.join(others)}: had no turn in {_MOST_TRIES} episodes: the other policies never start it"
+        )

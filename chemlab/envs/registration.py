@@ -1,0 +1,119 @@
+"""Environments by their names in Gymnasium's and PettingZoo's registries.
+
+A registry is filled as soon as its library is imported, before or after chemlab. ``import chemlab`` alone imports
+neither, which takes several times as long as all else that a command such as ``chemlab --help`` needs. Gymnasium has
+loaded no plugins by entry points since its version 1.0, so an import hook does it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+
+__all__ = ["register_environments"]
+
+_BENCHES: dict[str, dict[str, str]] = {
+    "WurtzReaction": {"scenario": "wurtz_dodecane", "bench": "rxn"},
+    "FictitiousReaction": {"scenario": "fictitious", "bench": "rxn"},
+    "WurtzExtraction": {"scenario": "wurtz_dodecane", "bench": "ext"},
+    "SaltFromOilExtraction": {"scenario": "salt_from_oil", "bench": "ext"},
+    "WurtzDistillation": {"scenario": "wurtz_dodecane", "bench": "dit"},
+    "RealWurtzReaction": {"scenario": "wurtz_real", "bench": "rxn"},
+    "RealWurtzExtraction": {"scenario": "wurtz_real", "bench": "ext"},
+    "RealWurtzDistillation": {"scenario": "wurtz_real", "bench": "dit"},
+    "BenzoicAcidCrystallization": {"scenario": "recrystallization", "bench": "cry"},
+    "Bench": {},
+}
+
+
+def _register_laboratory() -> None:
+    """Make the laboratory known to PettingZoo's registries, which are there from PettingZoo 1.27 on."""
+    with contextlib.suppress(ImportError):
+        from pettingzoo import aec_registry, parallel_registry, register
+
+        if "chemlab/Laboratory-v0" not in aec_registry:
+            register("aec", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:env")
+        if "chemlab/Laboratory-v0" not in parallel_registry:
+            register("parallel", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:parallel_env")
+
+
+def _register_views() -> None:
+    """Make the single-bench environments, and the laboratory as one of its agents sees it, known to Gymnasium; entry
+    points are strings, so nothing heavy is imported."""
+    from gymnasium.envs.registration import register, registry
+
+    views: dict[str, tuple[str, str, dict[str, str]]] = {
+        name: ("chemlab.envs.bench_env:BenchEnv", "chemlab.envs.bench_env:BenchVectorEnv", arguments)
+        for name, arguments in _BENCHES.items()
+    }
+    for name, arguments in (("LabManager", {"agent": "manager_0"}), ("LabAgent", {})):
+        views[name] = "chemlab.agents.background:focal_env", "chemlab.agents.background:focal_vector_env", arguments
+    for name, (entry_point, vector_entry_point, arguments) in views.items():
+        if f"chemlab/{name}-v0" not in registry:
+            register(
+                f"chemlab/{name}-v0",
+                entry_point=entry_point,
+                vector_entry_point=vector_entry_point,
+                kwargs=arguments,
+            )
+
+
+_REGISTRIES: dict[str, Callable[[], None]] = {"gymnasium": _register_views, "pettingzoo": _register_laboratory}
+
+
+class _ThenRegister:
+    """Loader of a library that registers the environments once the library has been executed."""
+
+    def __init__(self, loader: Any, register: Callable[[], None]) -> None:
+        self._loader, self._register = loader, register
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self._loader, name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute the library, which keeps its own loader, and register."""
+        module.__loader__ = self._loader
+        if module.__spec__ is not None:
+            module.__spec__.loader = self._loader
+        self._loader.exec_module(module)
+        self._register()
+
+
+class _Registering:
+    """Finder of the libraries that have registries, as the finders after it find them.
+
+    To be asked for a library changes nothing here: it may be looked for and not imported
+    (``importlib.util.find_spec``), or be imported again.
+    """
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """The specification of a library with a registry; None of anything else."""
+        register = _REGISTRIES.get(name)
+        if register is None or self not in sys.meta_path:
+            return None
+        for finder in sys.meta_path[sys.meta_path.index(self) + 1 :]:
+            found = finder.find_spec(name, path, target) if hasattr(finder, "find_spec") else None
+            if found is not None:
+                loader: Any = found.loader
+                if hasattr(loader, "exec_module"):
+                    loader = _ThenRegister(loader, register)
+                    found.loader = loader
+                return found
+        return None
+
+
+def register_environments() -> None:
+    """Fill the registries: at once where a library has been imported, else when it is."""
+    for name, register in _REGISTRIES.items():
+        if name in sys.modules:
+            register()
+    if not any(isinstance(finder, _Registering) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Registering())

@@ -1,0 +1,1 @@
+"""Compiled code: decorators of kernels, declared arrays, random streams."""

@@ -1,0 +1,1 @@
+"""The laboratory: turns, rewards, hidden parameters, initial states."""

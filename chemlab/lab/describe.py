@@ -1,0 +1,315 @@
+"""What there is in a laboratory, as tables: observations, actions, prices, limits, rewards.
+
+They come from the channels and action tables that build the spaces, and from the scenario. The documentation's pages
+and ``chemlab describe`` show the same ones. Names of things stand in `backticks`, as in Markdown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from typing import Any
+
+import gymnasium
+
+from ..config.scenario import InstrumentSpec, Scenario
+from ..roles.bench import Bench, Channel
+from .engine import Laboratories
+
+__all__ = [
+    "MANAGER_SCORE",
+    "FactTable",
+    "action_list",
+    "action_table",
+    "agent_table",
+    "amount_words",
+    "bench_table",
+    "channel_table",
+    "description",
+    "goal_words",
+    "instrument_table",
+    "limit_words",
+    "manager_action_table",
+    "reward_words",
+    "safety_words",
+    "space_words",
+    "stock_table",
+    "vessel_table",
+    "wear_words",
+    "world_table",
+]
+
+
+MANAGER_SCORE = "mol submitted x absolute purity / theoretical maximum (the mean over orders), minus all costs"
+"""What an episode is worth to the manager, as a bench's ``score_meaning`` is what an experiment is to its agent."""
+
+
+@dataclass(frozen=True)
+class FactTable:
+    """A table: names of columns, rows of cells, the columns that hold numbers, and what to say before it."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    right: tuple[int, ...] = ()
+    note: str = ""
+
+
+def _facts(head: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[int] = (), note: str = "") -> FactTable:
+    return FactTable(tuple(head), tuple(tuple(str(cell) for cell in row) for row in rows), tuple(right), note)
+
+
+def _code(text: object) -> str:
+    return f"`{text}`"
+
+
+def _codes(texts: Iterable[object]) -> str:
+    return ", ".join(map(_code, texts))
+
+
+def _number(value: float) -> str:
+    """A number without an exponent."""
+    return f"{value:.10f}".rstrip("0").rstrip(".")
+
+
+def _span(start: int, size: int) -> str:
+    return str(start) if size == 1 else f"{start} to {start + size - 1}"
+
+
+def amount_words(amounts: Mapping[str, float]) -> str:
+    """Amounts of materials (mol) in words."""
+    return ", ".join(f"{amount:g} mol `{name}`" for name, amount in amounts.items()) or "nothing"
+
+
+# -- spaces -----------------------------------------------------------------------------------------------------------
+
+
+def space_words(space: Any) -> str:
+    """``Discrete(n)`` or ``Box(size)``."""
+    return f"Discrete({space.n})" if isinstance(space, gymnasium.spaces.Discrete) else f"Box({space.shape[0]})"
+
+
+def channel_table(channels: Sequence[Channel]) -> FactTable:
+    """A row for each channel; the channels of a shelf's slots, which are the same for every slot, once."""
+    first = [channel for channel in channels if channel.name.startswith("slot_0_")]
+    slots = len({channel.name.split("_")[1] for channel in channels if channel.name.startswith("slot_")})
+    width = sum(channel.size for channel in first)
+    rows, at = [], 0
+    for channel in channels:
+        place, name = _span(at, channel.size), channel.name
+        at += channel.size
+        if name.startswith("slot_"):
+            if channel not in first:
+                continue
+            if slots > 1:
+                place, name = f"{width} s + {place}", name.replace("slot_0_", "slot_s_")
+        bounds = "" if channel.unit in ("one-hot", "0 or 1", "fraction") else f"{channel.low:g} to {channel.high:g} "
+        rows.append((place, _code(name), channel.size, bounds + channel.unit, channel.meaning))
+    note = f"s is the slot, 0 to {slots - 1}." if slots > 1 else ""
+    return _facts(("index", "channel", "size", "0 to 1 stands for", "meaning"), rows, (2,), note)
+
+
+def action_list(meanings: Sequence[str], discrete: bool) -> FactTable:
+    """A row for each discrete action, or for each number of a continuous one."""
+    head = ("action", "what it does") if discrete else ("number", "0 to 1 stands for")
+    return _facts(head, enumerate(meanings), (0,))
+
+
+def action_table(meanings: Sequence[str], discrete: bool) -> FactTable:
+    """A row for each number of a continuous action, or for each process of a table of discrete ones."""
+    if not discrete:
+        return action_list(meanings, discrete)
+    rows, at = [], 0
+    for process, group in groupby(meanings, key=lambda meaning: meaning.rpartition(", ")[0] or meaning):
+        same = list(group)
+        magnitudes = ", ".join(meaning.removeprefix(process).removeprefix(", ") for meaning in same)
+        rows.append((_span(at, len(same)), process, magnitudes))
+        at += len(same)
+    return _facts(("action", "what it does", "magnitudes"), rows)
+
+
+def manager_action_table(labs: Laboratories) -> FactTable:
+    """The manager's actions by kind, with the first and the last of each."""
+    rows, at = [], 0
+    for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
+        numbers = list(group)
+        words = [labs.actions.action_meanings[n] for n in (numbers[0], numbers[-1])]
+        rows.append((_span(at, len(numbers)), _code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
+        at += len(numbers)
+    return _facts(("action", "kind", "number", "meaning"), rows, (2,))
+
+
+def agent_table(labs: Laboratories) -> FactTable:
+    """Every agent's spaces."""
+    rows = [
+        (_code(agent), f"Box({labs.observation_sizes[n]})", space_words(labs.action_space(n)))
+        for n, agent in enumerate(labs.agents)
+    ]
+    return _facts(("agent", "observation", "actions"), rows)
+
+
+# -- the scenario -----------------------------------------------------------------------------------------------------
+
+
+def goal_words(spec: Scenario) -> list[str]:
+    """What is wanted, in sentences."""
+    orders = "one order" if spec.orders == 1 else f"{spec.orders} orders"
+    several = "one of " if len(spec.lab_goals) > 1 else ""
+    return [
+        f"An episode has {orders}, for {several}{_codes(spec.lab_goals)}.",
+        f"Experiments may be run for {_codes(spec.goals)}.",
+        f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
+        *(
+            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least"
+            + (f" among {_codes(wanted.purity_among)}" if wanted.purity_among else "")
+            + ", or is worth nothing."
+            for goal, wanted in spec.specifications.items()
+        ),
+    ]
+
+
+def vessel_table(spec: Scenario) -> FactTable:
+    """The vessels that an episode begins with."""
+    rows = [(f"slot {i}", f"{v.capacity_l:g} L", amount_words(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
+    return _facts(("place", "capacity", "contents"), rows)
+
+
+def world_table(spec: Scenario) -> FactTable:
+    """What is drawn for an episode and not told."""
+    rows = []
+    for name, draw in spec.world.draws.items():
+        numbers = draw.distribution.model_dump(exclude_none=True)
+        kind = numbers.pop("kind")
+        words = ", ".join(
+            f"{key} {', '.join(map(str, value)) if isinstance(value, tuple) else f'{value:g}'}"
+            for key, value in numbers.items()
+            if value != ()
+        )
+        what = f"{draw.what} of {_code(draw.material)}" if draw.material else draw.what
+        whose = _codes(draw.of) or "the laboratory"
+        each = "one number" if draw.variables == 1 else "each its own"
+        rows.append((_code(name), what, whose, f"{kind}: {words}", each))
+    return _facts(("draw", "what", "of", "drawn from", "shared"), rows)
+
+
+def stock_table(spec: Scenario) -> FactTable:
+    """The bottles and their prices."""
+    prices = spec.costs.stock_per_mol
+    rows = [(_code(name), f"{mol:g}", _number(prices.get(name, 0.0))) for name, mol in spec.stock.items()]
+    return _facts(("bottle", "mol", "price a mol"), rows, (1, 2))
+
+
+def _accuracy(spec: InstrumentSpec) -> str:
+    """Noise, and what else a reading has, where it has it."""
+    words = [f"{spec.noise:g}"]
+    if (spec.gain, spec.bias) != (1.0, 0.0):
+        words.append(f"{spec.gain:g} x {spec.bias:+g}")
+    if spec.detection_limit:
+        words.append(f"0 below {spec.detection_limit:g}")
+    if spec.drift is not None:
+        drift = spec.drift
+        words.append(
+            f"off by {drift.first:g} at first, {drift.walk:g} x root of ticks"
+            + (f" {drift.trend:+g} a tick" if drift.trend else "")
+            + f", {drift.error:g} after a calibration for {drift.price:g}"
+        )
+    return "; ".join(words)
+
+
+def instrument_table(labs: Laboratories) -> FactTable:
+    """The instruments of the characterization bench."""
+    rows = [
+        (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", _accuracy(i))
+        for (name, i), kind in zip(labs.scenario.instruments.items(), labs.instruments.kinds, strict=True)
+    ]
+    return _facts(("instrument", "reading", "price", "sample", "noise"), rows, (2, 3, 4))
+
+
+def bench_table(labs: Laboratories) -> FactTable:
+    """Each kind of bench: how many, how long, and what an experiment's agent is paid."""
+    rows = [
+        (_code(bench.key), bench.spec.kind, bench.spec.count, bench.spec.step_limit, bench.score_meaning)
+        for bench in {bench.key: bench for bench in labs.benches}.values()
+    ]
+    return _facts(("bench", "kind", "number", "step limit", "score of an experiment"), rows, (2, 3))
+
+
+def wear_words(spec: Scenario) -> list[str]:
+    """How benches wear, in sentences."""
+    found = []
+    for key, bench in spec.benches.items():
+        if bench.wear is not None:
+            wear = bench.wear
+            does = {"stir": "Stirring", "heat": "Heating"}[wear.actuator]
+            breaks = f", and breaks after {wear.life:g} ticks of work in the mean" if wear.life else ""
+            found.append(
+                f"{does} at `{key}` has {wear.gain:g} times its effect, give or take a factor of e^{wear.spread:g}; it "
+                f"drifts by a factor of e^{wear.drift:g} in a tick of work{breaks}. A repair costs "
+                f"{wear.repair_price:g} and takes {wear.repair_ticks} ticks."
+            )
+    return found
+
+
+def limit_words(spec: Scenario) -> str:
+    """Limits of an episode, and what time, waste and lost turns cost."""
+    limits, costs = spec.limits, spec.costs
+    return (
+        f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "
+        f"spent on measuring. A tick costs {_number(costs.tick)}, a litre of waste {costs.waste_per_l:g}, a masked "
+        f"action {costs.illegal_action:g}."
+    )
+
+
+def safety_words(spec: Scenario) -> str:
+    """What safety events weigh and cost."""
+    weights = ", ".join(f"`{kind}` {weight:g}" for kind, weight in spec.safety.weights.items())
+    return (
+        f'Weights of safety events in `info["cost"]`: {weights}. '
+        f"A unit of that cost takes {spec.safety.reward_price:g} off the reward."
+    )
+
+
+def reward_words(spec: Scenario) -> str:
+    """Who has which share in which result."""
+    mix = spec.rewards
+    return (
+        f"Reward mix: benches {mix.bench_local:g} of their own and {mix.bench_team:g} of the manager's result, the "
+        f"manager {mix.manager_local:g} and {mix.manager_team:g}."
+    )
+
+
+# -- all of it, for programs ------------------------------------------------------------------------------------------
+
+
+def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict[str, Any]:
+    """The laboratory for programs: what JSON can hold.
+
+    Args:
+        labs: the laboratories.
+        agents: whose spaces are told (default: everybody's).
+
+    Returns:
+        The scenario's keys, ``file``, and under ``agents`` for each of them ``kind``, ``score`` (what an experiment,
+        or to the manager an episode, is worth), ``step_limit`` (most actions in it), ``observation`` (``size``, and
+        ``channels`` with ``start`` and ``stop`` index, name, unit, bounds, meaning) and ``actions`` (``discrete``, and
+        ``meanings`` by number).
+    """
+    spec = labs.scenario
+    keys = {"name", "title", "summary", "goals", "lab_goals", "orders", "theoretical_maximum_mol", "stock", "shelf"}
+    keys |= {"instruments", "limits", "costs", "safety", "rewards"}
+    told: dict[str, Any] = {}
+    for agent in labs.agents if agents is None else agents:
+        number = labs.agents.index(agent)
+        role = labs.role(number)
+        channels, at = [], 0
+        for channel in role.channels:
+            channels.append({"start": at, "stop": at + channel.size, **asdict(channel)})
+            at += channel.size
+        told[agent] = {
+            "kind": role.kind,
+            "score": role.score_meaning if isinstance(role, Bench) else MANAGER_SCORE,
+            "step_limit": role.step_limit if isinstance(role, Bench) else spec.limits.manager_actions,
+            "observation": {"size": at, "channels": channels},
+            "actions": {"discrete": labs.action_counts[number] > 0, "meanings": list(role.action_meanings)},
+        }
+    return {**spec.model_dump(mode="json", include=keys), "file": spec.origin, "agents": told}

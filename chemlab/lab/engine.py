@@ -1,0 +1,786 @@
+"""N laboratories in one set of arrays: turns, experiments, rewards. Every environment is a view of this."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..config.materials import DataError
+from ..config.parts import blamed, checked_numbers, strangers_code
+from ..config.scenario import OrderSpec, Scenario, load_scenario
+from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..kernels.jit import kernel, opened
+from ..kernels.rng import seed_streams, uniform
+from ..kernels.tables import Table, put_back
+from ..kernels.warmup import Rehearsal, compile_first
+from ..physics.backends import work_size
+from ..physics.chemistry import tier_dimensions
+from ..physics.shelf import Shelf
+from ..roles import wear
+from ..roles.bench import Bench, Channel, Experiments, Goals, check_discrete, load_observations, load_terms
+from ..roles.instruments.table import InstrumentTable
+from ..roles.kinds import build_bench
+from ..roles.maintenance import begin_drift, drift_numbers, equip, go_astray, repair_numbers
+from ..roles.manager import (
+    BEGUN,
+    MEASURED,
+    OVER,
+    RECALLED,
+    REPAIRED,
+    advance,
+    age_on_shelf,
+    charge_events,
+    itemize,
+    manager_act,
+    manager_mask,
+    open_turn,
+    rest_on_shelf,
+    return_vessels,
+    turns,
+)
+from ..roles.manager_actions import REPAIR, ManagerActions
+from ..roles.manager_state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
+from ..roles.manager_view import manager_channels, manager_observe, report_channels
+from ..roles.models import ReactionModel, SeparationModel
+from .episodes import EpisodeStreams
+from .hidden import World, Worlds, world_chemistry
+from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
+
+__all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
+
+MANAGER_AGENT = "manager_0"
+
+
+@dataclass(frozen=True)
+class ManagerRole:
+    """What the manager sees and may do, with the names a :class:`~chemlab.roles.bench.Bench` has for its agent's."""
+
+    key: str
+    kind: str
+    scenario: Scenario
+    channels: tuple[Channel, ...]
+    action_meanings: list[str]
+    action_count: int
+    observation_space: gymnasium.spaces.Box
+    action_space: gymnasium.spaces.Discrete
+
+
+@kernel
+def _draw_goals(members: IntArray, choices: IntArray, stream: StreamArray, goal: IntArray) -> None:
+    """Draw every order's goal from ``choices``; as many numbers are drawn where there is no choice, so the rest of
+    the episode is the same."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        for o in range(goal.shape[1]):
+            goal[n, o] = choices[int(uniform(stream[n]) * choices.shape[0])]
+
+
+@kernel
+def _draw_stages(members: IntArray, reached: FloatArray, stream: StreamArray, out: IntArray) -> None:
+    """Which way each episode begins: ``reached`` [K] is cumulative, K stands for the scenario's own shelf."""
+    for i in range(members.shape[0]):
+        draw = uniform(stream[members[i]])
+        k = 0
+        while k < reached.shape[0] and draw >= reached[k]:
+            k += 1
+        out[i] = k
+
+
+@kernel
+def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: FloatArray) -> None:
+    """Replace the first vessel on the shelf by one of the pool's for the first order's goal."""
+    state, pool = opened(ManagerState, manager), opened(StartPool, starts)
+    for i in range(members.shape[0]):
+        n = members[i]
+        t = draw_start(pool, state.goal[n, 0], state.stream[n])
+        for column in range(vessels.shape[2]):
+            vessels[n, 0, column] = pool.rows[t, column]
+        state.last_bench[n, 0] = pool.last_bench[t]
+        state.last_position[n, 0] = pool.last_position[t]
+
+
+def _rehearsal_of(scenario: Scenario) -> Rehearsal:
+    with strangers_code(False):  # may not do in a child what it may here
+        return Laboratories(scenario).rehearsal()
+
+
+class Laboratories:
+    """N independent laboratories of one scenario.
+
+    Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
+    every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
+    other, so results do not depend on N. ``split`` says which worlds there may be (see :mod:`chemlab.config.draws`).
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        laboratories: int = 1,
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+        split: str = "train",
+    ) -> None:
+        self.scenario = load_scenario(scenario)
+        spec = self.scenario
+        self.bench_agents = spec.bench_agents()
+        self.agents = [MANAGER_AGENT, *self.bench_agents]
+        n, slots = laboratories, spec.shelf.slots
+        chemistry = world_chemistry(spec, n)
+        kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
+        self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
+        positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
+        first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
+        self.vessels_per_laboratory = int(slots + positions.sum())
+        self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
+        self.worlds = Worlds(spec, self.shelf, split)
+        self.instruments = InstrumentTable(spec, chemistry)
+        self.actions = ManagerActions.of(spec)
+        drifting, wearing = len(drift_numbers(spec)), len(repair_numbers(spec))
+        numbers_read = int(self.instruments.rules.arrays.start[-1])
+        self.table: Table[ManagerState] = Table.empty(
+            ManagerState,
+            **{
+                "N": n,
+                "S": slots,
+                "B": len(self.benches),
+                "G": len(self.agents),
+                "O": spec.orders,
+                "1": 1,
+                "2": 2,
+                "3": 3,
+                "5": 5,
+            },
+            F=len(self.benches) if any(bench.report is not None for bench in spec.benches.values()) else 0,
+            K=len(spec.demand.order),
+            I=len(self.instruments.names),
+            R=numbers_read,
+            W=wearing,
+            D=drifting,
+            Z=numbers_read if drifting else 0,
+            M=len(chemistry.layout.materials),
+            E=len(spec.safety_events),
+            items=len(COST_ITEMS),
+        )
+        self.state = self.table.arrays
+        self.experiments: list[Experiments] = []
+        for b, bench in enumerate(self.benches):
+            places = np.arange(n)[:, None] * self.vessels_per_laboratory + first[b] + np.arange(positions[b])
+            self.experiments.append(Experiments(self.bench_agents[b], bench, places, **self._shared(b)))
+        self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
+        self.rules = Table(self._build_rules(positions, first))
+        self._terms = load_terms(spec.manager.reward, spec, "manager.reward")
+        self._added = load_observations(spec.manager.observe, spec, "manager.observe")
+        self._reporting = [b for b, bench in enumerate(self.benches) if bench.spec.report is not None]
+        self.channels: list[Channel] = manager_channels(spec, self.instruments, self.rules.arrays)
+        self._reports_from = sum(channel.size for channel in self.channels)
+        self.channels += report_channels(spec)
+        self._own_channels = sum(channel.size for channel in self.channels)
+        self.channels += [part.declared(name, self) for name, part in self._added.items()]
+        size = sum(channel.size for channel in self.channels)
+        self.manager_observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+        self.manager_action_space = gymnasium.spaces.Discrete(len(self.actions))
+        self._ended: IntArray = np.zeros(n, dtype=np.int64)
+        self.experiment_ended = False
+        """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
+        numbers = range(len(self.agents))
+        self.observation_sizes = [int(self.observation_space(agent).shape[0]) for agent in numbers]
+        self.action_counts = [self._count_actions(agent) for agent in numbers]
+        """Number of each agent's discrete actions; 0 where they are continuous."""
+        self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
+        self._rehearsed = False
+        self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
+        self.members: IntArray = np.arange(n)
+        self.episodes = EpisodeStreams(n, len(self._streams()))
+
+    def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
+        """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
+        broken = {"broken": self.state.broken[b]} if len(self.state.broken) else {}
+        return {
+            "busy": self.state.busy[b],
+            "goal": self.state.bench_goal[b],
+            "steps": self.state.bench_steps[b],
+            **broken,
+        }
+
+    @property
+    def busy(self) -> BoolArray:
+        """[benches, N] whether an experiment is running."""
+        return self.state.busy
+
+    @property
+    def safety_totals(self) -> FloatArray:
+        """[N, E] safety events since the episode began."""
+        return self.state.safety_totals
+
+    @property
+    def rewards(self) -> FloatArray:
+        """[N, agents] what the last turn (or round) earned each agent."""
+        return self.state.rewards.T
+
+    @property
+    def cost(self) -> FloatArray:
+        """[N, agents] weighted safety events of the last turn or round (the constrained-RL cost)."""
+        return self.state.cost.T
+
+    @property
+    def scores(self) -> FloatArray:
+        """[N, agents] score of the experiment that it ended, NaN where none ended."""
+        return self.state.scores.T
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.state = self.table.arrays  # a copy has arrays of its own, which its parts share again
+        for b, experiments in enumerate(self.experiments):
+            experiments.share(**self._shared(b))
+
+    def _build_rules(self, positions: IntArray, first: IntArray) -> Rules:
+        spec, layout = self.scenario, self.shelf.layout
+        goals = Goals.of(spec)
+        keys = list(spec.benches)
+        bench_of = np.array([keys.index(bench.key) for bench in self.benches], dtype=np.int64)
+        capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
+        capacities += [bench.auxiliary_capacity_l for bench in self.benches]
+        table, wanted = self.instruments.rules.arrays, spec.specifications
+        among = [wanted.get(goal, OrderSpec()).purity_among or layout.materials for goal in spec.goals]
+        counted = np.array([[name in own for name in layout.materials] for own in among], dtype=np.float64)
+        return Rules(
+            table=self.actions.table,
+            slots=spec.shelf.slots,
+            first=first,
+            positions=positions,
+            most_positions=int(positions.max()),
+            bench_of=bench_of,
+            kinds=len(keys),
+            limit=np.array([bench.spec.step_limit for bench in self.benches], dtype=np.int64),
+            parts=goals.parts,
+            counts=goals.absolute_counts * counted,
+            maximum=np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals]),
+            share=spec.rewards.manager_local + spec.rewards.manager_team,
+            first_stock=self._first_stock,
+            stocked=np.array([layout.index(name) for name in spec.stock], dtype=np.int64),
+            stock_price=np.array([spec.costs.stock_per_mol.get(name, 0.0) for name in layout.materials]),
+            reading_start=table.start,
+            seen=np.array([name in spec.seen_instruments for name in spec.instruments], dtype=np.int64),
+            price=table.price,
+            waste_per_l=spec.costs.waste_per_l,
+            tick_price=spec.costs.tick,
+            illegal_price=spec.costs.illegal_action,
+            event_price=spec.safety.reward_price,
+            budget=spec.limits.budget,
+            action_limit=spec.limits.manager_actions,
+            tick_limit=spec.limits.ticks,
+            largest_capacity=max(capacities),
+            drift=drift_numbers(spec),
+            repair=repair_numbers(spec),
+            drifting=np.array([self.actions.instruments.index(name) for name in self.actions.drifting], dtype=np.int64),
+            wearing=np.array([self.bench_agents.index(agent) for agent in self.actions.wearing], dtype=np.int64),
+            least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
+            least_amount=np.array([wanted.get(goal, OrderSpec()).amount_at_least_mol for goal in spec.goals]),
+            late=spec.demand.late,
+            short=spec.demand.short,
+            most_terms=self.worlds.most_terms(),
+            gauge=spec.shelf.gauge,
+            work=np.zeros(work_size(self.shelf.chemistry)),
+        )
+
+    @functools.cached_property
+    def _start(self) -> FloatArray:
+        """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
+        shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
+        for s, vessel in enumerate(self.scenario.shelf.vessel):
+            row = shelf.fill(0, s, vessel.capacity_l, vessel.contents).row
+            if not self.worlds.active:  # else they come to rest once it is known what is in them
+                self._rest(row)
+        return np.asarray(shelf.vessels[0])
+
+    def _rest(self, row: FloatArray) -> None:
+        """Let a vessel that is not in a laboratory yet come to rest."""
+        waste, events = np.zeros(len(self.shelf.layout.materials)), np.zeros(len(self.scenario.safety_events))
+        rest_on_shelf(row, self.shelf.chem(), waste, events, self.rules.arrays.work)
+
+    # -- compiling --------------------------------------------------------------------------------------------
+
+    def _compile(self) -> None:
+        """Have what is not compiled yet compiled before the first episode, and not piece by piece in the midst of
+        it."""
+        self._rehearsed = True
+        kernels: list[Callable[..., Any]] = [manager_act, manager_observe]
+        kernels += [kernel for bench in self.benches for kernel in bench.kernels]
+        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
+        compile_first(kernels, dimensions, functools.partial(_rehearsal_of, self.scenario), self.rehearsal())
+
+    def rehearsal(self) -> Rehearsal:
+        """What happens in an episode, of no laboratory: see :mod:`chemlab.kernels.warmup`."""
+        none, handles = self.members[:0], self._handles()
+        calls: list[Callable[[], object]] = [lambda: self.reset(none)]
+        kinds = {bench.key: b for b, bench in enumerate(self.benches)}
+        for b in kinds.values():
+            calls += self.benches[b].rehearsal(self.shelf, self.experiments[b])
+        state, rules, *rest = handles
+        return [
+            *calls,
+            lambda: manager_act(none, none, *handles),
+            lambda: self._measure(none, none),
+            lambda: wear.wear_out(self.benches[0], self.experiments[0], none),
+            lambda: self.observe(0, none),
+            lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
+            lambda: self.mask(0, none),
+            lambda: self._charge(0, none, begun=True),
+            lambda: advance(none, *handles),
+            lambda: self._age(none, none),
+            lambda: self.charges(none),
+            lambda: self.turns(none),
+        ]
+
+    # -- episodes ---------------------------------------------------------------------------------------------
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Begin a new series of episodes of one laboratory: the same seed is the same series, whatever is played."""
+        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
+        self.worlds.seed(member, sequence)
+        self.episodes.seed(member, self._streams())
+
+    def _streams(self) -> list[StreamArray]:
+        """Every random stream that an episode begins with; what wears or drifts has its own from the world's number."""
+        own = [self.state.stream, *(experiments.stream for experiments in self.experiments)]
+        return [*own, self.worlds.table.arrays.stream]
+
+    def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
+        """Begin new episodes.
+
+        Args:
+            members: [B] laboratories.
+            goal: of the laboratory; None: drawn from each one's stream.
+            world: a seed or values (see :meth:`chemlab.lab.hidden.Worlds.begin`); None: drawn from a stream
+                of its own.
+
+        Raises:
+            ValueError: unknown goal, or a world that there is not; nothing has changed.
+        """
+        wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
+        if not self._rehearsed:
+            self._compile()
+        if world is not None:
+            self.worlds.check(world)
+        self.episodes.begin(members, self._streams())
+        self.worlds.begin(members, world)
+        self.shelf.vessels[members] = self._start
+        self.shelf.stock[members] = self._first_stock
+        self.shelf.waste[members] = 0.0
+        if self.worlds.active:
+            self.worlds.fill(members)
+            self.worlds.rest(members, len(self.scenario.shelf.vessel))
+        state = self.state
+        self.table.reset(members)
+        self.worlds.set_terms(members, state.terms)
+        _draw_goals(members, wanted, state.stream, state.goal)
+        if self._prepared is not None:
+            self._begin_half_way(members, *self._prepared)
+        for bench, experiments in zip(self.benches, self.experiments, strict=True):
+            experiments.table.reset(members)
+            if bench.told:
+                experiments.told[members] = self.worlds.told(members, bench.key)
+        if self.scenario.errs:
+            self.equip(members)
+        open_turn(members, self.table.handle)
+
+    def equip(self, members: IntArray) -> None:
+        """Give benches and instruments the condition that the worlds of ``members`` [B] have drawn for them."""
+        for b, (bench, experiments) in enumerate(zip(self.benches, self.experiments, strict=True)):
+            equip(bench, experiments, members, self.worlds, b, experiments.agent)
+        begin_drift(self.instruments, members, self.table, self.rules.handle, self.worlds)
+
+    def prepare(self, shares: Mapping[str, float] | None) -> None:
+        """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
+        way to a bench, for the episode's goal, instead of the scenario's first vessel.
+
+        Args:
+            shares: of all episodes, by the bench the vessel is on its way to, or ``submit`` for one that is finished;
+                the rest begins with the scenario's own shelf. None or nothing: all of them.
+
+        Raises:
+            DataError: no vessels of that kind have been recorded for this scenario, or not for every goal.
+            ValueError: unknown bench, or shares that are negative or more than 1 together.
+        """
+        if not shares:
+            self._prepared = None
+            return
+        known = [*self.scenario.benches, SUBMIT]
+        unknown = [stage for stage in shares if stage not in known]
+        if unknown or min(shares.values()) < 0.0 or sum(shares.values()) > 1.0 + 1e-9:
+            raise ValueError(f"prepare: shares of {', '.join(known)} that sum to 1 at most; given {dict(shares)}")
+        pools = []
+        for stage in shares:
+            pool = start_pool(self.shelf.chemistry, self.scenario, lab_starts(self.scenario, stage))
+            lacking = [g for g in self._lab_goals if pool.arrays.first[g] == pool.arrays.first[g + 1]]
+            if lacking:
+                goal = self.scenario.goals[lacking[0]]
+                raise DataError(
+                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.argument}"
+                )
+            arrays = pool.arrays
+            positions = int(self.rules.arrays.most_positions)
+            if arrays.last_position.max(initial=0) >= positions:
+                raise DataError(
+                    f"prepare: {stage!r}: last_position = {arrays.last_position.max()} must be below {positions}"
+                )
+            for row in arrays.rows:
+                self._rest(row)
+            pools.append(pool)
+        self._prepared = np.cumsum(list(shares.values())), pools
+
+    def _begin_half_way(self, members: IntArray, reached: FloatArray, pools: list[Table[StartPool]]) -> None:
+        stages = np.empty(len(members), dtype=np.int64)
+        _draw_stages(members, reached, self.state.stream, stages)
+        for k, pool in enumerate(pools):
+            some = members[stages == k]
+            if len(some):
+                _put_starts(some, pool.handle, self.table.handle, self.shelf.vessels)
+
+    def goal_index(self, goal: str) -> int:
+        """Index of a laboratory goal; ``ValueError`` names the goals there are."""
+        if goal not in self.scenario.lab_goals:
+            raise ValueError(
+                f"goal: {self.scenario.name} asks for {', '.join(self.scenario.lab_goals)}, given {goal!r}"
+            )
+        return self.scenario.goals.index(goal)
+
+    # -- turns ------------------------------------------------------------------------------------------------
+
+    def turn(self, member: int = 0) -> int:
+        """Number of the agent that has the turn in a laboratory."""
+        return int(self.state.cursor[member]) + 1
+
+    def turns_had(self, agent: int) -> IntArray:
+        """[N] turns an agent has had: the manager in this episode, a bench's agent in this experiment."""
+        return self.state.actions if agent == 0 else self.experiments[agent - 1].steps
+
+    def illegal(self, agent: int) -> BoolArray:
+        """[N] whether an agent's last action was masked, and so lost."""
+        return self.state.illegal if agent == 0 else self.experiments[agent - 1].illegal
+
+    def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
+        """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
+        episode is over."""
+        if out is None:
+            out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
+        turns(members, self.table.handle, out)
+        return out
+
+    def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
+        """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
+        if agent == 0:
+            return np.array([check_discrete(MANAGER_AGENT, action, len(self.actions))])
+        return self.benches[agent - 1].checked(self.agents[agent], action)
+
+    def act(self, agent: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        """One turn of ``agent`` in each laboratory of ``members`` (which all give it the turn).
+
+        Args:
+            agent: number of the agent.
+            members: [B] laboratories.
+            actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
+        """
+        open_turn(members, self.table.handle)
+        self.experiment_ended = False
+        if agent == 0:
+            self._act_manager(members, actions)
+        else:
+            self._act_bench(agent - 1, members, actions)
+
+    def act_round(self, members: IntArray, actions: Sequence[npt.NDArray[Any]]) -> None:
+        """One round in each laboratory of ``members``: the manager's action where it has the turn, else the rest of
+        the tick.
+
+        The dynamics are those of :meth:`act`, turn after turn: benches still act in their order.
+
+        Args:
+            members: [B] laboratories whose episodes are running.
+            actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
+        """
+        open_turn(members, self.table.handle)
+        self.experiment_ended = False
+        cursor = self.state.cursor
+        waiting = cursor[members] == MANAGER
+        managed, ticking = members[waiting], members[~waiting]
+        if len(managed):
+            self._act_manager(managed, actions[0][managed])
+        for b in range(len(self.experiments)):
+            # Where the tick is over the cursor stands at the manager or at the first busy bench, which is past.
+            group = ticking[cursor[ticking] == b]
+            if len(group):
+                self._act_bench(b, group, actions[b + 1][group])
+
+    def _act_manager(self, members: IntArray, actions: IntArray) -> None:
+        state, shelf, handles = self.state, self.shelf, self._handles()
+        since = state.ticks[members]
+        flags = manager_act(members, actions, *handles)
+        self._age(members, since)
+        if flags & MEASURED:
+            self._measure(members, actions)
+        if flags & REPAIRED:
+            self._repair(members, actions)
+        if flags & BEGUN:
+            begun = state.begun[members]
+            for b, experiments in enumerate(self.experiments):
+                some = members[begun == b]
+                if len(some):
+                    asked = self.rules.arrays.table[actions[begun == b]]
+                    experiments.goal[some] = asked[:, 3]
+                    if self.scenario.grades:
+                        experiments.grade[some] = asked[:, 4]
+                    self.benches[b].begin(shelf, experiments, some)
+                    self._charge(b, some, begun=True)
+        if flags & RECALLED:
+            recalled = state.recalled[members]
+            for b in range(len(self.experiments)):
+                some = members[recalled == b]
+                if len(some):
+                    self._end(b, some)
+        for name, term in self._terms.items():
+            with blamed(name):
+                earned = term(self, members)
+            state.rewards[0, members] += checked_numbers(earned, members.shape, name)
+        if flags & OVER:
+            self._settle_accounts(members)
+
+    def _handles(self) -> tuple[Handle, Handle, Handle, Handle]:
+        """What most of the manager's kernels take."""
+        return self.table.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
+
+    def _measure(self, members: IntArray, actions: IntArray) -> None:
+        """Let instruments read the vessels that manager actions have sent there."""
+        state, sent = self.state, self.state.measured[members] >= 0
+        some, used = members[sent], self.rules.arrays.table[actions[sent], 2]
+        slots, bias = state.measured[some], None
+        if state.bias.shape[1]:
+            go_astray(some, used, self.table.handle, self.rules.handle)
+            bias = state.bias
+        self.instruments.read(self.shelf, state.reading, state.stream, some, slots, used, bias)
+
+    def _repair(self, members: IntArray, actions: IntArray) -> None:
+        """Give benches that manager actions have had repaired a new gain and life."""
+        kind, which = self.rules.arrays.table[actions, :2].T
+        sent = (kind == REPAIR) & ~self.state.illegal[members]
+        for b in range(len(self.experiments)):
+            some = members[sent & (which == b)]
+            if len(some):
+                wear.renew(self.benches[b], self.experiments[b], some)
+
+    def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        self.benches[b].act(self.shelf, self.experiments[b], members, actions)
+        wear.wear_out(self.benches[b], self.experiments[b], members)
+        ended = self._charge(b, members)
+        if ended:
+            self._end(b, self._ended[:ended].copy())
+        since = self.state.ticks[members]
+        flags = advance(members, *self._handles())
+        self._age(members, since)
+        if flags & OVER:
+            self._settle_accounts(members)
+
+    def _age(self, members: IntArray, since: IntArray) -> None:
+        """Let vessels on the shelf react in the ticks that have passed ``since`` [B], where the scenario says so.
+
+        Raises:
+            ArithmeticError: the reactions are too stiff.
+        """
+        tick = self.scenario.shelf.tick
+        if tick and age_on_shelf(members, since, tick, *self._handles()) >= 0:
+            raise ArithmeticError(
+                f"{self.scenario.name}: the reactions of a vessel on the shelf are too stiff: more than 1,000,000 "
+                "steps. Nothing has reacted in it; give the scenario a shorter shelf.tick, or smaller rate constants"
+            )
+
+    def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:
+        """Charge what the bench's last action (or the beginning) cost: safety events and lost turns; returns how many
+        experiments have ended, the first so many of ``self._ended``."""
+        experiments, state = self.experiments[b], self.state
+        self.benches[b].consequences(self.shelf, experiments, members, state.cost[b + 1], state.rewards[b + 1], begun)
+        return charge_events(members, b, experiments.handle, self.table.handle, self.rules.handle, self._ended)
+
+    def _end(self, b: int, members: IntArray) -> None:
+        """End the experiment of bench ``b``: its reward, and its vessels back to the shelf."""
+        experiments, shelf = self.experiments[b], self.shelf
+        if b in self._reporting:
+            self.state.report[members, b] = self.benches[b].reported(shelf, experiments, members)
+        score = self.benches[b].finish(shelf, experiments, members)
+        self.state.scores[b + 1, members] = score
+        self.experiment_ended = True
+        self.state.rewards[b + 1, members] += self.scenario.rewards.bench_local * score
+        state, rules, *rest = self._handles()
+        return_vessels(members, b, state, rules, experiments.handle, *rest)
+
+    def _settle_accounts(self, members: IntArray) -> None:
+        """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
+        over = members[self.state.status[members] != RUNNING]
+        mix = self.scenario.rewards
+        self.state.charges[over] = self.charges(over)
+        self.state.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.state.charges[over].sum(axis=1)
+        self.state.rewards[1:, over] += mix.bench_team * self.result(over)
+
+    def result(self, members: IntArray) -> FloatArray:
+        """[B] the manager's score: what orders with terms have paid, else each order's product by amount and purity,
+        minus costs; an order without a submission, or with one that falls short of its specification, is worth nothing.
+        """
+        if self.scenario.demand.order:
+            worth = self.state.paid[members]
+        else:
+            rules, goals = self.rules.arrays, self.state.goal[members]
+            amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+            worth = amount * purity / rules.maximum[goals]
+            worth[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
+        return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
+
+    def charges(self, members: IntArray) -> FloatArray:
+        """[B, items] what the managers have been charged so far, in units of the score; items as in
+        :data:`~chemlab.roles.manager_state.COST_ITEMS`."""
+        out = np.empty((len(members), len(COST_ITEMS)))
+        itemize(members, *self._handles(), out)
+        return out
+
+    def role(self, agent: int) -> Bench | ManagerRole:
+        """What an agent operates, with its channels and actions."""
+        if agent > 0:
+            return self.benches[agent - 1]
+        return ManagerRole(
+            "manager",
+            "manager",
+            self.scenario,
+            tuple(self.channels),
+            self.actions.action_meanings,
+            len(self.actions),
+            self.manager_observation_space,
+            self.manager_action_space,
+        )
+
+    # -- what agents see --------------------------------------------------------------------------------------
+
+    def observation_space(self, agent: int) -> gymnasium.spaces.Box:
+        """The agent's observation space."""
+        return self.manager_observation_space if agent == 0 else self.benches[agent - 1].observation_space
+
+    def action_space(self, agent: int) -> gymnasium.Space[Any]:
+        """The agent's action space."""
+        return self.manager_action_space if agent == 0 else self.benches[agent - 1].action_space
+
+    def observe(
+        self, agent: int, members: IntArray, out: ObservationArray | None = None, rows: IntArray | None = None
+    ) -> ObservationArray:
+        """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros.
+
+        Args:
+            agent: number of the agent.
+            members: [B] laboratories.
+            out: what is written into and returned; default: a new array.
+            rows: [B] row of ``out`` for each laboratory, where it has others besides; default: in order.
+        """
+        if out is None:
+            out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
+        if agent > 0:
+            seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
+            self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, seen)
+            if rows is not None:
+                out[rows] = seen
+            return out
+        if rows is None:
+            rows = np.arange(len(members))
+        manager_observe(members, *self._handles(), out, rows)
+        if self._reporting:
+            reports = self.state.report[members][:, self._reporting]
+            out[rows, self._reports_from : self._own_channels] = reports.reshape(
+                len(members), self._own_channels - self._reports_from
+            )
+        at = self._own_channels
+        channels = self.channels[len(self.channels) - len(self._added) :]
+        for (name, part), channel in zip(self._added.items(), channels, strict=True):
+            out[rows, at : at + channel.size] = part.seen(name, len(members), channel.size, self, members)
+            at += channel.size
+        return out
+
+    @functools.cached_property
+    def resting_actions(self) -> list[int]:
+        """What each agent is shown to play while it does not have the turn: the manager waits, benches end; -1 where
+        actions are continuous."""
+        benches = [bench.end_action if bench.action_count else -1 for bench in self.benches]
+        return [self.actions.encode("wait"), *benches]
+
+    def _count_actions(self, agent: int) -> int:
+        space = self.action_space(agent)
+        return int(space.n) if isinstance(space, gymnasium.spaces.Discrete) else 0
+
+    def mask(self, agent: int, members: IntArray, out: MaskArray | None = None) -> MaskArray | None:
+        """[B, actions] legal actions (1 = legal), or None where the action space is continuous."""
+        if not self.action_counts[agent]:
+            return None
+        if out is None:
+            out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
+        if agent == 0:
+            manager_mask(members, self.table.handle, self.rules.handle, self.shelf.handle, out)
+        else:
+            self.benches[agent - 1].mask(self.shelf, self.experiments[agent - 1], members, out)
+        return out
+
+    def costs(self, member: int = 0) -> dict[str, float]:
+        """What the manager has been charged so far, by item, in units of the score."""
+        charges = self.charges(self.members[member : member + 1])
+        return dict(zip(COST_ITEMS, charges[0].tolist(), strict=True))
+
+    def outcome(self, member: int = 0) -> dict[str, Any]:
+        """What has been submitted: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
+        each of the ``orders``."""
+        goals = self.state.goal[member].tolist()
+        pairs = self.state.submitted[member].tolist()
+        mol = sum(amount for amount, _ in pairs)
+        return {
+            "submitted_mol": mol,
+            "purity": sum(amount * purity for amount, purity in pairs) / mol if mol > 0.0 else 0.0,
+            "orders": [
+                {"goal": self.scenario.goals[goal], "submitted_mol": amount, "purity": purity}
+                for goal, (amount, purity) in zip(goals, pairs, strict=True)
+            ],
+        }
+
+    def events(self, agent: int, member: int = 0) -> dict[str, float]:
+        """Safety events of the agent's last action, by kind; only those that happened."""
+        if agent == 0:
+            return {}
+        row = self.experiments[agent - 1].events[member].tolist()
+        return (
+            {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
+            if any(row)
+            else {}
+        )
+
+    def total(self) -> FloatArray:
+        """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""
+        return np.asarray(self.shelf.total() + self.state.delivered)
+
+    # -- state ------------------------------------------------------------------------------------------------
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        state = self.shelf.arrays()
+        for experiments in self.experiments:
+            state += experiments.arrays()
+        return [*state, *self.table.changing(), *self.worlds.arrays(), *self.episodes.arrays()]
+
+    def snapshot(self) -> list[npt.NDArray[Any]]:
+        """Copies of every array that changes, for :meth:`restore`."""
+        return [array.copy() for array in self.arrays()]
+
+    def restore(self, snapshot: list[npt.NDArray[Any]]) -> None:
+        """Put back a :meth:`snapshot`; everything then goes on exactly as it did.
+
+        Raises:
+            ValueError: it is of another laboratory; nothing changes.
+        """
+        put_back(self.arrays(), snapshot)

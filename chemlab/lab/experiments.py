@@ -1,0 +1,241 @@
+"""Many experiments on one kind of bench, without the laboratory around it.
+
+This is what the single-bench environments are views of.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..config.materials import DataError
+from ..config.parts import strangers_code
+from ..config.scenario import Scenario, load_scenario
+from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..kernels.jit import kernel, opened
+from ..kernels.rng import seed_streams, uniform
+from ..kernels.warmup import Rehearsal, compile_first
+from ..physics.chemistry import tier_dimensions
+from ..physics.shelf import Shelf, ShelfArrays
+from ..roles.bench import Bench, Experiments, ExperimentState
+from ..roles.kinds import build_bench
+from ..roles.maintenance import equip
+from ..roles.models import ReactionModel, SeparationModel
+from ..roles.wear import wear_out
+from .episodes import EpisodeStreams
+from .hidden import World, Worlds, world_chemistry
+from .starts import Start, StartPool, draw_start, lab_starts, start_pool
+
+__all__ = ["ExperimentBatch"]
+
+
+@kernel
+def _draw_starts(
+    members: IntArray,
+    goals: IntArray,
+    starts: Handle,
+    stream: StreamArray,
+    first_stock: FloatArray,
+    experiment: Handle,
+    shelf: Handle,
+) -> None:
+    """Draw a goal of ``goals`` and one of its starting states for every member; two random numbers each."""
+    state, arrays, pool = opened(ExperimentState, experiment), opened(ShelfArrays, shelf), opened(StartPool, starts)
+    for b in range(members.shape[0]):
+        m = members[b]
+        state.goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
+        t = draw_start(pool, state.goal[m], stream[m])
+        for p in range(state.places.shape[1]):
+            arrays.rows[state.places[m, p], :] = 0.0
+        for i in range(arrays.rows.shape[1]):
+            arrays.rows[state.places[m, 0], i] = pool.rows[t, i]
+        for i in range(arrays.stock.shape[1]):
+            arrays.stock[m, i] = first_stock[i]
+            arrays.waste[m, i] = 0.0
+
+
+@kernel
+def _draw_grades(members: IntArray, grades: int, stream: StreamArray, out: IntArray) -> None:
+    """Draw one of so many grades for every member."""
+    for b in range(members.shape[0]):
+        out[members[b]] = int(uniform(stream[members[b]]) * grades)
+
+
+def _rehearsal_of(scenario: Scenario, bench: str) -> Rehearsal:
+    with strangers_code(False):  # may not do in a child what it may here
+        return ExperimentBatch(scenario, bench).rehearsal()
+
+
+class ExperimentBatch:
+    """N independent experiments of one bench of a scenario, in one set of arrays.
+
+    Args:
+        scenario: a shipped name, a path, or a loaded scenario.
+        bench: the bench's key in the scenario (``rxn``, ``ext``, ``dit``, ...).
+        members: N.
+        goals: goals an experiment may be run for (default: all of the scenario's).
+        starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
+            laboratory runs (see :mod:`chemlab.lab.starts`), ``both`` for either as often.
+        reaction_model, separation_model: physics of your own.
+        split: which worlds there may be (see :mod:`chemlab.config.draws`).
+
+    Raises:
+        DataError: unknown bench, goal or starting states.
+        ValueError: unknown split.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        bench: str,
+        members: int = 1,
+        goals: str | Sequence[str] | None = None,
+        starts: str = "paper",
+        reaction_model: ReactionModel | None = None,
+        separation_model: SeparationModel | None = None,
+        split: str = "train",
+    ) -> None:
+        self.scenario = load_scenario(scenario)
+        if bench not in self.scenario.benches:
+            raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
+        chemistry = world_chemistry(self.scenario, members)
+        self.bench: Bench = build_bench(bench, self.scenario, chemistry, reaction_model, separation_model)
+        chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
+        unknown = [goal for goal in chosen if goal not in self.scenario.goals]
+        if unknown or not chosen:
+            raise DataError(f"goals: {self.scenario.name} has {', '.join(self.scenario.goals)}, given {goals!r}")
+        positions = len(self.bench.positions)
+        places = np.arange(members * positions).reshape(members, positions)
+        self.shelf = Shelf(chemistry, members, positions)
+        self.worlds = Worlds(self.scenario, self.shelf, split)
+        self._fresh = starts == "paper"
+        self.experiments = Experiments(f"{bench}_0", self.bench, places)
+        self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
+        self.members: IntArray = np.arange(members)
+        self.episodes = EpisodeStreams(members, len(self._streams()))
+        self._rehearsed = False
+        self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
+        self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
+        self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
+        counts = np.diff(self.pool.arrays.first)
+        missing = [goal for goal, g in zip(chosen, self._goals, strict=True) if counts[g] == 0]
+        if missing:
+            there = ", ".join(goal for goal, count in zip(self.scenario.goals, counts, strict=True) if count)
+            raise DataError(
+                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; goals can be: {there}"
+            )
+
+    def _compile(self) -> None:
+        """Have what is not compiled yet compiled before the first experiment."""
+        self._rehearsed = True
+        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
+        again = functools.partial(_rehearsal_of, self.scenario, self.bench.key)
+        compile_first(self.bench.kernels, dimensions, again, self.rehearsal())
+
+    def rehearsal(self) -> Rehearsal:
+        """What happens in an experiment, of no laboratory: see :mod:`chemlab.kernels.warmup`."""
+        return [lambda: self.reset(self.members[:0]), *self.bench.rehearsal(self.shelf, self.experiments)]
+
+    def _starts(self, kind: str) -> list[Start]:
+        """The starting states of a kind; with ``both``, either kind is drawn as often."""
+        if kind == "paper":
+            return self._paper_starts()
+        if kind == "lab":
+            return lab_starts(self.scenario, self.bench.key)
+        if kind != "both":
+            raise DataError(f"starts: must be 'paper', 'lab' or 'both', given {kind!r}")
+        found = []
+        for group in (self._paper_starts(), self._starts("lab")):
+            total = {goal: sum(start.weight for start in group if start.goal == goal) for goal in self.scenario.goals}
+            found += [start._replace(weight=start.weight / total[start.goal]) for start in group]
+        return found
+
+    def _paper_starts(self) -> list[Start]:
+        start = self.bench.spec.start
+        vessels = []
+        for goal in self.scenario.goals:
+            contents = dict(start.contents)
+            if start.goal_mol > 0.0:
+                contents[goal] = contents.get(goal, 0.0) + start.goal_mol
+            companion = start.companion
+            chance = 0.0 if companion is None else companion.probability
+            if companion is not None and chance > 0.0:
+                other = companion.if_goal if goal == companion.material else companion.material
+                together = {**contents, other: contents.get(other, 0.0) + companion.mol}
+                vessels.append(Start(goal, chance, start.capacity_l, together))
+            if chance < 1.0:
+                vessels.append(Start(goal, 1.0 - chance, start.capacity_l, contents))
+        return vessels
+
+    def seed(self, member: int, seed: int) -> None:
+        """Begin a new series of the member's experiments: the same seed is the same series, whatever is played."""
+        sequence = np.random.SeedSequence(seed)
+        seed_streams(sequence, (self.experiments.stream, self.start_stream), member)
+        self.worlds.seed(member, sequence)
+        self.episodes.seed(member, self._streams())
+
+    def _streams(self) -> list[StreamArray]:
+        """Every random stream that an experiment begins with."""
+        return [self.experiments.stream, self.start_stream, self.worlds.table.arrays.stream]
+
+    def reset(
+        self, members: IntArray, goal: int | None = None, bench: Bench | None = None, world: World | None = None
+    ) -> None:
+        """Begin new experiments, for goals drawn from each member's stream or one given by index, in worlds drawn from
+        another or one given (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+
+        ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
+
+        Raises:
+            ValueError: a world that there is not; nothing has changed.
+        """
+        if not self._rehearsed:
+            self._compile()
+        if world is not None:
+            self.worlds.check(world)
+        self.episodes.begin(members, self._streams())
+        self.worlds.begin(members, world)
+        goals = self._goals if goal is None else np.array([goal])
+        shelf, experiments = self.shelf, self.experiments
+        _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
+        if self.bench.grades.names:
+            _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
+        if self.bench.told:
+            experiments.told[members] = self.worlds.told(members, self.bench.key)
+        if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
+            self.worlds.fill(members, self.bench.key)
+        equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)
+        (bench or self.bench).begin(shelf, experiments, members)
+
+    def act(self, actions: npt.NDArray[Any], members: IntArray | None = None, bench: Bench | None = None) -> None:
+        """One step of the experiments of ``members`` (default: all); ``bench`` is the thread's own."""
+        some, own = self.members if members is None else members, bench or self.bench
+        own.act(self.shelf, self.experiments, some, actions)
+        wear_out(own, self.experiments, some)
+
+    def finish(self, members: IntArray) -> FloatArray:
+        """End experiments; their scores [B]."""
+        return self.bench.finish(self.shelf, self.experiments, members)
+
+    def observe(self, out: ObservationArray | None = None) -> ObservationArray:
+        """[N, observation size] what the agents see."""
+        if out is None:
+            out = np.zeros((len(self.members), *(self.bench.observation_space.shape)), dtype=np.float32)
+        self.bench.observe(self.shelf, self.experiments, self.members, out)
+        return out
+
+    def mask(self) -> MaskArray:
+        """[N, actions] legal actions (discrete benches)."""
+        out = np.zeros((len(self.members), self.bench.action_count), dtype=np.int8)
+        self.bench.mask(self.shelf, self.experiments, self.members, out)
+        return out
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        own = [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream]
+        return [*own, *self.worlds.arrays(), *self.episodes.arrays()]

@@ -1,0 +1,467 @@
+"""What a scenario's world draws, put into laboratories: parameters of their chemistry, contents of their vessels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..config.draws import (
+    BOTTLE,
+    DEVICE_QUANTITIES,
+    ORDER_QUANTITIES,
+    SPLITS,
+    VESSEL_QUANTITIES,
+    Draw,
+    Split,
+    changed_limits,
+    compile_draws,
+    draw_limits,
+    draw_worlds,
+    given_values,
+    named_values,
+    next_numbers,
+    positions,
+    world_draws,
+)
+from ..config.materials import COLDEST_K, HOTTEST_K, DataError
+from ..config.reactions import equation
+from ..config.scenario import Scenario
+from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
+from ..kernels.jit import inner, kernel, opened
+from ..physics.backends import work_size
+from ..physics.chemistry import AMOUNTS, Chemistry, ChemistryTable, build_chemistry
+from ..physics.shelf import Shelf, ShelfArrays
+from ..roles.manager import rest_on_shelf
+
+__all__ = ["NumberedWorld", "World", "Worlds", "world_chemistry"]
+
+
+@dataclass(frozen=True)
+class NumberedWorld:
+    """The world with a number, as a record names it.
+
+    Attributes:
+        number: of the world, which says its split, too (see :mod:`chemlab.config.draws`).
+        given: values in the place of those drawn, by draw and target.
+    """
+
+    number: int
+    given: Mapping[str, Any] | None = None
+
+
+World = int | Mapping[str, Any] | NumberedWorld
+"""Which world an episode is to have: the one of a seed, one with some of its values given, by draw and target, or the
+one that a record names."""
+
+_SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point", "bottle_share", "bottle_rest"})
+"""Parameters that may not be drawn: they hang together, order materials, or are drawn as what is in a bottle."""
+_SIGNED = frozenset({"formation", "equilibrium_heat", "acid_heat", "acid_pk"})
+"""Parameters that may be of either sign."""
+
+_APART = 0xD1B54A32D192ED03
+"""Between the counters of two devices' streams: odd, and no small multiple of what a stream advances by."""
+
+
+def _parameters(scenario: Scenario) -> list[str]:
+    """Parameters of the chemistry that a scenario draws."""
+    whats = [draw.what for draw in scenario.world.draws.values()]
+    drawn_elsewhere = (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *ORDER_QUANTITIES)
+    bottles = any(_is_bottle(scenario, name) for draw in scenario.world.draws.values() for name in draw.of)
+    found = [what for what in dict.fromkeys(whats) if what not in drawn_elsewhere]
+    return found + ["bottle_share", "bottle_rest"] * bottles
+
+
+def _is_bottle(scenario: Scenario, name: str) -> bool:
+    """Whether a target of a draw is a bottle."""
+    return name == BOTTLE and name not in scenario.benches
+
+
+def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
+    """The chemistry of some laboratories: world 0 is that of the data files, n + 1 that of laboratory n, where the
+    scenario draws any of it."""
+    varying = _parameters(scenario)
+    return build_chemistry(scenario, laboratories + 1 if varying else 1, varying)
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    """A drawn parameter: which entries of which field, and which number is whose ([T] each; none: a single number)."""
+
+    field: str
+    entries: IntArray | None
+    columns: IntArray
+    change: str
+
+
+_CHANGES = ("factor", "offset", "value")
+_POSITION, _MATERIAL, _INERT, _CHANGE, _QUANTITIES = range(5)
+"""Columns of a table of contents: one line for what is drawn of a material in a vessel. From the last on, of each of
+:data:`~chemlab.config.draws.VESSEL_QUANTITIES`, the column of its number, or -1 where it is not drawn."""
+_IDENTITY, _AMOUNT, _TITRE = (_QUANTITIES + VESSEL_QUANTITIES.index(what) for what in ("identity", "amount", "titre"))
+
+
+@inner
+def _changed(given: float, number: float, change: int) -> float:
+    """What a drawn number makes of what the files give; ``change`` counts :data:`_CHANGES`."""
+    if change == 0:
+        return given * number
+    return given + number if change == 1 else number
+
+
+@kernel
+def _put_contents(
+    members: IntArray, contents: IntArray, mol: FloatArray, values: FloatArray, shelf: Handle, chemistry: Handle
+) -> None:
+    """Exchange the ``mol`` [C] of the files for what was drawn of them: ``contents`` [C, 7], ``values`` [N, K]."""
+    arrays, volume = opened(ShelfArrays, shelf), opened(Chemistry, chemistry[0]).molar_volume
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for i in range(members.shape[0]):
+        n = members[i]
+        for c in range(contents.shape[0]):
+            row, material, inert = arrays.rows[n * vessels + contents[c, _POSITION]], contents[c, _MATERIAL], -1
+            litres, share, real = mol[c] * volume[material], 1.0, material
+            if contents[c, _IDENTITY] >= 0:
+                real = int(values[n, contents[c, _IDENTITY]])
+            if contents[c, _TITRE] >= 0:
+                share, inert = values[n, contents[c, _TITRE]], contents[c, _INERT]
+            if contents[c, _AMOUNT] >= 0:
+                litres = _changed(mol[c], values[n, contents[c, _AMOUNT]], contents[c, _CHANGE]) * volume[material]
+            row[AMOUNTS + material] -= mol[c]
+            row[AMOUNTS + real] += share * litres / volume[real]
+            if inert >= 0:
+                row[AMOUNTS + inert] += (1.0 - share) * litres / volume[inert]
+
+
+@kernel
+def _change_terms(members: IntArray, drawn: IntArray, values: FloatArray, terms: FloatArray) -> None:
+    """Change the ``terms`` [N, orders, quantities] by what was drawn of them: quantity, order, column of ``values``
+    [N, K] and change in each line of ``drawn`` [D, 4]."""
+    for i in range(members.shape[0]):
+        n = members[i]
+        for d in range(drawn.shape[0]):
+            which, order = drawn[d, 0], drawn[d, 1]
+            terms[n, order, which] = _changed(terms[n, order, which], values[n, drawn[d, 2]], drawn[d, 3])
+
+
+@kernel
+def _rest_all(
+    members: IntArray,
+    slots: int,
+    shelf: Handle,
+    chemistry: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Let the first ``slots`` vessels of each laboratory come to rest in its own world."""
+    arrays = opened(ShelfArrays, shelf)
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for i in range(members.shape[0]):
+        n = members[i]
+        for s in range(slots):
+            rest_on_shelf(arrays.rows[n * vessels + s], chemistry[arrays.variant[n]], waste, events, work)
+
+
+class Worlds:
+    """The worlds of N laboratories.
+
+    Args:
+        scenario: what it draws; most draw nothing.
+        shelf: whose chemistry (:func:`world_chemistry`) and vessels are meant.
+        split: which worlds there may be.
+
+    Attributes:
+        split: the same.
+        active: whether anything is drawn.
+
+    Raises:
+        DataError: a draw of something that is not there, or that could come to what is not possible.
+        ValueError: unknown split.
+    """
+
+    def __init__(self, scenario: Scenario, shelf: Shelf, split: str) -> None:
+        self.split = Split.of(split)
+        self._spec, self._shelf = scenario.world, shelf
+        self.active = bool(self._spec.draws) or scenario.errs
+        materials = shelf.layout.materials
+        try:
+            self._variables = compile_draws(self._spec, materials)
+        except ValueError as error:
+            raise DataError(f"{scenario.origin}: {error}") from error
+        n = len(shelf.stock)
+        self.table = world_draws(n, self._variables)
+        self._parameters: list[_Parameter] = []
+        self._contents: dict[str, tuple[IntArray, FloatArray]] = {}
+        """By bench ("": the shelf), what is drawn of its vessels and the files' mol: see :func:`_put_contents`."""
+        self._bottles: list[tuple[int, int, int]] = []
+        """Material of the label, column of the number, and what the rest is: -1 where the number says what all is."""
+        self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        """By quantity and bench or instrument: column of the number, and what it changes how."""
+        self._told: dict[str, IntArray] = {}
+        """By bench, the columns that it is told; found when first asked for."""
+        self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
+        terms: list[tuple[int, int, int, int]] = []
+        column = 0
+        for name, draw in self._spec.draws.items():
+            where = f"{scenario.origin}: world.draws.{name}"
+            columns = column + (
+                np.arange(len(draw.of)) if draw.variables > 1 else np.zeros(len(draw.of), dtype=np.int64)
+            )
+            if draw.what in VESSEL_QUANTITIES:
+                self._add_contents(scenario, draw, columns)
+            elif draw.what in DEVICE_QUANTITIES:
+                for target, own in zip(draw.of, columns.tolist(), strict=True):
+                    self._devices.setdefault((draw.what, target), []).append((own, draw.change))
+            elif draw.what in ORDER_QUANTITIES:
+                which, change = ORDER_QUANTITIES.index(draw.what), _CHANGES.index(draw.change)
+                terms += [(which, int(o[6:]), k, change) for o, k in zip(draw.of, columns.tolist(), strict=True)]
+            else:
+                self._parameters.append(self._parameter(scenario, draw, columns, column, where))
+            column += draw.variables
+        self._drawn_terms = np.array(terms, dtype=np.int64).reshape(-1, 4)
+        """As :func:`_change_terms` takes them."""
+        self._base_terms = np.array(
+            [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
+        ).reshape(-1, len(ORDER_QUANTITIES))
+        self._varying = _parameters(scenario)
+        if self._varying:
+            shelf.table.arrays.variant[:] = 1 + np.arange(n)
+        self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
+        self._work = np.zeros(work_size(shelf.chemistry))
+
+    # -- what is drawn ----------------------------------------------------------------------------------------
+
+    def _parameter(self, scenario: Scenario, draw: Draw, columns: IntArray, first: int, where: str) -> _Parameter:
+        chemistry = self._shelf.chemistry
+        drawable = [
+            field
+            for field in chemistry.parameters
+            if field not in _SETTLED and chemistry.axes(field)[:1] in ((), ("R",), ("M",))
+        ]
+        if draw.what not in drawable:
+            known = ", ".join([*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *drawable])
+            raise DataError(f"{where}.what: {draw.what!r:.100} is nothing that may be drawn; known: {known}")
+        axis = chemistry.axes(draw.what)[:1]
+        names = {
+            (): [],
+            ("R",): [equation(step) for step in scenario.family.reaction],
+            ("M",): list(scenario.materials),
+        }[axis]
+        unknown = [name for name in draw.of if name not in names]
+        if unknown or bool(draw.of) != bool(axis):
+            of = f"some of {', '.join(names)}" if axis else "left out"
+            raise DataError(f"{where}.of: must be {of}; given {', '.join(unknown or draw.of) or 'nothing'}")
+        entries = np.array([names.index(name) for name in draw.of], dtype=np.int64)
+        own = chemistry.parameters[draw.what][0]
+        base = own[entries] if axis else own
+        low, high = draw_limits(draw)
+        ends = {"factor": (base * low, base * high), "offset": (base + low, base + high)}.get(draw.change, (low, high))
+        # What is above 0 in the files has to stay so: nothing has no heat capacity.
+        least = np.broadcast_to(np.minimum(*ends), np.shape(base))
+        if draw.what in _SIGNED:
+            if not np.isfinite([*np.ravel(ends[0]), *np.ravel(ends[1])]).all():
+                raise DataError(f"{where}: {draw.what} has no bounds; give low and high")
+        elif not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
+            raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
+        if draw.what == "ambient_temperature" and not (np.min(ends) >= COLDEST_K and np.max(ends) <= HOTTEST_K):
+            raise DataError(
+                f"{where}: {draw.what} could come to {np.min(ends):g} or {np.max(ends):g} K, and must stay from "
+                f"{COLDEST_K:g} to {HOTTEST_K:g} K; give low and high"
+            )
+        return _Parameter(draw.what, entries if axis else None, columns if axis else np.array([first]), draw.change)
+
+    def _add_contents(self, scenario: Scenario, draw: Draw, columns: IntArray) -> None:
+        materials = self._shelf.layout.materials
+        for name, column in zip(draw.of, columns.tolist(), strict=True):
+            if _is_bottle(scenario, name):
+                rest = -1 if draw.inert is None else materials.index(draw.inert)
+                self._bottles.append((materials.index(str(draw.material)), column, rest))
+                continue
+            slot = name.startswith("slot_")
+            position = int(name[5:]) if slot else 0
+            start = scenario.shelf.vessel[position] if slot else scenario.benches[name].start
+            material = str(draw.material)
+            nothing = np.zeros((0, _QUANTITIES + len(VESSEL_QUANTITIES)), dtype=np.int64), np.zeros(0)
+            table, mol = self._contents.get("" if slot else name, nothing)
+            index = materials.index(material)
+            found = np.flatnonzero((table[:, _POSITION] == position) & (table[:, _MATERIAL] == index))
+            if not len(found):
+                line = [position, index] + [-1] * (table.shape[1] - 2)
+                table, mol = np.vstack([table, line]), np.append(mol, start.contents[material])
+            line = table[found[0] if len(found) else -1]
+            line[_QUANTITIES + VESSEL_QUANTITIES.index(draw.what)] = column
+            if draw.what == "titre":
+                line[_INERT] = -1 if draw.inert is None else materials.index(draw.inert)
+            elif draw.what == "amount":
+                line[_CHANGE] = _CHANGES.index(draw.change)
+            self._contents["" if slot else name] = table, mol
+
+    # -- drawing ----------------------------------------------------------------------------------------------
+
+    def seed(self, member: int, seed: np.random.SeedSequence) -> None:
+        """Start the stream of one laboratory's worlds afresh."""
+        if self.active:
+            self.table.arrays.stream[member, 0] = self.split.sequence(seed).generate_state(1, np.uint64)[0]
+
+    def begin(self, members: IntArray, world: World | None = None) -> None:
+        """Draw worlds for new episodes: the parameters of the laboratories' chemistry are theirs from here on.
+
+        Args:
+            members: [B] laboratories.
+            world: the one they all get, or what is given of it; None: each the next of its stream.
+
+        Raises:
+            ValueError: the scenario draws nothing, or not what was given; nothing has changed.
+        """
+        if world is not None:
+            self.check(world)
+        if not self.active:
+            return
+        drawn = self.table.arrays
+        if isinstance(world, NumberedWorld):
+            drawn.work[members, 0] = np.uint64(world.number)
+            world = world.given
+        elif isinstance(world, Mapping) or world is None:
+            next_numbers(members, self.table.handle, self.split.number)
+        else:
+            drawn.work[members, 0] = np.uint64(self.split.world(int(world)))
+        draw_worlds(members, self._variables.handle, self.table.handle, self.split.test)
+        if isinstance(world, Mapping):
+            given = given_values(self._spec, world, self._shelf.layout.materials)
+            drawn.values[members] = np.where(np.isnan(given), drawn.values[members], given)
+        self._set_parameters(members)
+
+    def check(self, world: Any) -> None:
+        """Whether a world can be asked for.
+
+        Raises:
+            ValueError: it cannot; the message says what is wrong.
+        """
+        if not self.active:
+            raise ValueError("world: this scenario draws nothing")
+        if isinstance(world, NumberedWorld):
+            self._check_number(world.number)
+            world = world.given or {}
+        if isinstance(world, Mapping):
+            given_values(self._spec, world, self._shelf.layout.materials)
+        elif isinstance(world, bool) or not isinstance(world, (int, np.integer)) or world < 0:
+            raise ValueError(f"world: must be a seed, or a table of values, given {world!r:.100}")
+
+    def _check_number(self, number: Any) -> None:
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**64:
+            raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
+        if number & 3 != self.split.number:
+            of = [*SPLITS, "private"][number & 3]
+            name = self.split.name.partition(":")[0]
+            raise ValueError(f"world: number {number} is of split {of} and must be of {name}")
+
+    def _set_parameters(self, members: IntArray) -> None:
+        parameters, rows = self._shelf.chemistry.parameters, 1 + members
+        for field in self._varying:
+            parameters[field][rows] = parameters[field][0]
+        for one in self._parameters:
+            array = parameters[one.field]
+            values = self.table.arrays.values[members][:, one.columns]
+            values = values[:, 0] if one.entries is None else values
+            values = values.reshape(values.shape + (1,) * (array.ndim - values.ndim))
+            at: Any = rows if one.entries is None else (rows[:, None], one.entries)
+            if one.change == "value":
+                array[at] = values
+            elif one.change == "factor":
+                array[at] *= values
+            else:
+                array[at] += values
+        for label, column, rest in self._bottles:
+            own = self.table.arrays.values[members, column]
+            parameters["bottle_share"][rows, label] = own if rest >= 0 else 0.0
+            parameters["bottle_rest"][rows, label] = rest if rest >= 0 else own
+
+    def fill(self, members: IntArray, bench: str = "") -> None:
+        """Put what was drawn in the place of what the files say, in vessels that have just been filled.
+
+        Args:
+            members: [B] laboratories.
+            bench: whose starting vessel is meant; else the shelf's.
+        """
+        if bench in self._contents:
+            drawn, shelf = self._contents[bench], self._shelf
+            _put_contents(members, *drawn, self.table.arrays.values, shelf.handle, shelf.chemistry.handles)
+
+    def drawn(self, what: str, name: str, members: IntArray, values: FloatArray) -> FloatArray:
+        """``values`` [B, ...] of a bench or instrument, changed by what was drawn of it for ``members`` [B]."""
+        for column, change in self._devices.get((what, name), ()):
+            number = self.table.arrays.values[members, column].reshape((-1,) + (1,) * (values.ndim - 1))
+            given = np.zeros_like(values) + number
+            values = {"factor": values * number, "offset": values + number}.get(change, given)
+        return values
+
+    def device_streams(self, members: IntArray, device: int) -> StreamArray:
+        """[B] beginnings of the random streams of a bench or instrument in the worlds of ``members`` [B]."""
+        apart = np.uint64((_APART * (1 + device)) % 2**64)
+        return np.asarray(self.table.arrays.number[members, 0] + apart)
+
+    def _default(self, given: float | None) -> float:
+        return self._ticks if given is None else float(given)
+
+    def set_terms(self, members: IntArray, terms: FloatArray) -> None:
+        """Write what each order of ``members`` [B] asks for and pays into ``terms`` [N, orders, quantities], in the
+        order of :data:`~chemlab.config.draws.ORDER_QUANTITIES`; no orders where the scenario gives none."""
+        terms[members] = self._base_terms
+        if len(self._drawn_terms):
+            _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
+
+    def told(self, members: IntArray, bench: str) -> FloatArray:
+        """[B, T] what a bench is told of what has been drawn, each as :meth:`positions` has it."""
+        if bench not in self._told:
+            told = [bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)]
+            self._told[bench] = np.flatnonzero(told)
+        return positions(self._variables.arrays, self.table.arrays.values[members], self._told[bench])
+
+    def most_terms(self) -> FloatArray:
+        """[quantities] the highest that the terms of any order can be; at least a little above 0."""
+        most = self._base_terms.max(axis=0, initial=0.0)
+        for draw in self._spec.draws.values():
+            if draw.what in ORDER_QUANTITIES:
+                which = ORDER_QUANTITIES.index(draw.what)
+                given = [self._base_terms[int(name[6:]), which] for name in draw.of]
+                most[which] = max(most[which], *(changed_limits(draw, one)[1] for one in given))
+        return np.asarray(np.maximum(most, 1e-9))
+
+    def rest(self, members: IntArray, slots: int) -> None:
+        """Let the first ``slots`` vessels come to rest, each in its own world."""
+        _rest_all(members, slots, self._shelf.handle, self._shelf.chemistry.handles, *self._scratch, self._work)
+
+    # -- telling ----------------------------------------------------------------------------------------------
+
+    def number(self, member: int) -> int:
+        """Number of a laboratory's world."""
+        return int(self.table.arrays.number[member, 0])
+
+    def values(self, member: int) -> dict[str, Any]:
+        """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.config.draws.named_values`)."""
+        return named_values(self._spec, self.table.arrays.values[member], self._shelf.layout.materials)
+
+    def positions(self, members: IntArray) -> FloatArray:
+        """[B, K] the same as numbers from 0 to 1, in the order of the declared draws."""
+        return positions(self._variables.arrays, self.table.arrays.values[members])
+
+    @property
+    def names(self) -> list[str]:
+        """What each of the K numbers is: draw, and target where it has several."""
+        return [
+            name if draw.variables == 1 else f"{name}.{target}"
+            for name, draw in self._spec.draws.items()
+            for target in ([name] if draw.variables == 1 else draw.of)
+        ]
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        if not self.active:
+            return []
+        parameters = self._shelf.chemistry.parameters
+        varying = [parameters[field][1:] for field in self._varying]
+        return [*self.table.changing(), *varying]

@@ -1,0 +1,213 @@
+"""Starting states recorded from laboratory runs: the vessels that a pretrained bench agent will really meet, and those
+with which a manager's workflow can begin half way.
+
+``chemlab starts`` plays the scripted laboratory and writes what was put on each bench, and what was submitted, to a
+JSON file, one a scenario; the files of the shipped scenarios come with chemlab.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pydantic
+from pydantic import BaseModel, ConfigDict
+
+from ..config.datafile import DataError, read_json
+from ..config.datamodel import validated
+from ..config.files import write_text
+from ..config.scenario import Scenario, shipped_file
+from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
+from ..kernels.jit import inner
+from ..kernels.rng import uniform
+from ..kernels.tables import Table
+from ..physics.chemistry import ChemistryTable
+from ..physics.shelf import Shelf
+
+__all__ = [
+    "SUBMIT",
+    "Start",
+    "StartPool",
+    "draw_start",
+    "goals_met",
+    "lab_starts",
+    "start_pool",
+    "starts_file",
+    "write_starts",
+]
+
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_FILE_BYTES = 20_000_000
+_SUFFIX = ".starts.json"
+
+SUBMIT = "submit"
+"""Stands among the benches for vessels that were submitted."""
+
+
+class Start(NamedTuple):
+    """A vessel and what is to be done with it."""
+
+    goal: str
+    weight: float
+    """How often it is drawn, among those of its goal."""
+    capacity_l: float
+    contents_mol: dict[str, float]
+    last_bench: str | None = None
+    """Where it was last, as the manager sees it."""
+    last_position: int = 0
+    """As which of the bench's vessels."""
+
+
+class _Vessel(BaseModel):
+    """A recorded vessel, whatever it was for."""
+
+    model_config = _FROZEN
+
+    capacity_l: float = pydantic.Field(gt=0.0, le=100.0)
+    contents_mol: dict[str, Annotated[float, pydantic.Field(ge=0.0, le=1e4)]]
+    last_bench: str | None = None
+    last_position: int = pydantic.Field(default=0, ge=0)
+
+    def start(self, goal: str) -> Start:
+        return Start(goal, 1.0, self.capacity_l, dict(self.contents_mol), self.last_bench, self.last_position)
+
+
+class _Recorded(BaseModel):
+    """A file of recorded vessels."""
+
+    model_config = _FROZEN
+
+    scenario: str
+    same_as: str | None = pydantic.Field(default=None, pattern=r"^[\w.-]+\.json$")
+    """File beside this one whose vessels these are, too."""
+    vessels: tuple[_Vessel, ...] = ()
+    """Each different vessel once."""
+    benches: dict[str, dict[str, tuple[Annotated[int, pydantic.Field(ge=0)], ...]]] = {}
+    """Index into the vessels of each that was recorded, by bench and goal."""
+
+
+def _read(path: Path) -> _Recorded:
+    recorded: _Recorded = validated(_Recorded, read_json(path, _FILE_BYTES), str(path))
+    return recorded
+
+
+class StartPool(NamedTuple):
+    """Starting states to draw from: T vessels, grouped by the goal they are for; G goals."""
+
+    rows: Annotated[FloatArray, Field("T W")]
+    """[T, W] vessel rows"""
+    first: Annotated[IntArray, Field("G+1")]
+    """[G + 1] where each goal's vessels begin"""
+    reached: Annotated[FloatArray, Field("T")]
+    """[T] cumulative probability within the goal"""
+    last_bench: Annotated[IntArray, Field("T")]
+    """[T] 0 for none, else 1 + index of the bench"""
+    last_position: Annotated[IntArray, Field("T")]
+    """[T] position there"""
+
+
+def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[Start]) -> Table[StartPool]:
+    """Vessels as rows to draw from."""
+    draft, benches = Shelf(chemistry, 1, 1), list(scenario.benches)
+    found = [(g, vessel) for g, goal in enumerate(scenario.goals) for vessel in vessels if vessel.goal == goal]
+    rows = [draft.fill(0, 0, vessel.capacity_l, vessel.contents_mol).row.copy() for _, vessel in found]
+    owner = np.array([g for g, _ in found], dtype=np.int64)
+    first = np.searchsorted(owner, np.arange(len(scenario.goals) + 1))
+    reached = np.zeros(len(rows))
+    for start, stop in itertools.pairwise(first):
+        shares = np.array([vessel.weight for _, vessel in found[start:stop]])
+        reached[start:stop] = np.cumsum(shares) / shares.sum() if stop > start else 0.0
+    return Table(
+        StartPool(
+            np.array(rows).reshape(len(rows), draft.layout.width),
+            first.astype(np.int64),
+            reached,
+            np.array(
+                [0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64
+            ),
+            np.array([vessel.last_position for _, vessel in found], dtype=np.int64),
+        )
+    )
+
+
+@inner
+def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
+    """Which of a goal's vessels; takes one random number. The goal must have some."""
+    draw = uniform(state)
+    t = pool.first[goal]
+    while t < pool.first[goal + 1] - 1 and draw >= pool.reached[t]:
+        t += 1
+    return t
+
+
+def starts_file(scenario: Scenario) -> Path:
+    """Where a scenario's recorded starting states are: with chemlab, or beside the user's scenario file."""
+    shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
+    return shipped if shipped_file(scenario.name) else Path(scenario.origin).with_suffix(_SUFFIX)
+
+
+def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
+    """Recorded vessels of one bench, or those that were submitted (:data:`SUBMIT`), in the order of recording.
+
+    Raises:
+        DataError: nothing has been recorded for this scenario or bench, or the file does not fit the scenario.
+    """
+    again = f"run: chemlab starts {scenario.argument}"
+    path = starts_file(scenario)
+    if not path.is_file():
+        raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; {again}")
+    recorded = _read(path)
+    if recorded.same_as is not None:
+        path = path.with_name(recorded.same_as)
+        recorded = _read(path)
+    found = recorded.benches.get(bench)
+    if not found:
+        raise DataError(f"starts: {path} has no vessels of bench {bench!r}; use starts='paper'")
+    vessels: list[Start] = []
+    for goal, indices in found.items():
+        for i in indices:
+            if i >= len(recorded.vessels):
+                raise DataError(f"{path}: benches.{bench}.{goal}: no vessel {i} among {len(recorded.vessels)}; {again}")
+            start = recorded.vessels[i].start(goal)
+            last = () if start.last_bench is None else (start.last_bench,)
+            unknown = {*start.contents_mol} - {*scenario.materials} | {goal} - {*scenario.goals}
+            unknown |= {*last} - {*scenario.benches}
+            if unknown:
+                raise DataError(f"{path}: benches.{bench}.{goal}: vessel {i}: unknown {min(unknown)!r}; {again}")
+            vessels.append(start)
+    return vessels
+
+
+def goals_met(scenario: Scenario, bench: str) -> list[str]:
+    """The goals that a bench has recorded vessels of, in the scenario's order; all goals where it has none that fit."""
+    try:
+        met = {start.goal for start in lab_starts(scenario, bench)}
+    except DataError:
+        return list(scenario.goals)
+    return [goal for goal in scenario.goals if goal in met]
+
+
+def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:
+    """Write recorded vessels by bench: each different vessel once, and by bench and goal which of them it was, in the
+    order of recording."""
+    numbers: dict[str, int] = {}
+    benches: dict[str, dict[str, list[int]]] = {}
+    for bench, found in vessels.items():
+        benches[bench] = {}
+        for start in found:
+            contents = {name: float(f"{mol:.6g}") for name, mol in start.contents_mol.items()}
+            vessel = {"capacity_l": start.capacity_l, "contents_mol": contents}
+            vessel |= {} if start.last_bench is None else {"last_bench": start.last_bench}
+            vessel |= {"last_position": start.last_position} if start.last_position else {}
+            number = numbers.setdefault(json.dumps(vessel, separators=(",", ":")), len(numbers))
+            benches[bench].setdefault(start.goal, []).append(number)
+    lines = [
+        f'{{"scenario":{json.dumps(scenario.name)},"vessels":[',
+        ",\n".join(numbers),
+        f'],"benches":{json.dumps(benches, separators=(",", ":"))}}}',
+    ]
+    write_text(path, "\n".join(lines) + "\n")

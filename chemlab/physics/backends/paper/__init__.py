@@ -1,0 +1,32 @@
+"""The tier ``paper``: the laws of the ChemGymRL paper, mended where they did not conserve (docs/physics.md).
+
+Arguments and results are those of :mod:`chemlab.physics.backends`.
+"""
+
+from ...kinetics import arrhenius as rate_constant
+from .boiling import heat
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
+from .partition import partition
+from .phases import settle_phases
+from .rates import elapse, react, work_size
+from .vapor import dry, headspace_gas, vapor_pressure, vent
+
+__all__ = [
+    "drain_layer",
+    "dry",
+    "elapse",
+    "find_layers",
+    "headspace_gas",
+    "heat",
+    "layer_density",
+    "layer_shade",
+    "partition",
+    "rate_constant",
+    "react",
+    "settle_phases",
+    "solid_mol",
+    "solid_volume",
+    "vapor_pressure",
+    "vent",
+    "work_size",
+]

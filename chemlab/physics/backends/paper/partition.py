@@ -1,0 +1,135 @@
+"""Where solutes are: the paper's partition between solvents, made to conserve each solute (PHYSICS section 3)."""
+
+from __future__ import annotations
+
+import math
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper, kernel, opened
+from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, Chemistry
+from ...constants import TRACE_MOL
+from ...shelf import T_MIX
+
+__all__ = ["equilibrium", "partition", "set_dissolved_total"]
+
+_DECAY = 30.0
+"""The paper's rate at which the mixed distribution gives way to the polarity-driven one."""
+
+
+@helper
+def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, share: FloatArray) -> int:
+    """S*(clock) / [S]: the share of a solute that each solvent tends to hold; the shares add up to one.
+
+    Args:
+        row: vessel row (how much of each solvent there is; solvents count by volume).
+        chem: the chemistry.
+        material: the solute.
+        clock: settling clock.
+        share: [L] out.
+
+    Returns:
+        Number of solvents present; with none, every share is 0.
+    """
+    chemistry = opened(Chemistry, chem)
+    n_solvents = chemistry.solvents.shape[0]
+    present, only = 0, -1
+    for layer in range(n_solvents):
+        share[layer] = 0.0
+        if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
+            present += 1
+            only = layer
+    if present < 2:  # the common case, and nothing to work out
+        if present == 1:
+            share[only] = 1.0
+        return present
+    litres, distances, weighted = 0.0, 0.0, 0.0
+    for layer in range(n_solvents):
+        i = chemistry.solvents[layer]
+        if row[AMOUNTS + i] > TRACE_MOL:
+            volume = row[AMOUNTS + i] * chemistry.molar_volume[i]
+            distance = abs(chemistry.polarity[material] - chemistry.polarity[i])
+            litres += volume
+            distances += distance
+            weighted += volume * distance
+    decay = _DECAY * (clock - T_MIX)
+    alpha = math.exp(-decay) if decay < 40.0 else 0.0
+    # Solvents that are all exactly as polar as the solute: nothing to tell them apart by.
+    norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
+    for layer in range(n_solvents):
+        i = chemistry.solvents[layer]
+        if row[AMOUNTS + i] > TRACE_MOL:
+            volume = row[AMOUNTS + i] * chemistry.molar_volume[i]
+            preference = 1.0
+            if norm > 0.0:
+                preference = (1.0 - abs(chemistry.polarity[material] - chemistry.polarity[i]) / distances) / norm
+            share[layer] = volume / litres * (alpha + (1.0 - alpha) * preference)
+    return present
+
+
+@helper
+def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, share: FloatArray) -> None:
+    """Set the total of dissolvable material ``k`` (mol): what leaves leaves every solvent alike, what is new
+    dissolves where the solute tends to be. ``share`` is [L] scratch."""
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
+    material = chemistry.dissolved[k]
+    before = row[AMOUNTS + material]
+    if total == before:
+        return
+    row[AMOUNTS + material] = total
+    first = AMOUNTS + n + k * n_solvents
+    if total <= before:
+        scale = total / before if before > 0.0 else 0.0
+        for layer in range(n_solvents):
+            row[first + layer] *= scale
+    else:
+        equilibrium(row, chem, material, row[CLOCK_WAS], share)
+        for layer in range(n_solvents):
+            row[first + layer] += (total - before) * share[layer]
+
+
+@kernel
+def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
+    """Bring the dissolved amounts from CLOCK_WAS to CLOCK: the paper's three-case update.
+
+    Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Then amounts are clipped
+    at 0 and scaled to the solute's total, so none is negative and none is lost.
+    """
+    chemistry = opened(Chemistry, chem)
+    n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
+    clock, was = row[CLOCK], row[CLOCK_WAS]
+    now, then = work[0], work[1]
+    keep = 1.0
+    if clock < was:
+        keep = (clock - T_MIX) / (was - T_MIX)
+    for k in range(chemistry.dissolved.shape[0]):
+        material = chemistry.dissolved[k]
+        total = row[AMOUNTS + material]
+        first = AMOUNTS + n + k * n_solvents
+        if total <= 0.0:
+            for layer in range(n_solvents):
+                row[first + layer] = 0.0
+            continue
+        present = equilibrium(row, chem, material, clock, now)
+        if present < 2:
+            for layer in range(n_solvents):
+                row[first + layer] = total * now[layer]
+            continue
+        equilibrium(row, chem, material, was, then)
+        # What has not been placed yet (a vessel just filled, a product just made) is taken to be where it tends to be.
+        placed = 0.0
+        for layer in range(n_solvents):
+            placed += row[first + layer]
+        for layer in range(n_solvents):
+            row[first + layer] = row[first + layer] / placed * total if placed > 0.0 else total * then[layer]
+        found = 0.0
+        for layer in range(n_solvents):
+            if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
+                amount = total * now[layer] + keep * (row[first + layer] - total * then[layer])
+                row[first + layer] = max(amount, 0.0)
+                found += row[first + layer]
+            else:
+                row[first + layer] = 0.0
+        for layer in range(n_solvents):
+            row[first + layer] = row[first + layer] / found * total if found > 0.0 else total * now[layer]
+    row[CLOCK_WAS] = clock

@@ -1,0 +1,40 @@
+"""Reactions at the temperature that the vessel is kept at (PHYSICS section 1)."""
+
+from __future__ import annotations
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper
+from ...chemistry import TEMPERATURE, Chemistry
+from ...kinetics import integrate, react_work_size
+from ...surroundings import Surroundings
+from ...transfer import liquid_volume
+
+__all__ = ["elapse", "react", "work_size"]
+
+
+@helper
+def react(
+    row: FloatArray,
+    dt: float,
+    around: Surroundings,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+    work: FloatArray,
+) -> int:
+    """Mass action at the temperature of the contents: reactions have no heat, so nothing comes to a boil."""
+    return integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, around.rtol, around.atol, work)
+
+
+@helper
+def elapse(
+    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> bool:
+    """Nothing happens in a vessel that nobody works on."""
+    return False
+
+
+def work_size(chemistry: Chemistry) -> tuple[int, int]:
+    """Of the scratch of reactions and of the partition."""
+    rows, columns = react_work_size(chemistry)
+    return max(rows, 2), max(columns, len(chemistry.solvents))

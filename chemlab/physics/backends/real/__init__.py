@@ -1,0 +1,37 @@
+"""The tier ``real``: non-ideal liquids, heats, crystals, acids and bases (docs/physics_real.md).
+
+Arguments and results are those of :mod:`chemlab.physics.backends`.
+"""
+
+from ...kinetics import arrhenius as rate_constant
+from .boiling import heat
+from .chemistry import RealChemistry as DECLARATION
+from .chemistry import build
+from .drying import dry
+from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
+from .partition import partition
+from .phases import elapse, settle_phases, work_size
+from .reacting import react
+from .vapor import headspace_gas, vapor_pressure, vent
+
+__all__ = [
+    "DECLARATION",
+    "build",
+    "drain_layer",
+    "dry",
+    "elapse",
+    "find_layers",
+    "headspace_gas",
+    "heat",
+    "layer_density",
+    "layer_shade",
+    "partition",
+    "rate_constant",
+    "react",
+    "settle_phases",
+    "solid_mol",
+    "solid_volume",
+    "vapor_pressure",
+    "vent",
+    "work_size",
+]

@@ -1,0 +1,205 @@
+"""Boiling: differential distillation (Rayleigh 1902) of a non-ideal pot, through a column of theoretical stages.
+
+The pot is stirred by its own boiling, so its phases are at equilibrium; its vapour has the bubble point's composition.
+A column has constant molar flows, holds nothing up and a total condenser.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import inner, kernel, opened, scratch
+from ...chemistry import TEMPERATURE
+from ...constants import LEAST_CAPACITY, TRACE_MOL
+from ...events import BOILED_DRY, DRY_HEATING
+from ...transfer import add, heat_capacity, within_range
+from .chemistry import MOST_FLUIDS, RealChemistry
+from .column import LADDER, MOST_STAGES, overhead
+from .heats import add_heat
+from .liquids import Liquids, clear_liquids, gather, on_curve
+from .partition import crystallizes
+from .salts import let_salts_fall_out
+from .vapor import bubble_point, latent_heat, write_back
+
+__all__ = ["evaporate", "heat"]
+
+_STEP = 0.15
+"""Share of the liquid that may boil off in a step of the integration (second order)."""
+_MOST_STEPS = 400
+_MOST_ATTEMPTS = 6
+_SHORT = 0.999
+"""Of the heat that is left, what a step may take that would have taken more."""
+_TRIFLE = 2e-3
+"""Of the heat, what may be left over at the end: boiling contents do not take it."""
+
+
+@inner
+def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
+    """Amounts after ``mol`` of vapour with the composition ``partial`` has left ``before``, each at the rate that it
+    has at the amounts ``at``: none becomes negative, however volatile."""
+    total = 0.0
+    for a in range(n):
+        total += partial[a]
+    for a in range(n):
+        share = total * at[a]  # of the last of something it may be too small a number
+        rate = partial[a] / share if share > 0.0 else 0.0
+        liquids.mol[a] = before[a] * math.exp(-min(rate * mol, 700.0))
+
+
+class _Still(NamedTuple):
+    """A column's numbers, and scratch of the integration."""
+
+    trays: int
+    returned: float
+    """mol that run back for each that leaves"""
+    hottest: float
+    ladder: FloatArray
+    partial: FloatArray
+    before: FloatArray
+    halfway: FloatArray
+
+
+@inner
+def _boil(
+    row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
+) -> tuple[float, float]:
+    """A step of the integration, by the midpoint, of at most ``left`` joules: leaves the pot's amounts in ``liquids``,
+    those that it had in ``still.before``. Returns the joules that went into vapour, and by how many K the pot follows
+    its boiling point; vapour leaves it halfway."""
+    chemistry = opened(RealChemistry, chem)
+    ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
+    mol, spent, rise = 0.0, 0.0, 0.0
+    for a in range(n):
+        before[a] = liquids.mol[a]
+        mol += _STEP * liquids.mol[a]
+    for attempt in range(_MOST_ATTEMPTS):
+        price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, liquids)
+        mol = min(mol, left / price)
+        if still.trays > 0:
+            overhead(n, still.trays, still.returned, begun or attempt > 0, chem, liquids, still.ladder, partial)
+        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+        for a in range(n):
+            halfway[a] = liquids.mol[a]
+        warmer = bubble_point(n, ambient, boiling, chem, liquids, partial)
+        if still.trays > 0:
+            overhead(n, still.trays, still.returned, True, chem, liquids, still.ladder, partial)
+        evaporate(n, mol, partial, before, halfway, liquids)
+        # The pot goes along with its boiling point, as hot as what heats it.
+        rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
+        spent, warming = 0.0, rise * heat_capacity(row, chem)
+        for a in range(n):
+            i = int(liquids.who[a])
+            gone = before[a] - liquids.mol[a]
+            spent += gone * (on_curve(chemistry.vaporizing, i, boiling + 0.5 * rise, chem) + liquids.parting[a])
+            warming -= 0.5 * rise * gone * chemistry.heat_capacity[i]
+        spent *= 1.0 + still.returned
+        if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
+            break
+        mol *= _SHORT * left / (spent + warming)
+        for a in range(n):
+            liquids.mol[a] = before[a]
+        bubble_point(n, ambient, boiling, chem, liquids, partial)
+    taken = spent
+    for a in range(n):
+        capacity = chemistry.heat_capacity[int(liquids.who[a])]
+        taken += 0.5 * rise * (before[a] - liquids.mol[a]) * capacity
+    if taken > left:
+        # What little else is in the pot has no heat to give: as much evaporates as there is heat for.
+        for a in range(n):
+            liquids.mol[a] = before[a] - left / taken * (before[a] - liquids.mol[a])
+        spent *= left / taken
+    return spent, rise
+
+
+@inner
+def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: float, chem: Handle) -> float:
+    """Warm (> 0) or cool (< 0) the contents, not beyond the limits; returns the joules that went in."""
+    capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
+    if capacity <= LEAST_CAPACITY:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature
+    else:
+        row[TEMPERATURE] = within_range(max(min(was + joules / capacity, max(hottest, was)), min(coolest, was)))
+    return float(capacity * (row[TEMPERATURE] - was))
+
+
+@kernel
+def heat(
+    row: FloatArray,
+    receiver: FloatArray,
+    joules: float,
+    limits: FloatArray,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+) -> tuple[float, float]:
+    """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature."""
+    chemistry = opened(RealChemistry, chem)
+    hottest, coolest = limits[0], limits[1]
+    if joules == 0.0 or heat_capacity(row, chem) <= LEAST_CAPACITY:
+        if joules > 0.0:
+            events[DRY_HEATING] += 1.0
+        return 0.0, 0.0
+    if joules < 0.0:
+        return _change_warmth(row, joules, coolest, math.inf, chem), 0.0
+    trays = int(min(max(limits[2] - 1.0, 0.0), MOST_STAGES))
+    partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
+    distilled, liquids = scratch(MOST_FLUIDS), clear_liquids()
+    returned = limits[3] if trays > 0 else 0.0
+    still = _Still(trays, returned, hottest, scratch(LADDER), partial, before, halfway)
+    n = gather(row, chem, liquids)
+    for a in range(n):
+        distilled[a] = 0.0
+    left, condenser, boiled, dry = joules, 0.0, False, n == 0
+    for _step in range(_MOST_STEPS):
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        if everything <= 10.0 * n * TRACE_MOL:
+            dry = True
+            break
+        boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, liquids, partial)
+        if boiling > hottest:
+            break
+        needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])
+        if left < needed:
+            break
+        # Poured onto something hotter than its boiling point, a liquid boils from that heat first (needed < 0).
+        left -= needed
+        row[TEMPERATURE] = boiling
+        # Only here: where the last of something volatile has gone, a step warms the pot beyond its new boiling point.
+        if left <= _TRIFLE * joules:
+            hottest = boiling
+            break
+        spent, rise = _boil(row, n, boiling, left, boiled, still, chem, liquids)
+        for a in range(n):
+            gone = before[a] - liquids.mol[a]
+            distilled[a] += gone
+            capacity = gone * chemistry.heat_capacity[int(liquids.who[a])]
+            condenser += capacity * (boiling + 0.5 * rise - chemistry.ambient_temperature)
+            left -= 0.5 * rise * capacity
+        condenser += spent
+        left -= spent
+        boiled = True
+        write_back(row, n, chem, liquids)
+        capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
+        add_heat(row, min(rise * capacity, left), chem)
+        left -= capacity * (row[TEMPERATURE] - was)
+        if capacity <= LEAST_CAPACITY:
+            dry = True
+            break
+        let_salts_fall_out(row, chem)
+    if boiled:
+        for a in range(n):
+            i = int(liquids.who[a])
+            add(receiver, i, distilled[a], chemistry.ambient_temperature, chem, waste, events)
+            if crystallizes(receiver, chem, i):
+                condenser += distilled[a] * chemistry.fusion[i]  # it freezes there
+    if dry:
+        events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
+    if left > 0.0:
+        left -= _change_warmth(row, left, 0.0, hottest, chem)
+    # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
+    refused = min(max(left, 0.0), joules)
+    return joules - refused, condenser + (left - refused)

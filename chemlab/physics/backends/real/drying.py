@@ -1,0 +1,62 @@
+"""Drying: what evaporates into a stream of air that is drawn over the contents of a vessel."""
+
+from __future__ import annotations
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import kernel, scratch
+from ...chemistry import TEMPERATURE
+from ...constants import GAS_CONSTANT, TRACE_MOL
+from .boiling import evaporate
+from .chemistry import MOST_FLUIDS
+from .liquids import clear_liquids, gather, partial_pressures, split, vapor_mol
+from .salts import settle_salts
+from .vapor import write_back
+
+__all__ = ["dry"]
+
+_STEP = 0.1
+"""Share of the liquids that a step of the integration (second order) may take."""
+_MOST_STEPS = 400
+
+
+@kernel
+def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
+    """Air leaves saturated: with x gamma p_i(T) of each liquid, so that a little of one goes at a rate of first order.
+    Air is counted by what it has taken, which is exact where the pressure stays the same."""
+    liquids = clear_liquids()
+    partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
+    n = gather(row, chem, liquids)
+    temperature, left = row[TEMPERATURE], litres
+    for _step in range(_MOST_STEPS):
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        if everything <= 10.0 * n * TRACE_MOL or left <= 1e-9 * litres:
+            break
+        split(n, temperature, chem, liquids)
+        partial_pressures(n, temperature, chem, liquids, partial)
+        rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)  # mol/L
+        mol = min(_STEP * everything, rate * left)
+        for a in range(n):
+            before[a] = liquids.mol[a]
+        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+        for a in range(n):
+            halfway[a] = liquids.mol[a]
+        split(n, temperature, chem, liquids)
+        partial_pressures(n, temperature, chem, liquids, partial)
+        rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)
+        if rate <= 0.0:
+            break
+        evaporate(n, min(mol, rate * left), partial, before, halfway, liquids)
+        gone = 0.0
+        for a in range(n):
+            waste[int(liquids.who[a])] += before[a] - liquids.mol[a]
+            gone += before[a] - liquids.mol[a]
+        left -= gone / rate
+    for a in range(n):
+        if liquids.mol[a] <= TRACE_MOL:  # the last of it
+            waste[int(liquids.who[a])] += liquids.mol[a]
+            liquids.mol[a] = 0.0
+    if n > 0:
+        write_back(row, n, chem, liquids)
+        settle_salts(row, chem)  # at that temperature, too: air and room bring what all of it takes

@@ -1,0 +1,70 @@
+"""Heat contents: what stays the same when nothing but heat goes in or out."""
+
+from __future__ import annotations
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper, opened
+from ...chemistry import AMOUNTS, TEMPERATURE
+from ...constants import LEAST_CAPACITY
+from ...transfer import heat_capacity, within_range
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .fields import STANDARD_K
+
+__all__ = ["add_heat", "crystals", "dissolved", "enthalpy", "set_enthalpy"]
+
+
+@helper
+def dissolved(row: FloatArray, chem: Handle, k: int) -> float:
+    """mol of fluid ``k`` (its place among the fluids) in both liquids."""
+    at = AMOUNTS + opened(RealChemistry, chem).role.shape[0] + 2 * k
+    return float(row[at + AQUEOUS] + row[at + ORGANIC])
+
+
+@helper
+def crystals(row: FloatArray, chem: Handle, k: int) -> float:
+    """mol of fluid ``k`` (its place among the fluids) that is in no liquid."""
+    chemistry = opened(RealChemistry, chem)
+    at = AMOUNTS + chemistry.role.shape[0] + 2 * k
+    return float(max(row[AMOUNTS + chemistry.dissolved[k]] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0))
+
+
+@helper
+def _standard_enthalpy(row: FloatArray, chem: Handle) -> float:
+    """What the contents of a vessel would have at 298.15 K, J."""
+    chemistry = opened(RealChemistry, chem)
+    total = 0.0
+    for i in range(chemistry.role.shape[0]):
+        total += row[AMOUNTS + i] * chemistry.formation[i]
+    for k in range(chemistry.dissolved.shape[0]):
+        if chemistry.fusion[chemistry.dissolved[k]] > 0.0:
+            total -= crystals(row, chem, k) * chemistry.fusion[chemistry.dissolved[k]]
+    return total
+
+
+@helper
+def enthalpy(row: FloatArray, chem: Handle) -> float:
+    """Enthalpy of the contents of a vessel without air, J: the sum of n (formation + Cp (T - 298.15 K)), less the heat
+    of fusion of what has crystallized."""
+    return _standard_enthalpy(row, chem) + float(heat_capacity(row, chem) * (row[TEMPERATURE] - STANDARD_K))
+
+
+@helper
+def add_heat(row: FloatArray, joules: float, chem: Handle) -> None:
+    """Warm (> 0) or cool (< 0) the contents of a vessel. Contents with next to no heat capacity take the ambient
+    temperature; no others leave the range of temperatures."""
+    capacity = heat_capacity(row, chem)
+    if capacity > LEAST_CAPACITY:
+        row[TEMPERATURE] = within_range(row[TEMPERATURE] + joules / capacity)
+    else:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature
+
+
+@helper
+def set_enthalpy(row: FloatArray, value: float, chem: Handle) -> None:
+    """Give the contents of a vessel the temperature at which they have an enthalpy of ``value`` J, within the range of
+    temperatures; contents with next to no heat capacity take the ambient temperature."""
+    capacity = heat_capacity(row, chem)
+    if capacity > LEAST_CAPACITY:
+        row[TEMPERATURE] = within_range(STANDARD_K + (value - _standard_enthalpy(row, chem)) / capacity)
+    else:
+        row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature

@@ -1,0 +1,119 @@
+"""What stands in a vessel: solids and crystals, water, the organic phase, air."""
+
+from __future__ import annotations
+
+from ....kernels.arrays import FloatArray, Handle, IntArray
+from ....kernels.jit import helper, opened
+from ...chemistry import AMOUNTS, CAPACITY, ROLE_SOLID
+from ...constants import FIRST_PHASE, SOLIDS, TRACE_MOL
+from .chemistry import RealChemistry
+from .heats import crystals
+
+__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
+
+
+@helper
+def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
+    """All of what is a solid, and the crystals of a fluid."""
+    chemistry = opened(RealChemistry, chem)
+    if chemistry.role[material] == ROLE_SOLID:
+        return float(row[AMOUNTS + material])
+    if chemistry.fusion[material] > 0.0 and row[AMOUNTS + material] > 0.0:
+        return crystals(row, chem, chemistry.dissolved_at[material])
+    return 0.0
+
+
+@helper
+def solid_volume(row: FloatArray, chem: Handle) -> float:
+    """Volume of solids and crystals, L."""
+    chemistry = opened(RealChemistry, chem)
+    total = 0.0
+    for i in range(chemistry.role.shape[0]):
+        total += solid_mol(row, i, chem) * chemistry.molar_volume[i]
+    return total
+
+
+@helper
+def _phase(row: FloatArray, code: int, weights: FloatArray, chem: Handle) -> float:
+    """Sum of mol x weight over what a liquid layer holds."""
+    chemistry = opened(RealChemistry, chem)
+    at = AMOUNTS + chemistry.role.shape[0] + (FIRST_PHASE - code)
+    total = 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        total += row[at + 2 * k] * weights[chemistry.dissolved[k]]
+    return total
+
+
+@helper
+def layer_density(row: FloatArray, code: int, chem: Handle) -> float:
+    """kg/L of a layer."""
+    chemistry = opened(RealChemistry, chem)
+    if code > FIRST_PHASE:
+        return float(chemistry.density[code])
+    litres = _phase(row, code, chemistry.molar_volume, chem)
+    return 1e-3 * _phase(row, code, chemistry.molar_mass, chem) / litres if litres > 0.0 else 0.0
+
+
+@helper
+def layer_shade(row: FloatArray, code: int, chem: Handle) -> float:
+    """Grey value of a layer: its materials', by volume."""
+    chemistry = opened(RealChemistry, chem)
+    if code > FIRST_PHASE:
+        return float(chemistry.shade[code])
+    at = AMOUNTS + chemistry.role.shape[0] + (FIRST_PHASE - code)
+    litres, shade = 0.0, 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        part = row[at + 2 * k] * chemistry.molar_volume[i]
+        litres += part
+        shade += part * chemistry.shade[i]
+    return min(shade / litres, 1.0) if litres > 0.0 else 0.0
+
+
+@helper
+def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
+    """Volumes of solids, liquid phases and air, densest liquid first."""
+    chemistry = opened(RealChemistry, chem)
+    layers[1], volumes[0] = SOLIDS, solid_volume(row, chem)
+    count = 1
+    for phase in range(2):
+        litres = _phase(row, FIRST_PHASE - phase, chemistry.molar_volume, chem)
+        if litres > TRACE_MOL:
+            layers[1 + count], volumes[count] = FIRST_PHASE - phase, litres
+            count += 1
+    if count == 3 and layer_density(row, layers[2], chem) < layer_density(row, layers[3], chem):
+        layers[2], layers[3] = layers[3], layers[2]
+        volumes[1], volumes[2] = volumes[2], volumes[1]
+    filled = 0.0
+    for c in range(count):
+        filled += volumes[c]
+    layers[1 + count], volumes[count] = chemistry.air, max(row[CAPACITY] - filled, 0.0)
+    layers[0] = count + 1
+    return count + 1
+
+
+@helper
+def drain_layer(source: FloatArray, target: FloatArray, code: int, share: float, chem: Handle) -> float:
+    """Move ``share`` of a layer, or of the solids and crystals; returns their heat capacity, J/K."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    arriving = 0.0
+    for i in range(m):
+        if code == SOLIDS and chemistry.role[i] == ROLE_SOLID:
+            moved = source[AMOUNTS + i] * share
+            source[AMOUNTS + i] -= moved
+            target[AMOUNTS + i] += moved
+            arriving += moved * chemistry.heat_capacity[i]
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if code == SOLIDS:
+            moved = crystals(source, chem, k) * share if chemistry.fusion[i] > 0.0 else 0.0
+        else:
+            at = AMOUNTS + m + 2 * k + (FIRST_PHASE - code)
+            moved = min(source[at] * share, source[AMOUNTS + i])
+            source[at] -= moved
+            target[at] += moved
+        source[AMOUNTS + i] -= moved
+        target[AMOUNTS + i] += moved
+        arriving += moved * chemistry.heat_capacity[i]
+    return arriving

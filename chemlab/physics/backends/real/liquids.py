@@ -1,0 +1,372 @@
+"""Liquid mixtures: activity coefficients (NRTL), vapour pressures, and the split into water and an organic phase.
+
+Renon and Prausnitz, AIChE J. 14 (1968) 135 (NRTL). Neutral molecules are driven out of salty water by Setschenow's
+rule; ions stay in water and dilute it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ....config.pairs import REFERENCE_K, STRONGEST
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper, inner, opened, routine, scratch
+from ...chemistry import AMOUNTS
+from ...constants import GAS_CONSTANT, TRACE_MOL
+from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
+
+__all__ = [
+    "Liquids",
+    "activities",
+    "clear_liquids",
+    "dimer_root",
+    "gather",
+    "nrtl",
+    "on_curve",
+    "partial_pressures",
+    "prepare",
+    "split",
+    "vapor_mol",
+]
+
+_ROOM = MOST_FLUIDS * MOST_FLUIDS
+_BOTH = 2 * MOST_FLUIDS
+_SETSCHENOW = 0.2
+"""L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics (Xie, Shiu, Mackay, Mar.
+Environ. Res. 44 (1997) 429)."""
+_MOST_ROUNDS = 200
+_FORESIGHT, _STEADY = 3, 0.95
+"""Every how many rounds steps are taken further, and the largest factor by which they may shrink for that."""
+_CLOSE = 1e-6
+"""Of every ln K, where the split counts as found."""
+_SAME = 1e-4
+"""ln K of everything below which two phases are one."""
+_STEEPEST = 300.0
+_MOST_BOUND = 1e100
+"""Square root of a pressure of dimers, kPa: far beyond any, and its square is a number."""
+
+
+class Liquids(NamedTuple):
+    """The molecules in the liquids of a vessel, n of them, and their two phases: scratch of one kernel."""
+
+    who: FloatArray
+    """[n] material indices"""
+    mol: FloatArray
+    """[n] mol in both phases"""
+    share: FloatArray
+    """[n] of its mol in the organic phase"""
+    tau: FloatArray
+    """[n * n] NRTL parameters at the temperature, and G = exp(-alpha tau)"""
+    g: FloatArray
+    log_gamma: FloatArray
+    """[2 * n] ln of the activity coefficients, phase after phase"""
+    x: FloatArray
+    """[2 * n] mole fractions among the molecules of each phase"""
+    work: FloatArray
+    """[2 * n]"""
+    parting: FloatArray
+    """[n] J/mol, what a molecule's heat of vaporization has more in the mixture's vapour than in its own, which has
+    more dimers"""
+    ions: FloatArray
+    """[2] mol of ions; and what ln gamma of a molecule in water gains by them"""
+
+
+@inner
+def clear_liquids() -> Liquids:
+    """Room for the liquids of a vessel, in the kernel that asks."""
+    return Liquids(
+        scratch(MOST_FLUIDS),
+        scratch(MOST_FLUIDS),
+        scratch(MOST_FLUIDS),
+        scratch(_ROOM),
+        scratch(_ROOM),
+        scratch(_BOTH),
+        scratch(_BOTH),
+        scratch(_BOTH),
+        scratch(MOST_FLUIDS),
+        scratch(2),
+    )
+
+
+@inner
+def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
+    """Take up what is liquid in a vessel: molecules of which there is more than a trace, as they stand in its phases.
+    Returns how many there are."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    n, ions, litres = 0, 0.0, 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        at = AMOUNTS + m + 2 * k
+        mol = row[at + AQUEOUS] + row[at + ORGANIC]
+        if mol <= TRACE_MOL:
+            continue
+        if chemistry.liquid[i] == 2:
+            ions += mol
+            continue
+        litres += row[at + AQUEOUS] * chemistry.molar_volume[i]
+        liquids.who[n] = i
+        liquids.mol[n] = mol
+        liquids.share[n] = row[at + ORGANIC] / mol
+        n += 1
+    liquids.ions[0] = ions
+    salts = 0.5 * ions / litres if litres > 0.0 else 0.0
+    liquids.ions[1] = math.log(10.0) * _SETSCHENOW * min(salts, 10.0)
+    return n
+
+
+@inner
+def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+    """NRTL parameters at a temperature (K)."""
+    chemistry = opened(RealChemistry, chem)
+    inverse, rest = 1.0 / temperature, math.log(temperature / REFERENCE_K)
+    for a in range(n):
+        i = int(liquids.who[a])
+        for b in range(n):
+            j = int(liquids.who[b])
+            tau = chemistry.nrtl[i, j, 0] + chemistry.nrtl[i, j, 1] * inverse + chemistry.nrtl[i, j, 2] * rest
+            tau = min(max(tau, -STRONGEST), STRONGEST)
+            liquids.tau[a * n + b] = tau
+            liquids.g[a * n + b] = math.exp(-chemistry.nrtl[i, j, 3] * tau) if a != b else 1.0
+
+
+@inner
+def nrtl(n: int, phase: int, liquids: Liquids) -> None:
+    """ln of the activity coefficients of a phase, by its mole fractions."""
+    x, tau, g, out, work = liquids.x, liquids.tau, liquids.g, liquids.log_gamma, liquids.work
+    at = phase * n
+    for j in range(n):
+        weight, pull = 0.0, 0.0
+        for k in range(n):
+            part = g[k * n + j] * x[at + k]
+            weight += part
+            pull += tau[k * n + j] * part
+        work[j] = 1.0 / weight
+        work[n + j] = pull / weight
+    for i in range(n):
+        total = work[n + i]
+        for j in range(n):
+            total += x[at + j] * g[i * n + j] * work[j] * (tau[i * n + j] - work[n + j])
+        out[at + i] = total
+
+
+@inner
+def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+    """Mole fractions and activity coefficients in both phases as they stand (an absent one has those of the other)."""
+    aqueous, organic = 0.0, 0.0
+    for a in range(n):
+        organic += liquids.mol[a] * liquids.share[a]
+        aqueous += liquids.mol[a] * (1.0 - liquids.share[a])
+    trace = min(TRACE_MOL, 0.25 * (aqueous + organic))
+    for a in range(n):
+        o, w = liquids.mol[a] * liquids.share[a], liquids.mol[a] * (1.0 - liquids.share[a])
+        liquids.x[a] = w / aqueous if aqueous > trace else o / organic
+        liquids.x[n + a] = o / organic if organic > trace else w / aqueous
+    prepare(n, temperature, chem, liquids)
+    if aqueous > trace:
+        nrtl(n, AQUEOUS, liquids)
+    if organic > trace:
+        nrtl(n, ORGANIC, liquids)
+    for a in range(n):
+        if aqueous <= trace:
+            liquids.log_gamma[a] = liquids.log_gamma[n + a]
+        elif organic <= trace:
+            liquids.log_gamma[n + a] = liquids.log_gamma[a]
+    _salt(n, aqueous, chem, liquids)
+
+
+@inner
+def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
+    """What ions do to the activities in water."""
+    water = opened(RealChemistry, chem).water
+    for a in range(n):
+        if int(liquids.who[a]) == water:
+            liquids.log_gamma[a] += math.log(aqueous / (aqueous + liquids.ions[0])) if aqueous > 0.0 else 0.0
+        else:
+            liquids.log_gamma[a] += liquids.ions[1]
+
+
+@inner
+def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
+    """Rachford and Rice (1952): the share of all molecules in the organic phase at given ratios of mole fractions
+    organic / water; 0 or 1 where there is one phase only."""
+    low, high = 0.0, 0.0
+    for a in range(n):
+        low += liquids.mol[a] * (ratio[a] - 1.0)
+        high += liquids.mol[a] * (1.0 - 1.0 / ratio[a])
+    if low <= 0.0:
+        return 0.0
+    if high >= 0.0:
+        return 1.0
+    left, right, beta = 0.0, 1.0, 0.5
+    organic = 0.0
+    for a in range(n):
+        organic += liquids.mol[a] * liquids.share[a]
+    if 0.0 < organic < total:
+        beta = organic / total
+    for _round in range(60):
+        value, slope = 0.0, 0.0
+        for a in range(n):
+            part = (ratio[a] - 1.0) / (1.0 + beta * (ratio[a] - 1.0))
+            value += liquids.mol[a] * part
+            slope -= liquids.mol[a] * part * part
+        if value > 0.0:
+            left = beta
+        else:
+            right = beta
+        step = beta - value / slope if slope < 0.0 else 0.5 * (left + right)
+        if not left < step < right:
+            step = 0.5 * (left + right)
+        if abs(step - beta) <= 1e-12:
+            return step
+        beta = step
+    return beta
+
+
+@routine
+def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+    """Share the molecules out between water and the organic phase so that each has the same activity in both; then
+    ``liquids.share``, ``x`` and ``log_gamma`` say how. Successive substitution, from how they stand."""
+    chemistry = opened(RealChemistry, chem)
+    total, water, organic = 0.0, 0.0, 0.0
+    for a in range(n):
+        total += liquids.mol[a]
+        if int(liquids.who[a]) == chemistry.water:
+            water += liquids.mol[a]
+        organic += liquids.mol[a] * liquids.share[a]
+    if water <= TRACE_MOL or total - water <= TRACE_MOL:
+        for a in range(n):
+            liquids.share[a] = 0.0 if water > TRACE_MOL else 1.0
+        activities(n, temperature, chem, liquids)
+        return
+    two = 1e-6 * total < organic < (1.0 - 1e-6) * total
+    if not two:
+        for a in range(n):
+            liquids.share[a] = 1e-3 if int(liquids.who[a]) == chemistry.water else 1.0 - 1e-6
+    ratio, last = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
+    activities(n, temperature, chem, liquids)
+    for a in range(n):
+        gap = liquids.log_gamma[a] - liquids.log_gamma[n + a]
+        last[a] = max(min(gap, _STEEPEST), -_STEEPEST)
+        ratio[a] = math.exp(last[a])
+    moved = scratch(MOST_FLUIDS)
+    for a in range(n):
+        moved[a] = 0.0
+    for turn in range(_MOST_ROUNDS):
+        beta = _shares(n, liquids, ratio, total)
+        if beta <= 0.0 or beta >= 1.0:
+            _one_phase(n, water, total, temperature, chem, liquids)
+            return
+        aqueous = 0.0
+        for a in range(n):
+            fraction = liquids.mol[a] / total / (1.0 + beta * (ratio[a] - 1.0))
+            liquids.x[a] = fraction
+            liquids.x[n + a] = fraction * ratio[a]
+            liquids.share[a] = beta * ratio[a] / (1.0 + beta * (ratio[a] - 1.0))
+            aqueous += (1.0 - beta) * fraction * total
+        nrtl(n, AQUEOUS, liquids)
+        nrtl(n, ORGANIC, liquids)
+        _salt(n, aqueous, chem, liquids)
+        worst, widest, along, across = 0.0, 0.0, 0.0, 0.0
+        for a in range(n):
+            gap = max(min(liquids.log_gamma[a] - liquids.log_gamma[n + a], _STEEPEST), -_STEEPEST)
+            step = gap - last[a]
+            worst = max(worst, abs(step))
+            widest = max(widest, abs(gap))
+            along += step * moved[a]
+            across += moved[a] * moved[a]
+            moved[a] = step
+            last[a] = gap
+        # Steps that shrink by a constant factor lead to a point that can be foreseen (Wegstein; Orbach and Crowe 1971).
+        factor = along / across if across > 0.0 else 0.0
+        if turn % _FORESIGHT == _FORESIGHT - 1 and 0.0 < factor < _STEADY and worst < 1.0:
+            for a in range(n):
+                last[a] += moved[a] * factor / (1.0 - factor)
+                moved[a] = 0.0
+        for a in range(n):
+            ratio[a] = math.exp(last[a])
+        if widest < _SAME:
+            _one_phase(n, water, total, temperature, chem, liquids)
+            return
+        if worst < _CLOSE:
+            return
+
+
+@inner
+def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, liquids: Liquids) -> None:
+    """All in one: water where most of the molecules are water's, or where there are ions."""
+    wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL
+    for a in range(n):
+        liquids.share[a] = 0.0 if wet else 1.0
+    activities(n, temperature, chem, liquids)
+
+
+@helper
+def on_curve(curves: FloatArray, material: int, temperature: float, chem: Handle) -> float:
+    """A curve [M, G] (``vapor`` or ``vaporizing``) of a material at a temperature (K)."""
+    curve = opened(RealChemistry, chem).curve
+    at = (1.0 / temperature - curve[0]) / curve[1]
+    at = min(max(at, 0.0), curves.shape[1] - 1.0)
+    low = min(int(at), curves.shape[1] - 2)
+    part = at - low
+    return float(curves[material, low] * (1.0 - part) + curves[material, low + 1] * part)
+
+
+@helper
+def dimer_root(material: int, temperature: float, chem: Handle) -> float:
+    """Square root of the dimerization constant of a material's vapour (1/kPa) at a temperature (K); 0 without dimers.
+
+    Of two materials, mixed dimers have twice the product of their roots (the rule of the double geometric mean)."""
+    dimer = opened(RealChemistry, chem).dimer
+    if dimer[material, 1] == 0.0:
+        return 0.0
+    return math.exp(dimer[material, 0] + dimer[material, 1] / temperature)
+
+
+@inner
+def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids, out: FloatArray) -> float:
+    """Vapour over the liquids, each molecule by its activity in the phase that holds most of it; layers that do not mix
+    add up (steam distillation).
+
+    Carboxylic acids form dimers: activities are those of the monomers (chemical theory: Prausnitz, Lichtenthaler and
+    de Azevedo, Molecular Thermodynamics of Fluid-Phase Equilibria, 3rd ed. 1999, section 5.9). With the monomers'
+    pressures p and r the roots of their constants, all dimers have the pressure s^2 of s = sum of r p.
+
+    Args:
+        n, liquids: the liquids.
+        temperature: K.
+        chem: the chemistry.
+        out: [n] kPa of every molecule as if there were no dimers: proportional to the mol in the vapour.
+
+    Returns:
+        Pressure of the vapour, kPa: a dimer counts as one.
+    """
+    vapor = opened(RealChemistry, chem).vapor
+    total, bound = 0.0, 0.0
+    for a in range(n):
+        at = n + a if liquids.share[a] > 0.5 else a
+        power = on_curve(vapor, int(liquids.who[a]), temperature, chem) + liquids.log_gamma[at]
+        out[a] = liquids.x[at] * math.exp(power)
+        total += out[a]
+        liquids.parting[a] = dimer_root(int(liquids.who[a]), temperature, chem)
+        bound += liquids.parting[a] * out[a]
+    bound = min(bound, _MOST_BOUND)
+    for a in range(n):
+        root = liquids.parting[a]
+        if root > 0.0:
+            i = int(liquids.who[a])
+            out[a] *= 1.0 + 2.0 * root * bound
+            alone = 2.0 * root * root * math.exp(on_curve(vapor, i, temperature, chem))
+            apart = alone / (1.0 + alone) - 2.0 * root * bound / (1.0 + 2.0 * root * bound)
+            liquids.parting[a] = apart * GAS_CONSTANT * opened(RealChemistry, chem).dimer[i, 1]
+    return total + bound * bound
+
+
+@inner
+def vapor_mol(n: int, partial: FloatArray) -> float:
+    """Sum of the pressures of all molecules as if there were no dimers."""
+    total = 0.0
+    for a in range(n):
+        total += partial[a]
+    return total

@@ -1,0 +1,151 @@
+"""Where molecules are: equal activity in water and in the organic phase, as far as the layers have been mixed."""
+
+from __future__ import annotations
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper, inner, kernel, opened
+from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
+from ...constants import LEAST_CAPACITY, TRACE_MOL
+from ...shelf import CLOCK_SETTLED, T_MIX
+from ...transfer import heat_capacity, within_range
+from .acids import settle_acids
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .liquids import clear_liquids, gather, split
+
+__all__ = ["crystallizes", "partition", "place_new"]
+
+_STIRRED = 0.99
+"""Share of the way to equilibrium from which acids and bases find each other across the layers, too."""
+_MOST_ROUNDS, _CLOSE = 60, 1e-7
+"""Of that; and the share of all molecules of which no more goes on moving."""
+_LEAST_SHARE = 1e-9
+"""Of a fluid; where less of it has a place, that says nothing about where the rest belongs."""
+
+
+@helper
+def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
+    """Whether a fluid is a solid of its own at the vessel's temperature, which may lie in it undissolved."""
+    chemistry = opened(RealChemistry, chem)
+    return bool(chemistry.fusion[material] > 0.0 and row[TEMPERATURE] < chemistry.melting[material])
+
+
+@helper
+def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> float:
+    """mol of a fluid's crystals that melt, which cools the contents to its melting point at most; all of what never
+    crystallizes."""
+    chemistry = opened(RealChemistry, chem)
+    fusion = chemistry.fusion[material]
+    if fusion <= 0.0:
+        return crystals
+    capacity = heat_capacity(row, chem)
+    if capacity <= LEAST_CAPACITY:
+        return crystals
+    excess = capacity * (row[TEMPERATURE] - chemistry.melting[material])
+    melted = min(crystals, excess / fusion)
+    row[TEMPERATURE] -= melted * fusion / capacity
+    return float(melted)
+
+
+@helper
+def place_new(row: FloatArray, chem: Handle) -> float:
+    """Bring the phases of a row up to what it holds: what is new goes where the fluid is already, or else to the phase
+    it is most at home in; what is gone leaves both alike. Returns the mol that had no place of its own yet.
+
+    Crystals have none: what can crystallize stays undissolved until it is dissolved (:mod:`.kinetics`). Above their
+    melting point they melt, as far as the heat that they are too warm by goes.
+    """
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    moved = 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        at = AMOUNTS + m + 2 * k
+        total, placed = row[AMOUNTS + i], row[at + AQUEOUS] + row[at + ORGANIC]
+        if placed > total:
+            scale = total / placed
+            row[at + AQUEOUS] *= scale
+            row[at + ORGANIC] *= scale
+        elif placed < total and not crystallizes(row, chem, i):
+            total = placed + _melted(row, chem, i, total - placed)
+            if placed > _LEAST_SHARE * total:
+                row[at + AQUEOUS] *= total / placed
+                row[at + ORGANIC] = max(total - row[at + AQUEOUS], 0.0)
+            else:
+                home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
+                row[at + home] = total
+                row[at + AQUEOUS + ORGANIC - home] = 0.0
+            moved += total - placed
+    return moved
+
+
+@helper
+def _is_acid(material: int, chem: Handle) -> bool:
+    chemistry = opened(RealChemistry, chem)
+    for a in range(chemistry.acid.shape[0]):
+        for p in range(chemistry.acid.shape[1]):
+            if chemistry.acid[a, p] == material:
+                return True
+    return False
+
+
+@kernel
+def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
+    """Bring the phases from CLOCK_WAS to CLOCK: the more the layers are stirred, the closer to equal activities.
+
+    With s the settling clock between mixed (0) and settled (1), what is there goes 1 - s^2 of the way; a settled
+    vessel keeps what each layer holds, and what is new in it goes to where it belongs at once.
+    """
+    chemistry = opened(RealChemistry, chem)
+    settled = (row[CLOCK] - T_MIX) / (CLOCK_SETTLED - T_MIX)
+    way = 1.0 - settled * settled
+    fresh = place_new(row, chem)
+    row[CLOCK_WAS] = row[CLOCK]
+    if way <= 1e-12 and fresh <= TRACE_MOL:
+        return
+    moved = _share_out(row, way, fresh, 1.0, chem)
+    if way < _STIRRED or chemistry.ionization[0] < 0:
+        return
+    # What becomes ions in the water makes room there for more of the acid, as long as there is a base.
+    push = 1.0
+    for _ in range(_MOST_ROUNDS):
+        settle_acids(row, chem, work)
+        row[TEMPERATURE] = within_range(row[TEMPERATURE])
+        before = moved
+        moved = _share_out(row, way, 0.0, push, chem)
+        if abs(moved) < _CLOSE:
+            return
+        push = 2.0 * push if moved * before > 0.0 else 1.0
+
+
+@inner
+def _share_out(row: FloatArray, way: float, fresh: float, push: float, chem: Handle) -> float:
+    """Take molecules ``way`` of the way to where they belong, acids ``push`` times as far; what is ``fresh`` (mol)
+    counts as stirred. Returns the acids' mol that went into the organic phase, as a share of all molecules."""
+    chemistry = opened(RealChemistry, chem)
+    liquids = clear_liquids()
+    n = gather(row, chem, liquids)
+    if n == 0:
+        return 0.0
+    split(n, row[TEMPERATURE], chem, liquids)
+    total, moved = 0.0, 0.0
+    for a in range(n):
+        total += liquids.mol[a]
+    way = max(way, min(fresh / total, 1.0))
+    m = chemistry.role.shape[0]
+    for a in range(n):
+        i = int(liquids.who[a])
+        at = AMOUNTS + m + 2 * chemistry.dissolved_at[i]
+        mol, was = row[at + AQUEOUS] + row[at + ORGANIC], row[at + ORGANIC]
+        acid = _is_acid(i, chem)
+        far = way * push if acid else way
+        row[at + ORGANIC] = max(was + far * (mol * liquids.share[a] - was), 0.0)
+        if acid:
+            row[at + ORGANIC] = min(row[at + ORGANIC], mol)
+        row[at + AQUEOUS] = max(mol - row[at + ORGANIC], 0.0)
+        moved += row[at + ORGANIC] - was if acid else 0.0
+    for k in range(chemistry.dissolved.shape[0]):  # ions follow the water
+        if chemistry.liquid[chemistry.dissolved[k]] == 2:
+            at = AMOUNTS + m + 2 * k
+            row[at + AQUEOUS] += row[at + ORGANIC]
+            row[at + ORGANIC] = 0.0
+    return moved / total

@@ -1,0 +1,112 @@
+"""What happens by itself in a vessel: violent reactions, salts, acids and bases, crystals, gas, heat to the room."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import inner, kernel, opened
+from ...chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
+from ...constants import LEAST_CAPACITY, TRACE_MOL
+from ...events import RELIEF
+from ...surroundings import Surroundings
+from ...transfer import heat_capacity, spill, volume, within_range
+from .. import react
+from .acids import acid_work_size, settle_acids
+from .chemistry import RealChemistry
+from .heats import enthalpy, set_enthalpy
+from .kinetics import react_work_size
+from .partition import place_new
+from .salts import change_amount, settle_salts
+from .vapor import flash_off
+
+__all__ = ["elapse", "settle_phases", "work_size"]
+
+_RTOL, _ATOL = 1e-3, 1e-9
+
+
+def work_size(chemistry: Any) -> tuple[int, int]:
+    """Of the scratch of reactions, and of acids, which settle while the last rows of that are in use."""
+    rows, columns = react_work_size(chemistry)
+    acid_rows, acid_columns = acid_work_size(chemistry)
+    return rows + acid_rows, max(columns, acid_columns)
+
+
+@inner
+def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
+    """Run every violent reaction until one of its reactants is gone; the event that one counts as grows by the mol of
+    its first reactant. Says whether any ran."""
+    chemistry = opened(RealChemistry, chem)
+    n, ran = chemistry.role.shape[0], False
+    for v in range(chemistry.violent.shape[0]):
+        extent = math.inf
+        for i in range(n):
+            if chemistry.violent[v, i] < 0.0:
+                extent = min(extent, row[AMOUNTS + i] / -chemistry.violent[v, i])
+        if not TRACE_MOL < extent < math.inf:
+            continue
+        ran, first = True, True
+        for i in range(n):
+            change = chemistry.violent[v, i] * extent
+            if change < 0.0 and first and chemistry.violent_event[v] >= 0:
+                events[chemistry.violent_event[v]] -= change
+                first = False
+            if change != 0.0:
+                change_amount(row, chem, i, change)
+    return ran
+
+
+@inner
+def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
+    """Gas leaves an open vessel."""
+    chemistry = opened(RealChemistry, chem)
+    for i in range(chemistry.role.shape[0]):
+        if chemistry.role[i] == ROLE_GAS and row[AMOUNTS + i] > 0.0:
+            waste[i] += row[AMOUNTS + i]
+            row[AMOUNTS + i] = 0.0
+
+
+@kernel
+def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
+    """What is at equilibrium in any vessel at any time: violent reactions, acids and bases, salts. Heat content stays,
+    so the temperature follows. Gas leaves an open vessel, and so does what then is above its boiling point."""
+    chemistry = opened(RealChemistry, chem)
+    place_new(row, chem)
+    before = enthalpy(row, chem)
+    changed = _react_violently(row, chem, events)
+    if chemistry.ionization[0] >= 0:
+        settle_acids(row, chem, work)
+        row[TEMPERATURE] = within_range(row[TEMPERATURE])
+    if settle_salts(row, chem):
+        changed = True
+    if changed:
+        set_enthalpy(row, before, chem)
+    if row[AIR] > 0.0:
+        return  # sealed
+    _let_out(row, chem, waste)
+    if changed:
+        events[RELIEF] += flash_off(row, chemistry.ambient_pressure, 0.0, 0.0, chem, waste)
+        spill(row, chem, waste, events)
+
+
+@kernel
+def elapse(
+    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> bool:
+    """Time passes for an open vessel: slow reactions go on, crystals grow or dissolve, heat goes to the room; what is
+    above its boiling point by then boils off."""
+    chemistry = opened(RealChemistry, chem)
+    seconds, capacity = ticks * chemistry.tick_seconds, heat_capacity(row, chem)
+    if capacity <= LEAST_CAPACITY:
+        row[TEMPERATURE] = chemistry.ambient_temperature
+    if capacity <= 0.0:
+        return False
+    place_new(row, chem)
+    transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
+    around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
+    changed = react(row, seconds, around, chem, waste, events, work) != 0
+    if changed:
+        _let_out(row, chem, waste)
+        spill(row, chem, waste, events)
+    return changed

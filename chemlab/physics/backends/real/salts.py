@@ -1,0 +1,100 @@
+"""Salts: in water up to their solubility product, undissolved beyond that."""
+
+from __future__ import annotations
+
+import math
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import inner, opened
+from ...chemistry import AMOUNTS, TEMPERATURE
+from .chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .heats import enthalpy, set_enthalpy
+from .liquids import on_curve
+
+__all__ = ["change_amount", "let_salts_fall_out", "settle_salts"]
+
+_MOST_ROUNDS = 60
+_CLOSE = 1e-12
+
+
+@inner
+def change_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
+    """Add (or take away) a material; a fluid's phases follow, with what is new in water where there is any."""
+    chemistry = opened(RealChemistry, chem)
+    before = row[AMOUNTS + material]
+    after = max(before + mol, 0.0)
+    row[AMOUNTS + material] = after
+    k = chemistry.dissolved_at[material]
+    if k < 0:
+        return
+    at = AMOUNTS + chemistry.role.shape[0] + 2 * k
+    placed = row[at + AQUEOUS] + row[at + ORGANIC]
+    if mol < 0.0 and placed > 0.0:
+        scale = max(placed + mol, 0.0) / placed
+        row[at + AQUEOUS] *= scale
+        row[at + ORGANIC] *= scale
+    elif mol > 0.0:
+        home = AQUEOUS if chemistry.liquid[material] == 2 or material == chemistry.water or placed <= 0.0 else ORGANIC
+        if placed > 0.0 and home == ORGANIC:
+            row[at + AQUEOUS] += mol * row[at + AQUEOUS] / placed
+            row[at + ORGANIC] += mol * row[at + ORGANIC] / placed
+        else:
+            row[at + home] += mol
+
+
+@inner
+def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
+    """Solubility product of a salt in the aqueous phase, mol^2: (solubility x its kilograms of molecules)^2. In a
+    mixture the logarithms of the solubilities add up by mass (Yalkowsky's log-linear rule)."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    curves = chemistry.solubility[salt]
+    mass, weighted = 0.0, 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if chemistry.liquid[i] != 1:
+            continue
+        grams = row[AMOUNTS + m + 2 * k + AQUEOUS] * chemistry.molar_mass[i]
+        mass += grams
+        weighted += grams * on_curve(curves, i, row[TEMPERATURE], chem)
+    if mass <= 1e-9:
+        return 0.0
+    return (1e-3 * mass * math.exp(max(weighted / mass, -300.0))) ** 2
+
+
+@inner
+def settle_salts(row: FloatArray, chem: Handle) -> bool:
+    """Take every salt to [cation][anion] = its solubility product, or until all of it is dissolved; says whether any
+    moved. Salts with an ion in common are gone over until none moves any more."""
+    chemistry = opened(RealChemistry, chem)
+    moved = False
+    for _round in range(_MOST_ROUNDS):
+        worst = 0.0
+        for s in range(chemistry.salts.shape[0]):
+            solid, cation, anion = chemistry.salts[s, 0], chemistry.salts[s, 1], chemistry.salts[s, 2]
+            undissolved, c, a = row[AMOUNTS + solid], row[AMOUNTS + cation], row[AMOUNTS + anion]
+            if undissolved <= 0.0 and (c <= 0.0 or a <= 0.0):
+                continue
+            product = _water_phase(row, chem, s)
+            # (c + x)(a + x) = product, of the two roots the one that leaves both ions.
+            gap = 0.5 * (c - a)
+            dissolving = math.sqrt(gap * gap + product) - 0.5 * (c + a)
+            dissolving = min(max(dissolving, -min(c, a)), undissolved)
+            if abs(dissolving) <= _CLOSE * (undissolved + c + a):
+                continue
+            change_amount(row, chem, solid, -dissolving)
+            change_amount(row, chem, cation, dissolving)
+            change_amount(row, chem, anion, dissolving)
+            worst = max(worst, abs(dissolving))
+            moved = True
+        if worst <= _CLOSE:
+            break
+    return moved
+
+
+@inner
+def let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
+    """What a solvent that has gone no longer holds falls out, and takes its heat of solution from what is left."""
+    before = enthalpy(row, chem)
+    if settle_salts(row, chem):
+        set_enthalpy(row, before, chem)

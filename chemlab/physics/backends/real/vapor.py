@@ -1,0 +1,232 @@
+"""Vapour over a vessel's liquids, what boils them, and the relief valve."""
+
+from __future__ import annotations
+
+import math
+
+from ....kernels.arrays import FloatArray, Handle
+from ....kernels.jit import helper, inner, kernel, opened, routine, scratch
+from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
+from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
+from ...events import RELIEF
+from ...transfer import heat_capacity, volume, within_range
+from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
+from .heats import add_heat
+from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split, vapor_mol
+from .salts import let_salts_fall_out
+
+__all__ = [
+    "boiling_point",
+    "bubble_point",
+    "flash_off",
+    "headspace_gas",
+    "latent_heat",
+    "vapor_pressure",
+    "vent",
+    "write_back",
+]
+
+_NO_BOILING = 1e4
+"""K: returned where nothing boils."""
+_CLOSE_K = 1e-3
+_SAME_K = 0.1
+"""Change of temperature that leaves activities as they are."""
+_MOST_ROUNDS = 40
+_FLASHED_K = 0.01
+"""Above the boiling point, where flashing is over."""
+_AT_ONCE = 0.05
+"""Of the liquids, what may boil off at one composition of the vapour."""
+_MOST_FLASHES = 200
+_LONGEST_K = 30.0
+_COLDEST_K, _HOTTEST_K = 160.0, 890.0
+
+
+@helper
+def headspace_gas(row: FloatArray, chem: Handle) -> float:
+    """mol of gas that a sealed vessel holds: its air, and what reactions have made."""
+    role = opened(RealChemistry, chem).role
+    total = row[AIR]
+    for i in range(role.shape[0]):
+        if role[i] == ROLE_GAS:
+            total += row[AMOUNTS + i]
+    return float(total)
+
+
+@kernel
+def vapor_pressure(row: FloatArray, chem: Handle) -> float:
+    """Sum of x gamma p_i(T) over the liquids, kPa; layers that do not mix add up."""
+    liquids = clear_liquids()
+    n = gather(row, chem, liquids)
+    if n == 0:
+        return 0.0
+    activities(n, row[TEMPERATURE], chem, liquids)
+    return partial_pressures(n, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
+
+
+@inner
+def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """J/mol of a vapour with the composition ``partial``."""
+    vaporizing = opened(RealChemistry, chem).vaporizing
+    total, latent = 0.0, 0.0
+    for a in range(n):
+        total += partial[a]
+        latent += partial[a] * (on_curve(vaporizing, int(liquids.who[a]), temperature, chem) + liquids.parting[a])
+    return latent / max(total, 1e-300)
+
+
+@inner
+def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
+    """K at which the vapour has ``pressure`` by its pressure and its heat ``at`` a temperature (K): of a
+    vapour pressure the logarithm falls with the inverse of the temperature (Clausius and Clapeyron)."""
+    total = max(partial_pressures(n, at, chem, liquids, partial), 1e-300)
+    # Of a mol of vapour: with dimers, more than a mol of molecules.
+    latent = max(latent_heat(n, at, partial, chem, liquids) * (vapor_mol(n, partial) / total), 1.0)
+    inverse = 1.0 / at + GAS_CONSTANT * math.log(total / pressure) / latent
+    there = 1.0 / inverse if inverse > 0.0 else _HOTTEST_K
+    return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
+
+
+@routine
+def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
+    """K at which the liquids' vapour has ``pressure`` (kPa); 10,000 where nothing boils. Then ``partial`` [n] says
+    whose vapour it is, and ``liquids`` how they share out between the phases there."""
+    temperature, known, shared = guess, guess, guess
+    split(n, temperature, chem, liquids)
+    for _round in range(_MOST_ROUNDS):
+        before = temperature
+        temperature = _boils_at(n, pressure, temperature, chem, liquids, partial)
+        if before >= _HOTTEST_K and temperature >= _HOTTEST_K:
+            return _NO_BOILING
+        if abs(temperature - before) < _CLOSE_K:
+            break
+        # Activities of a temperature close by will do.
+        if abs(temperature - shared) > _LONGEST_K:
+            split(n, temperature, chem, liquids)
+            known, shared = temperature, temperature
+        elif abs(temperature - known) > _SAME_K:
+            activities(n, temperature, chem, liquids)
+            known = temperature
+    return temperature
+
+
+@kernel
+def boiling_point(row: FloatArray, chem: Handle) -> float:
+    """K at which the contents of an open vessel boil; 10,000 where nothing does."""
+    liquids = clear_liquids()
+    n = gather(row, chem, liquids)
+    if n == 0:
+        return _NO_BOILING
+    pressure = opened(RealChemistry, chem).ambient_pressure
+    return bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
+
+
+@inner
+def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
+    """Give a row the amounts and phases of its liquids; crystals stay."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    for a in range(n):
+        i = int(liquids.who[a])
+        at = AMOUNTS + m + 2 * chemistry.dissolved_at[i]
+        row[AMOUNTS + i] = max(row[AMOUNTS + i] + liquids.mol[a] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0)
+        row[at + ORGANIC] = liquids.mol[a] * liquids.share[a]
+        row[at + AQUEOUS] = max(liquids.mol[a] - row[at + ORGANIC], 0.0)
+
+
+@inner
+def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+    """``mol`` of vapour with the composition ``partial`` leave the contents, or all; what they held is left in
+    ``liquids.work``. Returns the joules that this takes beside the heat of the liquids at the vessel's temperature."""
+    vaporizing = opened(RealChemistry, chem).vaporizing
+    total, everything, taken = 0.0, 0.0, 0.0
+    for a in range(n):
+        total += partial[a]
+        everything += liquids.mol[a]
+    for a in range(n):
+        held = liquids.mol[a]
+        gone = held * -math.expm1(-mol * partial[a] / (total * held)) if mol < everything else held
+        taken += gone * (on_curve(vaporizing, int(liquids.who[a]), row[TEMPERATURE], chem) + liquids.parting[a])
+        liquids.work[a] = gone
+        liquids.mol[a] -= gone
+    write_back(row, n, chem, liquids)
+    return taken
+
+
+@kernel
+def flash_off(
+    row: FloatArray, pressure: float, heat: float, condenser: float, chem: Handle, waste: FloatArray
+) -> float:
+    """Give the contents of an open vessel some heat (J). What comes above its boiling point at ``pressure`` (kPa) gives
+    up to ``condenser`` joules to a condenser, from which it runs back, and boils until it is not; the vapour goes to
+    ``waste`` [M]. Returns mol lost."""
+    liquids, partial = clear_liquids(), scratch(MOST_FLUIDS)
+    n, capacity = gather(row, chem, liquids), heat_capacity(row, chem)
+    if capacity <= LEAST_CAPACITY and heat == 0.0:
+        return 0.0  # as warm as what it stands in
+    warm = within_range(row[TEMPERATURE] + heat / max(capacity, LEAST_CAPACITY))
+    # Most of the time nothing boils, which one look at the pressure tells.
+    if n > 0:
+        activities(n, warm, chem, liquids)
+    if n == 0 or partial_pressures(n, warm, chem, liquids, partial) <= pressure:
+        add_heat(row, heat, chem)
+        return 0.0
+    lost, mol, left, boiling = 0.0, 0.0, heat, row[TEMPERATURE]
+    for flashed in range(_MOST_FLASHES):
+        before = boiling
+        boiling = bubble_point(n, pressure, boiling, chem, liquids, partial)
+        capacity = heat_capacity(row, chem)
+        if capacity <= LEAST_CAPACITY:
+            break
+        excess = left + (row[TEMPERATURE] - boiling) * capacity
+        if flashed == 0:
+            left -= min(max(excess, 0.0), condenser)
+            excess -= min(max(excess, 0.0), condenser)
+        if excess <= _FLASHED_K * capacity:
+            break
+        warming = min(left, max(boiling - row[TEMPERATURE], 0.0) * capacity)
+        row[TEMPERATURE] += warming / capacity
+        left -= warming
+        everything = 0.0
+        for a in range(n):
+            everything += liquids.mol[a]
+        # With what has gone the boiling point rises, which keeps some of the heat.
+        rise = max((boiling - before) / mol, 0.0) if mol > 0.0 else 0.0
+        mol = min(excess / (latent_heat(n, boiling, partial, chem, liquids) + rise * capacity), _AT_ONCE * everything)
+        taken = _flash(row, n, everything if everything <= 1e3 * TRACE_MOL else mol, partial, chem, liquids)
+        for a in range(n):
+            waste[int(liquids.who[a])] += liquids.work[a]
+            lost += liquids.work[a]
+        spent = max(min(left, taken), 0.0)
+        left -= spent
+        add_heat(row, spent - taken, chem)
+        # While the solvent goes and not after it: salts take heat, which then is not there to boil off more.
+        let_salts_fall_out(row, chem)
+        n = gather(row, chem, liquids)
+        if n == 0:
+            break
+    add_heat(row, left, chem)
+    return lost
+
+
+@kernel
+def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
+    """Relief valve of a sealed vessel: above ``rated`` kPa gas leaves, with vapour in the proportion of their
+    pressures; a liquid whose vapour alone is above it boils down, and cools by that."""
+    chemistry = opened(RealChemistry, chem)
+    headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
+    gas = headspace_gas(row, chem)
+    own = gas * GAS_CONSTANT * row[TEMPERATURE] / headspace
+    vapor = vapor_pressure(row, chem)
+    if own + vapor <= rated:
+        return
+    keep = max(rated - vapor, 0.0) / own if own > 0.0 else 0.0
+    if keep < 1.0:
+        row[AIR] *= keep
+        for i in range(chemistry.role.shape[0]):
+            if chemistry.role[i] == ROLE_GAS:
+                gone = row[AMOUNTS + i] * (1.0 - keep)
+                row[AMOUNTS + i] -= gone
+                waste[i] += gone
+                events[RELIEF] += gone
+    if vapor > rated:
+        events[RELIEF] += flash_off(row, rated, 0.0, 0.0, chem, waste)

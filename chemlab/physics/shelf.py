@@ -1,0 +1,206 @@
+"""Vessels as arrays, the laboratory as the leading axis; a :class:`Vessel` is a named view of one row.
+
+One vessel is one row of float64 numbers (:class:`~chemlab.physics.chemistry.Layout` names the columns), so moving a
+vessel, taking a snapshot and restoring one are array copies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..config.scenario import Scenario
+from ..kernels.arrays import Field, FloatArray, Handle, IntArray
+from ..kernels.tables import Table
+from .chemistry import (
+    AMOUNTS,
+    CAPACITY,
+    CLOCK,
+    CLOCK_WAS,
+    PRESENT,
+    TEMPERATURE,
+    Chemistry,
+    ChemistryTable,
+    Layout,
+    build_chemistry,
+)
+
+__all__ = ["CLOCK_SETTLED", "T_MIX", "Shelf", "ShelfArrays", "Vessel"]
+
+T_MIX = -float(np.log(2.0 * np.sqrt(2.0 * np.pi)))
+"""Settling clock of a fully mixed vessel (PHYSICS section 2; there the variance of a layer is 2)."""
+CLOCK_SETTLED = T_MIX + 6.0
+"""Settling clock at which layers count as fully separated; the clock stops here."""
+
+
+class ShelfArrays(NamedTuple):
+    """The arrays of a shelf. N laboratories, R vessels in all of them, W numbers a vessel, M materials."""
+
+    rows: Annotated[FloatArray, Field("R W")]
+    """[R, W] vessel rows (mol, L, K; see :class:`~chemlab.physics.chemistry.Layout`), those of a laboratory together"""
+    stock: Annotated[FloatArray, Field("N M")]
+    """[N, M] mol in the bottles, by what their labels say"""
+    waste: Annotated[FloatArray, Field("N M")]
+    """[N, M] mol thrown away, vented or spilled"""
+    variant: Annotated[IntArray, Field("N")]
+    """[N] which world's parameters a laboratory has"""
+
+
+class Shelf:
+    """Every vessel, bottle and waste can of N laboratories.
+
+    Attributes:
+        table: the arrays (:class:`ShelfArrays`).
+        chemistry: what they hold, and how it behaves.
+    """
+
+    def __init__(self, chemistry: ChemistryTable, laboratories: int, vessels: int) -> None:
+        layout = chemistry.layout
+        self.chemistry = chemistry
+        sizes = {"N": laboratories, "R": laboratories * vessels, "W": layout.width, "M": len(layout.materials)}
+        self.table = Table.empty(ShelfArrays, **sizes)
+
+    @classmethod
+    def empty(cls, scenario: Scenario, laboratories: int, vessels: int) -> Shelf:
+        """A shelf without any vessel, bottle or waste, with a chemistry of its own."""
+        return cls(build_chemistry(scenario), laboratories, vessels)
+
+    @property
+    def layout(self) -> Layout:
+        """Where things stand in a vessel row."""
+        return self.chemistry.layout
+
+    @property
+    def handle(self) -> Handle:
+        """What kernels take: the :class:`ShelfArrays`."""
+        return self.table.handle
+
+    @property
+    def rows(self) -> FloatArray:
+        """[R, W] vessel rows."""
+        return self.table.arrays.rows
+
+    @property
+    def vessels(self) -> FloatArray:
+        """[N, V, W] the same, by laboratory (a view)."""
+        return self.rows.reshape(len(self.stock), -1, self.rows.shape[1])
+
+    @property
+    def stock(self) -> FloatArray:
+        """[N, M] mol in the bottles, by what their labels say."""
+        return self.table.arrays.stock
+
+    @property
+    def waste(self) -> FloatArray:
+        """[N, M] mol thrown away, vented or spilled."""
+        return self.table.arrays.waste
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes, for snapshots."""
+        return [self.vessels, *self.table.changing()[1:]]
+
+    def chem(self, laboratory: int = 0) -> Handle:
+        """What kernels take for one laboratory's chemistry: its world's."""
+        return self.chemistry.handles[int(self.table.arrays.variant[laboratory])]
+
+    def known(self, laboratory: int = 0) -> Chemistry:
+        """One laboratory's chemistry, to be looked at."""
+        return self.chemistry.world(int(self.table.arrays.variant[laboratory]))
+
+    @property
+    def amounts(self) -> FloatArray:
+        """[N, V, M] mol of each material (a view)."""
+        return self.vessels[..., AMOUNTS : AMOUNTS + len(self.layout.materials)]
+
+    @property
+    def dissolved(self) -> FloatArray:
+        """[N, V, K, L] mol of each dissolvable material in each solvent (a view)."""
+        shape = (*self.vessels.shape[:2], len(self.layout.dissolved), len(self.layout.solvents))
+        return self.vessels[..., AMOUNTS + len(self.layout.materials) :].reshape(shape)
+
+    def total(self) -> FloatArray:
+        """[N, M] mol in vessels, bottles and waste together: what no operation may change but by reaction."""
+        return np.asarray(self.amounts.sum(axis=1) + self.bottled() + self.waste)
+
+    def bottled(self) -> FloatArray:
+        """[N, M] mol that are really in the bottles, whatever their labels say."""
+        share, rest, volume = (self.chemistry.parameters[f] for f in ("bottle_share", "bottle_rest", "molar_volume"))
+        variant = self.table.arrays.variant
+        share, rest = (own[variant if len(own) > 1 else 0 * variant] for own in (share, rest))
+        other = (1.0 - share) * self.stock * volume[0] / volume[0][rest]
+        found = share * self.stock
+        np.add.at(found, (np.arange(len(found))[:, None], rest), other)
+        return np.asarray(found)
+
+    def vessel(self, laboratory: int, position: int) -> Vessel:
+        """A named view of one vessel, for people and tests."""
+        return Vessel(self, laboratory, position)
+
+    def fill(self, laboratory: int, position: int, capacity_l: float, contents: dict[str, float]) -> Vessel:
+        """Put a vessel with ``contents`` (mol) at ``position``: at rest at ambient temperature, settled.
+
+        Dissolved amounts are not distributed yet; the phase step of whoever uses the vessel does that.
+        """
+        row = self.vessels[laboratory, position]
+        row[:] = 0.0
+        row[TEMPERATURE] = self.known(laboratory).ambient_temperature
+        row[CAPACITY] = capacity_l
+        # The distribution of solutes is worked out from the mixed state on, where it is known.
+        row[CLOCK], row[CLOCK_WAS], row[PRESENT] = CLOCK_SETTLED, T_MIX, 1.0
+        for name, mol in contents.items():
+            row[AMOUNTS + self.layout.index(name)] += mol
+        return self.vessel(laboratory, position)
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """One vessel by name; reading and writing go straight to the arrays."""
+
+    shelf: Shelf
+    laboratory: int
+    position: int
+
+    @property
+    def row(self) -> FloatArray:
+        """The vessel's numbers (a view)."""
+        return np.asarray(self.shelf.vessels[self.laboratory, self.position])
+
+    @property
+    def present(self) -> bool:
+        """Whether a vessel stands here."""
+        return bool(self.row[PRESENT] > 0.0)
+
+    @property
+    def temperature_k(self) -> float:
+        """Temperature of the contents, K."""
+        return float(self.row[TEMPERATURE])
+
+    @property
+    def capacity_l(self) -> float:
+        """Volume the vessel holds, L."""
+        return float(self.row[CAPACITY])
+
+    @property
+    def settling(self) -> float:
+        """0 when fully mixed, 1 when the layers have separated."""
+        return float((self.row[CLOCK] - T_MIX) / (CLOCK_SETTLED - T_MIX))
+
+    @property
+    def volume_l(self) -> float:
+        """Volume of everything but air, L."""
+        m = len(self.shelf.layout.materials)
+        return float(self.row[AMOUNTS : AMOUNTS + m] @ self.shelf.known(self.laboratory).molar_volume)
+
+    def amounts(self, at_least_mol: float = 0.0) -> dict[str, float]:
+        """{material: mol} of everything above ``at_least_mol``."""
+        values = self.row[AMOUNTS : AMOUNTS + len(self.shelf.layout.materials)]
+        return {n: float(x) for n, x in zip(self.shelf.layout.materials, values, strict=True) if x > at_least_mol}
+
+    def __str__(self) -> str:
+        if not self.present:
+            return "(no vessel)"
+        parts = ", ".join(f"{mol:.3f} mol {name}" for name, mol in self.amounts(5e-4).items()) or "empty"
+        return f"{self.volume_l:.3f} of {self.capacity_l:.2f} L at {self.temperature_k:.1f} K: {parts}"

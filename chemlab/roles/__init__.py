@@ -1,0 +1,1 @@
+"""Roles: the manager and the benches, with their operations and instruments."""

@@ -1,0 +1,688 @@
+"""What every bench has: positions, observation channels, actions, a score; and the arrays of its experiments."""
+
+from __future__ import annotations
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel
+
+from ..config.materials import COLDEST_K, HOTTEST_K, DataError, validated
+from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
+from ..config.scenario import BenchSpec, Scenario, WearSpec
+from ..kernels.arrays import (
+    BoolArray,
+    Field,
+    FloatArray,
+    Handle,
+    IntArray,
+    MaskArray,
+    ObservationArray,
+    StreamArray,
+    merged,
+)
+from ..kernels.jit import helper, kernel, opened
+from ..kernels.tables import Table
+from ..kernels.warmup import Rehearsal
+from ..physics.backends import partition, settle_phases, work_size
+from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
+from ..physics.shelf import Shelf, ShelfArrays
+from ..physics.transfer import place
+from .grades import Grades, GradeState, best_vessel, noisy
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = [
+    "CAMERA_PIXELS",
+    "HEAT",
+    "STIR",
+    "Bench",
+    "BenchRules",
+    "Channel",
+    "ExperimentState",
+    "Experiments",
+    "Goals",
+    "Observation",
+    "channel_slices",
+    "check_box",
+    "check_discrete",
+    "check_vessels",
+    "goal_amount",
+    "load_observations",
+    "load_terms",
+    "on_scale",
+    "weighted_amount",
+]
+
+CAMERA_PIXELS = 100
+
+_ROUNDING_MOL = 1e-9
+"""By which amounts that somebody's own code leaves may be below 0."""
+
+STIR, HEAT = range(2)
+"""Actuators of a bench that may err."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One part of an observation vector: ``size`` numbers, each ``unit`` in [low, high] scaled to [0, 1]."""
+
+    name: str
+    size: int
+    unit: str
+    low: float
+    high: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Observation(Part):
+    """A part of an observation vector that a scenario adds: on a bench, or for the manager.
+
+    Attributes:
+        channel: what it is: ``channel(bench) -> Channel``; the manager's ``channel(laboratories)``.
+        see: its values, in [0, 1]: ``see(bench, shelf, experiments, members) -> [B, size]``, of experiments that are
+            running; the manager's ``see(laboratories, members)``.
+    """
+
+    channel: Callable[[Any], Channel]
+    see: Callable[..., FloatArray]
+
+    def declared(self, name: str, *owner: Any) -> Channel:
+        """Its channel.
+
+        Raises:
+            PartError: it has none.
+        """
+        with blamed(f"{name}: channel()"):
+            channel = self.channel(*owner)
+        if not isinstance(channel, Channel) or channel.size < 1:
+            raise PartError(f"{name}: channel() must return a Channel of a size of at least 1, given {channel!r}")
+        return channel
+
+    def seen(self, name: str, members: int, size: int, *owner: Any) -> FloatArray:
+        """[members, size] what it shows.
+
+        Raises:
+            PartError: numbers of another shape, or outside [0, 1].
+        """
+        with blamed(f"{name}: see()"):
+            values = self.see(*owner)
+        return checked_numbers(values, (members, size), f"{name}: see()", 0.0, 1.0)
+
+
+def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Observation]:
+    """The observation channels that a scenario names under a key, by where they are named."""
+    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Observation) for name in names}
+
+
+def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Callable[..., FloatArray]]:
+    """The reward terms that a scenario names under a key, by where they are named."""
+    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
+
+
+def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
+    """Where each channel stands in the flat observation."""
+    slices, start = {}, 0
+    for channel in channels:
+        slices[channel.name] = slice(start, start + channel.size)
+        start += channel.size
+    return slices
+
+
+@dataclass(frozen=True)
+class Goals:
+    """The scenario's goals as arrays: which materials are counted as the goal, and how purity counts.
+
+    Attributes:
+        parts: [G, 3] material index of the goal and, where it is a salt, of its ions (else -1).
+        solute_counts: [G, M] weight of each material in the goal's solute purity: solvents 0 (but for the goal itself);
+            an ion 1 and undissolved salt as its two ions, but where the goal is a salt a pair of ions counts as one.
+        absolute_counts: [G, M] weight in the absolute purity: everything 1, an ion 1/2 (a pair is one formula unit of
+            salt, dissolved or not, so that precipitation does not change a purity).
+    """
+
+    names: tuple[str, ...]
+    parts: IntArray
+    solute_counts: FloatArray
+    absolute_counts: FloatArray
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Goals:
+        """The arrays for a scenario's goals."""
+        names = list(scenario.materials)
+        roles = [material.role for material in scenario.materials.values()]
+        salts = {salt.solid: salt for salt in scenario.family.salt}
+        parts = np.full((len(scenario.goals), 3), -1, dtype=np.int64)
+        solute = np.zeros((len(scenario.goals), len(names)))
+        absolute = np.zeros_like(solute)
+        for g, goal in enumerate(scenario.goals):
+            parts[g, 0] = names.index(goal)
+            if goal in salts:
+                parts[g, 1:] = names.index(salts[goal].cation), names.index(salts[goal].anion)
+            ion = 0.5 if goal in salts else 1.0
+            for i, (name, role) in enumerate(zip(names, roles, strict=True)):
+                if role != "gas":
+                    counted = role != "solvent" or name == goal
+                    absolute[g, i] = 0.5 if role == "ion" else 1.0
+                    solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
+        return cls(tuple(scenario.goals), parts, solute, absolute)
+
+
+class ExperimentState(NamedTuple):
+    """The arrays of one bench's experiments in N laboratories; P positions, E kinds of safety event. A bench declares
+    its own besides (:attr:`Bench.own_state`)."""
+
+    places: Annotated[IntArray, Field("N P", first=None, kept=False)]
+    """[N, P] row of each position's vessel in ``shelf.rows``"""
+    busy: Annotated[BoolArray, Field("N")]
+    """[N] whether an experiment is running"""
+    goal: Annotated[IntArray, Field("N")]
+    """[N] index of the experiment's goal"""
+    steps: Annotated[IntArray, Field("N")]
+    """[N] steps the experiment has taken"""
+    ended: Annotated[BoolArray, Field("N")]
+    """[N] whether the last action ended the experiment"""
+    illegal: Annotated[BoolArray, Field("N")]
+    """[N] whether the last action was masked (and so lost)"""
+    baseline: Annotated[FloatArray, Field("N")]
+    """[N] the bench's measure of the contents when the experiment began"""
+    events: Annotated[FloatArray, Field("N E")]
+    """[N, E] safety events of the last action"""
+    stream: Annotated[StreamArray, Field("N 1", first=None)]
+    """[N, 1] random stream of the bench's own draws (camera)"""
+    gain: Annotated[FloatArray, Field("N 2", first=1.0)]
+    """[N, 2] what the effect of stirring and of heating is multiplied by (:data:`STIR`, :data:`HEAT`)"""
+    life: Annotated[FloatArray, Field("N", first=math.inf)]
+    """[N] ticks of work until it breaks"""
+    broken: Annotated[BoolArray, Field("N")]
+    """[N] whether it has broken"""
+    wear_stream: Annotated[StreamArray, Field("N 1", first=None)]
+    """[N, 1] random stream of how it wears: the world's"""
+
+
+class BenchRules(NamedTuple):
+    """A scenario's numbers that every bench's kernels need; G goals, M materials, E kinds of safety event. A bench
+    declares its own besides (:attr:`Bench.own_rules`)."""
+
+    parts: Annotated[IntArray, Field("G 3")]
+    """see :class:`Goals`"""
+    solute_counts: Annotated[FloatArray, Field("G M")]
+    absolute_counts: Annotated[FloatArray, Field("G M")]
+    event_weights: Annotated[FloatArray, Field("E")]
+    """[E] what each kind of event weighs in the cost"""
+    event_price: Annotated[float, Field("")]
+    """taken off the reward for a unit of cost"""
+    illegal_price: Annotated[float, Field("")]
+    """taken off the reward for a lost turn"""
+    step_limit: Annotated[int, Field("")]
+    auxiliary_capacity: Annotated[float, Field("")]
+    """L, of the clean vessels it provides"""
+    wear: Annotated[FloatArray, Field("5")]
+    """[5] how it wears: actuator, gain, spread, drift, life (see :class:`chemlab.config.scenario.WearSpec`)"""
+    work: Annotated[FloatArray, Field("A B")]
+    """scratch of the bench's kernels, which allocate nothing"""
+
+
+@helper
+def on_scale(value: float, low: float, high: float) -> float:
+    """A gauge's reading from 0 to 1: where a value stands between ``low`` and ``high``; 0 if it is no number."""
+    share = (value - low) / (high - low)
+    if 0.0 <= share <= 1.0:
+        return share
+    return 1.0 if share > 1.0 else 0.0
+
+
+def check_vessels(rows: FloatArray, name: str) -> None:
+    """Refuse contents that no vessel can have.
+
+    Args:
+        rows: [B, W] vessel rows, some of them possibly empty places.
+        name: of what has worked on them, for error messages.
+
+    Raises:
+        PartError: an amount is negative or not finite, or a temperature beyond the physical range.
+    """
+    if not np.isfinite(rows).all() or rows[:, AMOUNTS:].min(initial=0.0) < -_ROUNDING_MOL:
+        raise PartError(f"{name} has left amounts that are negative or not finite in a vessel")
+    standing = rows[rows[:, PRESENT] > 0.0, TEMPERATURE]
+    wrong = standing[(standing < COLDEST_K) | (standing > HOTTEST_K)]
+    if len(wrong):
+        raise PartError(
+            f"{name} has left a vessel at {wrong[0]:g} K; temperatures must be from {COLDEST_K:g} to {HOTTEST_K:g} K"
+        )
+
+
+@helper
+def goal_amount(row: FloatArray, part: IntArray) -> float:
+    """mol of the goal in a vessel; of a salt, dissolved pairs of ions count as salt. ``part`` is a row of
+    Goals.parts."""
+    amount = row[AMOUNTS + part[0]]
+    if part[1] >= 0:
+        amount += min(row[AMOUNTS + part[1]], row[AMOUNTS + part[2]])
+    return float(amount)
+
+
+@helper
+def weighted_amount(row: FloatArray, weights: FloatArray) -> float:
+    """Sum of weight x mol over the materials."""
+    total = 0.0
+    for i in range(weights.shape[0]):
+        total += weights[i] * row[AMOUNTS + i]
+    return total
+
+
+@kernel
+def _purity_scores(
+    members: IntArray, experiment: Handle, shelf: Handle, parts: IntArray, counts: FloatArray, out: FloatArray
+) -> None:
+    state, arrays = opened(ExperimentState, experiment), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        m = members[b]
+        goal = state.goal[m]
+        out[b] = 0.0
+        for p in range(state.places.shape[1]):
+            row = arrays.rows[state.places[m, p]]
+            amount = goal_amount(row, parts[goal])
+            if amount > 0.0:
+                out[b] += amount * amount / weighted_amount(row, counts[goal])
+
+
+@kernel
+def _consequences(members: IntArray, experiment: Handle, bench: Handle, cost: FloatArray, reward: FloatArray) -> None:
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
+    for b in range(members.shape[0]):
+        m = members[b]
+        happened = 0.0
+        for k in range(rules.event_weights.shape[0]):
+            happened += rules.event_weights[k] * state.events[m, k]
+        cost[m] += happened
+        reward[m] -= rules.event_price * happened + rules.illegal_price * state.illegal[m]
+
+
+@kernel
+def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    """Clean vessels for every position but the first, and the first one brought to its phase equilibrium."""
+    state, rules, arrays = opened(ExperimentState, experiment), opened(BenchRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        m = members[b]
+        chem = chemistry[arrays.variant[m]]
+        state.busy[m] = True
+        state.steps[m] = 0
+        state.ended[m] = False
+        state.illegal[m] = False
+        state.events[m, :] = 0.0
+        main = arrays.rows[state.places[m, 0]]
+        settle_phases(main, chem, arrays.waste[m], state.events[m], rules.work)
+        partition(main, chem, rules.work)
+        for p in range(1, state.places.shape[1]):
+            place(arrays.rows[state.places[m, p]], rules.auxiliary_capacity, chem)
+
+
+class Experiments:
+    """One bench of N laboratories: the arrays of its running experiments (:class:`ExperimentState` and the bench's own,
+    as attributes).
+
+    Args:
+        agent: id of the agent that operates it.
+        bench: which bench.
+        places: [N, P] row of each position's vessel in ``shelf.rows``.
+        shared: arrays that others keep, by field.
+    """
+
+    def __init__(self, agent: str, bench: Bench, places: IntArray, **shared: npt.NDArray[Any]) -> None:
+        self.agent = agent
+        empty: Any = Table.empty(bench.state_declaration, **bench.state_sizes(*places.shape))
+        self.table = Table(empty.arrays._replace(places=places, **shared))
+
+    @property
+    def handle(self) -> Handle:
+        """What kernels take: the state."""
+        return self.table.handle
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "table" or name.startswith("__"):
+            raise AttributeError(name)  # while a copy is being made
+        return getattr(self.table.arrays, name)
+
+    def share(self, **shared: npt.NDArray[Any]) -> None:
+        """Let others keep some of the arrays."""
+        self.table = Table(self.table.arrays._replace(**shared))
+
+    def arrays(self) -> list[npt.NDArray[Any]]:
+        """Every array that changes while experiments run, for snapshots."""
+        return self.table.changing()
+
+
+class Bench(ABC):
+    """A kind of bench of one scenario: what its agent sees and may do, and what an experiment is worth.
+
+    A bench holds no experiment: its methods work on a :class:`Shelf` and a :class:`Experiments`, for the laboratories
+    ``members`` [B] of them. The same object therefore serves single environments, batches and laboratories. To add a
+    bench, subclass this in a file of your own and name it in the scenario (``kind = "my_bench.py:Class"``, or
+    ``package.module:Class``).
+    """
+
+    options_model: ClassVar[type[BaseModel]]
+    """Pydantic model of the scenario keys that are this bench's own."""
+    positions: ClassVar[tuple[str, ...]] = ("main",)
+    """Names of the vessels it works on, the one that is brought first."""
+    own_state: ClassVar[tuple[type, ...]] = ()
+    """Declarations of arrays that its experiments have besides :class:`ExperimentState`."""
+    own_rules: ClassVar[tuple[type, ...]] = ()
+    """Declarations of numbers that its kernels need besides :class:`BenchRules`; see :meth:`rules_values`."""
+    kernels: ClassVar[tuple[Callable[..., Any], ...]] = ()
+    """The bench's largest kernels: what a first step waits for while they compile."""
+    score_meaning: ClassVar[str] = "score"
+    """What an experiment's score is, for people."""
+    camera: ClassVar[bool] = False
+    """Whether it looks at its vessels with a layer camera."""
+    reagents: int = 0
+    """Number of reagents an experiment has a supply of."""
+
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        self.key = key
+        self.scenario = scenario
+        self.spec: BenchSpec = scenario.benches[key]
+        self.chemistry = chemistry
+        self.goals = Goals.of(scenario)
+        self.options: Any = validated(
+            self.options_model, self.spec.model_extra or {}, f"{scenario.origin}: benches.{key}"
+        )
+        self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
+        self.step_limit = self.spec.step_limit
+        self.rules: Table[Any]
+        self.channels: tuple[Channel, ...] = ()
+        self.action_space: gymnasium.Space[Any]
+        self.observation_space: gymnasium.spaces.Box
+        self.grades = Grades(scenario, key)
+        self.told = [name for name, draw in scenario.world.draws.items() if key in draw.told]
+        self._told_numbers = sum(scenario.world.draws[name].variables for name in self.told)
+        self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
+        self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
+
+    @property
+    def layout(self) -> Layout:
+        """Where things stand in a vessel row."""
+        return self.chemistry.layout
+
+    @property
+    def known(self) -> Chemistry:
+        """The chemistry as the data files have it."""
+        return self.chemistry.world()
+
+    @property
+    def state_declaration(self) -> Any:
+        """Declaration of the arrays of its experiments."""
+        graded = (GradeState,) if self.grades.names or self.told else ()
+        return merged(ExperimentState, *self.own_state, *graded)
+
+    def state_sizes(self, members: int, positions: int) -> dict[str, int]:
+        """Length of every axis of the experiments' arrays, by name."""
+        sizes = {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1, "2": 2}
+        return {**sizes, "T": self._told_numbers}
+
+    def rules_values(self) -> dict[str, Any]:
+        """Values of the bench's own rules, by field."""
+        return {}
+
+    def _set_rules(self) -> None:
+        """Put together what kernels need to know of the scenario."""
+        scenario, columns = self.scenario, self.layout.fluid_columns
+        safety, wear = scenario.safety, self.spec.wear or WearSpec()
+        declaration = merged(BenchRules, *self.own_rules)
+        values = {
+            "parts": self.goals.parts,
+            "solute_counts": self.goals.solute_counts,
+            "absolute_counts": self.goals.absolute_counts,
+            "event_weights": np.array([safety.weights.get(kind, 0.0) for kind in scenario.safety_events]),
+            "event_price": safety.reward_price,
+            "illegal_price": scenario.costs.illegal_action,
+            "step_limit": self.step_limit,
+            "auxiliary_capacity": self.auxiliary_capacity_l,
+            "wear": np.array([(STIR, HEAT)[wear.actuator == "heat"], wear.gain, wear.spread, wear.drift, wear.life]),
+            "work": np.zeros(
+                np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
+            ),
+        }
+        self.rules = Table(declaration(**values, **self.rules_values()))
+
+    def _set_spaces(self, channels: Sequence[Channel], action_space: gymnasium.Space[Any]) -> None:
+        """Declare the observation channels (the goal's one-hot is added, and then what the scenario's ``observe`` adds)
+        and the action space."""
+        goal = Channel("goal", len(self.goals.names), "one-hot", 0.0, 1.0, "goal: " + ", ".join(self.goals.names))
+        most = f"least mol (1: {self.grades.largest:g}), least purity, ticks allowed (1: {self.step_limit})"
+        graded = [Channel("grade", 3, "fraction", 0.0, 1.0, most)] if self.grades.names else []
+        if self.told:
+            words = "which part of what may be drawn is below: " + ", ".join(self.told)
+            graded.append(Channel("told", self._told_numbers, "fraction", 0.0, 1.0, words))
+        self._graded_from = sum(channel.size for channel in (*channels, goal))
+        self._added_from = self._graded_from + sum(channel.size for channel in graded)
+        self.channels = (*channels, goal, *graded, *(part.declared(name, self) for name, part in self._added.items()))
+        size = sum(channel.size for channel in self.channels)
+        self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
+        self.action_space = action_space
+        self._set_rules()
+
+    @property
+    def kind(self) -> str:
+        """What the scenario calls this kind of bench: ``reaction``, ``extraction``, ..."""
+        return self.spec.kind
+
+    @property
+    def _is_shipped(self) -> bool:
+        """Whether the bench is one of chemlab's, of which all that it does is known to be within bounds."""
+        return type(self).__module__.startswith(f"{__package__}.")
+
+    @property
+    def action_count(self) -> int:
+        """Number of discrete actions; 0 where actions are continuous."""
+        return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
+
+    @property
+    def end_action(self) -> int:
+        """The discrete action that ends the experiment, or, where none does, leaves everything as it is: the last one,
+        unless a bench says otherwise."""
+        return self.action_count - 1
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What each action (or each number of a continuous action) does."""
+        raise NotImplementedError(f"bench {self.key!r} does not describe its actions")
+
+    def representative_actions(self) -> list[tuple[str, FloatArray]]:
+        """What continuous actions are discretised to (``actions = "discrete"``): of each what it does, and its numbers
+        [n]. The last one leaves everything as it is. Unless a bench says otherwise: each number at its low, middle and
+        high end while the others stay in the middle.
+        """
+        middle = np.full(len(self.action_meanings), 0.5)
+        ways = []
+        for i, words in enumerate(self.action_meanings):
+            for level in (0.0, 1.0):
+                row = middle.copy()
+                row[i] = level
+                ways.append((f"{words}: {level:g}", row))
+        return [*ways, ("all in the middle", middle)]
+
+    def material(self, name: str, key: str) -> int:
+        """Index of a material an option names; a :class:`DataError` names the option if it is unknown."""
+        if name not in self.layout.materials:
+            raise DataError(
+                f"{self.scenario.origin}: benches.{self.key}.{key}: unknown material {name!r}; "
+                f"this scenario has: {', '.join(self.layout.materials)}"
+            )
+        return self.layout.index(name)
+
+    def begin(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        """Start experiments: the first position's vessel is there, ``experiments.goal`` is set."""
+        _begin(members, *self._handles(shelf, experiments))
+        self.prepare(shelf, experiments, members)
+        experiments.baseline[members] = self.measure(shelf, experiments, members)
+
+    def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
+        """Bench-specific part of :meth:`begin`."""
+
+    def finish(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """End experiments and return their scores [B]."""
+        score: FloatArray = self.measure(shelf, experiments, members) - experiments.baseline[members]
+        if self.grades.names:
+            score = score * self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
+        experiments.busy[members] = False
+        self.release(shelf, experiments, members)
+        return score
+
+    def best(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """[B, 2] mol of the goal and its purity (everything counts) in the vessel that has most of it."""
+        rows, goal = shelf.rows[experiments.places[members]], experiments.goal[members]
+        return best_vessel(rows, self.goals.parts[goal], self.goals.absolute_counts[goal])
+
+    def reported(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """[B, 3] what the bench's sensors say of experiments that end, from 0 to 1: see :data:`.grades.REPORT`."""
+        said = self.best(shelf, experiments, members)
+        said[:, 0] /= self.grades.largest
+        noisy(members, self.spec.report or 0.0, experiments.stream, said)
+        return np.column_stack([said, experiments.steps[members] / self.step_limit])
+
+    def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
+        """Bench-specific part of :meth:`finish`: leave the vessels as the shelf may have them."""
+
+    @abstractmethod
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        """What the experiment's score is the change of, [B]."""
+
+    @abstractmethod
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        """One step of the experiments of ``members``; fills the experiments' steps, ended, illegal and events."""
+
+    @abstractmethod
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        """Write the bench's own channels and the goal's into ``out`` [B, size]; an idle bench sees zeros."""
+
+    def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
+        self.see(shelf, experiments, members, out)
+        if not self._is_shipped:
+            name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
+            vessels = shelf.rows[experiments.places[members]]
+            check_vessels(vessels.reshape(-1, vessels.shape[-1]), f"{name}: act()")
+            seen = out[:, : self._graded_from]
+            seen[:] = checked_numbers(seen, seen.shape, f"{name}: see()", 0.0, 1.0)
+        if self._added_from > self._graded_from:
+            self._observe_graded(experiments, members, out)
+        if self._added:
+            self._observe_added(shelf, experiments, members, out)
+
+    def _observe_graded(self, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        busy, at = experiments.busy[members][:, None], self._graded_from
+        if self.grades.names:
+            out[:, at : at + 3] = self.grades.shown[experiments.grade[members]] * busy
+            at += 3
+        if self.told:
+            out[:, at : self._added_from] = experiments.told[members] * busy
+
+    def _observe_added(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        busy, at = experiments.busy[members], self._added_from
+        some = members[busy]
+        out[:, at:] = 0.0
+        channels = self.channels[len(self.channels) - len(self._added) :]
+        for (name, part), channel in zip(self._added.items(), channels if len(some) else (), strict=len(some) > 0):
+            out[busy, at : at + channel.size] = part.seen(name, len(some), channel.size, self, shelf, experiments, some)
+            at += channel.size
+
+    @abstractmethod
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
+        """Write the legal actions into ``out`` [B, actions] (1 = legal); benches with continuous actions have none."""
+
+    @abstractmethod
+    def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
+        """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
+
+    def consequences(
+        self,
+        shelf: Shelf,
+        experiments: Experiments,
+        members: IntArray,
+        cost: FloatArray,
+        reward: FloatArray,
+        begun: bool = False,
+    ) -> None:
+        """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
+        a lost turn take off, and the scenario's own terms. An experiment whose grade allows no more ticks is at its
+        end. ``begun``: the experiments have only begun, no action has been taken yet, and so there are no terms."""
+        _consequences(members, experiments.handle, self.rules.handle, cost, reward)
+        if not begun:
+            if self.grades.names:
+                experiments.ended[members] |= (
+                    experiments.steps[members] >= self.grades.ticks[experiments.grade[members]]
+                )
+            for name, term in self._terms.items():
+                with blamed(name):
+                    earned = term(self, shelf, experiments, members)
+                reward[members] += checked_numbers(earned, members.shape, name)
+
+    def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
+        """What happens in an experiment, of no laboratory: see :mod:`chemlab.kernels.warmup`. Nothing, if the bench
+        is not one of chemlab's: it may not expect that."""
+        if not self._is_shipped:
+            return []
+        none: IntArray = np.zeros(0, dtype=np.int64)
+        seen = np.empty((0, *(self.observation_space.shape)), dtype=np.float32)
+        legal = np.empty((0, self.action_count), dtype=np.int8)
+        actions = none if self.action_count else np.empty((0, *(self.action_space.shape or ())))
+        return [
+            lambda: self.act(shelf, experiments, none, actions),
+            lambda: self.begin(shelf, experiments, none),
+            lambda: self.see(shelf, experiments, none, seen),
+            lambda: self.mask(shelf, experiments, none, legal),
+            lambda: self.finish(shelf, experiments, none),
+            *([lambda: self.reported(shelf, experiments, none)] if self.spec.report is not None else []),
+        ]
+
+    def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:
+        """What most of a bench's kernels take."""
+        return experiments.handle, self.rules.handle, shelf.handle, shelf.chemistry.handles
+
+    def separate_scratch(self) -> Bench:
+        """The same bench with scratch arrays of its own, for use in another thread."""
+        other = copy.copy(self)
+        other.rules = self.rules.copy()
+        return other
+
+    def purity_measure(
+        self, shelf: Shelf, experiments: Experiments, members: IntArray, counts: FloatArray
+    ) -> FloatArray:
+        """[B] sum over the positions of (mol of the goal x its purity there)."""
+        out = np.empty(len(members))
+        _purity_scores(members, experiments.handle, shelf.handle, self.goals.parts, counts, out)
+        return out
+
+
+def check_discrete(agent: str, action: Any, count: int) -> int:
+    """The action as an int in [0, count), or ``ValueError`` naming agent, expected and given."""
+    value = action.item() if isinstance(action, np.ndarray) and action.ndim == 0 else action
+    if isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_)) and 0 <= value < count:
+        return int(value)
+    raise ValueError(f"{agent}: action must be an integer from 0 to {count - 1}, given {action!r}")
+
+
+def check_box(agent: str, action: Any, size: int) -> FloatArray:
+    """The action as float64 [size] within [0, 1], or ``ValueError`` naming agent, expected and given."""
+    try:
+        value = np.asarray(action)
+    except (TypeError, ValueError):
+        value = np.empty(0)
+    if (
+        value.shape != (size,)
+        or value.dtype.kind not in "fiu"
+        or not all(0.0 <= number <= 1.0 for number in value.tolist())
+    ):
+        raise ValueError(f"{agent}: action must be {size} finite numbers from 0 to 1, given {action!r}")
+    return value.astype(np.float64)

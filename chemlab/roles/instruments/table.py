@@ -1,0 +1,239 @@
+"""The scenario's instruments as arrays, and the kernel that takes their readings."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from ...config.materials import DataError
+from ...config.parts import PartError, blamed, checked_numbers, load_part
+from ...config.scenario import Scenario
+from ...kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
+from ...kernels.jit import chained, helper, kernel, opened
+from ...kernels.rng import normal
+from ...kernels.tables import Table
+from ...physics.chemistry import ChemistryTable
+from ...physics.shelf import Shelf, ShelfArrays
+from ...physics.transfer import remove_fraction
+from ..bench import CAMERA_PIXELS, Channel
+from . import INSTRUMENTS
+from .instrument import Instrument, Reading
+
+__all__ = ["InstrumentRules", "InstrumentTable"]
+
+_TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
+
+_read = chained([instrument.read for instrument in INSTRUMENTS.values()], 0.0)
+
+
+class InstrumentRules(NamedTuple):
+    """A scenario's instruments. I instruments, A analytes of all of them, C layers."""
+
+    kind: Annotated[IntArray, Field("I")]
+    """[I] number of the kind; those that are not chemlab's come after"""
+    start: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each reading begins among all of them"""
+    price: Annotated[FloatArray, Field("I")]
+    """[I] score for one use"""
+    sample: Annotated[FloatArray, Field("I")]
+    """[I] fraction of the contents that one use takes"""
+    noise: Annotated[FloatArray, Field("I")]
+    """[I] standard deviation added to every value"""
+    gain: Annotated[FloatArray, Field("I")]
+    """[I] what every value is multiplied by, and ``bias`` what is added"""
+    bias: Annotated[FloatArray, Field("I")]
+    least: Annotated[FloatArray, Field("I")]
+    """[I] below which a value reads 0"""
+    analytes: Annotated[IntArray, Field("A")]
+    """[A] material indices, those of each instrument together"""
+    first_analyte: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each instrument's begin"""
+    numbers: Annotated[FloatArray, Field("n")]
+    """[n] what each instrument has made of the chemistry, one after the other"""
+    first_number: Annotated[IntArray, Field("I+1")]
+    """[I + 1] where each instrument's begin"""
+    layers: Annotated[IntArray, Field("C+1")]
+    """scratch, as ``shares`` and ``work``"""
+    shares: Annotated[FloatArray, Field("C pixels")]
+    work: Annotated[FloatArray, Field("a b")]
+
+
+@helper
+def _reading(i: int, row: FloatArray, stream: StreamArray, out: FloatArray, rules: InstrumentRules) -> Reading:
+    analytes = rules.analytes[rules.first_analyte[i] : rules.first_analyte[i + 1]]
+    numbers = rules.numbers[rules.first_number[i] : rules.first_number[i + 1]]
+    return Reading(row, analytes, stream, rules.layers, rules.shares, rules.work, numbers, out)
+
+
+@kernel
+def _take(
+    members: IntArray,
+    slots: IntArray,
+    used: IntArray,
+    readings: FloatArray,
+    stream: StreamArray,
+    instruments: Handle,
+    shelf: Handle,
+    chemistry: Handle,
+) -> None:
+    """Let instrument ``used[b]`` read the vessel of slot ``slots[b]`` into ``readings`` [N, S, R], for each b of
+    ``members`` [B], and take its sample. What is not chemlab's has been read already."""
+    rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
+    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
+    for b in range(members.shape[0]):
+        m, i = members[b], used[b]
+        chem, row = chemistry[arrays.variant[m]], arrays.rows[m * vessels + slots[b]]
+        out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
+        _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
+        if rules.sample[i] > 0.0:
+            remove_fraction(row, rules.sample[i], chem, arrays.waste[m])
+
+
+@kernel
+def _err(
+    members: IntArray,
+    slots: IntArray,
+    used: IntArray,
+    readings: FloatArray,
+    stream: StreamArray,
+    drifted: FloatArray,
+    instruments: Handle,
+) -> None:
+    """Calibration, drift, noise and detection limit of what has been read; ``drifted`` [N, R] or, for all, [1, R]."""
+    rules = opened(InstrumentRules, instruments)
+    for b in range(members.shape[0]):
+        m, i = members[b], used[b]
+        own = drifted[min(m, drifted.shape[0] - 1)]
+        for k in range(rules.start[i], rules.start[i + 1]):
+            value = rules.gain[i] * readings[m, slots[b], k] + rules.bias[i] + own[k]
+            value += rules.noise[i] * normal(stream[m]) if rules.noise[i] > 0.0 else 0.0
+            readings[m, slots[b], k] = min(max(value, 0.0), 1.0) if value >= rules.least[i] else 0.0
+
+
+class InstrumentTable:
+    """The scenario's instruments.
+
+    Attributes:
+        names: in the scenario's order.
+        kinds: what each is.
+        channels: what each reading is.
+        analytes: names of the materials each tells apart.
+        rules: what kernels need (:class:`InstrumentRules`).
+    """
+
+    def __init__(self, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        self.names = tuple(scenario.instruments)
+        specs = list(scenario.instruments.values())
+        self.kinds: list[Instrument] = []
+        self.channels: tuple[Channel, ...] = ()
+        self.analytes: list[tuple[str, ...]] = []
+        known, indices = chemistry.world(), []
+        self._numbers: list[FloatArray] = []
+        for name, spec in scenario.instruments.items():
+            where = f"{scenario.origin}: instruments.{name}"
+            if name in _TAKEN or not re.fullmatch("[a-z][a-z0-9_]*", name):
+                raise DataError(
+                    f"{where}: must be lower-case letters, digits and _, and none of "
+                    f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
+                )
+            kind = INSTRUMENTS.get(spec.kind) or self._own_kind(spec.kind, scenario, where)
+            missing = [field for field in kind.needs if not hasattr(known, field)]
+            if missing:
+                raise DataError(
+                    f"{where}.kind: {spec.kind!r} needs {missing[0]!r} of the materials, which physics = "
+                    f"{chemistry.tier!r} does not know; choose physics = 'real', or another instrument"
+                )
+            with blamed(f"{where}: {spec.kind}"):
+                own = kind.analytes(known)
+                self.analytes.append(tuple(chemistry.layout.materials[i] for i in own))
+                channel = kind.channel(name, self.analytes[-1])
+                self._numbers.append(np.asarray(kind.numbers(chemistry), dtype=np.float64))
+            if not isinstance(channel, Channel) or channel.size < 1 or channel.name != name:
+                raise PartError(
+                    f"{where}: {spec.kind}: channel() must return a Channel called {name!r} of a size of at least 1, "
+                    f"given {channel!r}"
+                )
+            self.kinds.append(kind)
+            indices.append(own)
+            self.channels += (channel,)
+        builtin, columns = list(INSTRUMENTS.values()), chemistry.layout.fluid_columns
+        self._own = [
+            "" if kind in builtin else f"{scenario.origin}: instruments.{name}: {spec.kind}: read()"
+            for kind, (name, spec) in zip(self.kinds, scenario.instruments.items(), strict=True)
+        ]
+        self.rules = Table(
+            InstrumentRules(
+                kind=np.array([builtin.index(k) if k in builtin else len(builtin) for k in self.kinds], dtype=np.int64),
+                start=np.cumsum([0, *(channel.size for channel in self.channels)]),
+                price=np.array([spec.price for spec in specs], dtype=np.float64),
+                sample=np.array([spec.sample_fraction for spec in specs], dtype=np.float64),
+                noise=np.array([spec.noise for spec in specs], dtype=np.float64),
+                gain=np.array([spec.gain for spec in specs], dtype=np.float64),
+                bias=np.array([spec.bias for spec in specs], dtype=np.float64),
+                least=np.array([spec.detection_limit for spec in specs], dtype=np.float64),
+                analytes=np.concatenate([np.zeros(0, dtype=np.int64), *indices]),
+                first_analyte=np.cumsum([0, *(len(own) for own in indices)]),
+                numbers=np.concatenate([np.zeros(0), *(own.reshape(-1) for own in self._numbers)]),
+                first_number=np.cumsum([0, *(own.size for own in self._numbers)]),
+                layers=np.zeros(columns + 1, dtype=np.int64),
+                shares=np.zeros((columns, CAMERA_PIXELS)),
+                work=np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS))),
+            )
+        )
+
+        self._right = np.zeros((1, int(self.rules.arrays.start[-1])))
+
+    @property
+    def start(self) -> IntArray:
+        """[I + 1] where each reading begins among all of them."""
+        return self.rules.arrays.start
+
+    @property
+    def price(self) -> FloatArray:
+        """[I] score for one use."""
+        return self.rules.arrays.price
+
+    def words(self, instrument: int, values: FloatArray) -> str:
+        """A reading (in [0, 1]) of instrument number ``instrument`` in words."""
+        return self.kinds[instrument].words(values, self.channels[instrument], self.analytes[instrument])
+
+    @staticmethod
+    def _own_kind(kind: str, scenario: Scenario, where: str) -> Instrument:
+        if ":" not in kind:
+            raise DataError(
+                f"{where}.kind: unknown kind {kind!r}; known: {', '.join(INSTRUMENTS)}; or one of your own, "
+                "'file.py:NAME'"
+            )
+        part: Instrument = load_part(
+            kind, scenario, where.removeprefix(f"{scenario.origin}: ") + ".kind", of=Instrument
+        )
+        return part
+
+    def read(
+        self,
+        shelf: Shelf,
+        readings: FloatArray,
+        stream: StreamArray,
+        members: IntArray,
+        slots: IntArray,
+        used: IntArray,
+        drifted: FloatArray | None = None,
+    ) -> None:
+        """Let instrument ``used`` [B] read the vessel of slot ``slots`` [B], in laboratories ``members`` [B], into
+        ``readings`` [N, S, R]; takes their samples. ``drifted`` [N, R] is what every value is off by; None: nothing."""
+        if any(self._own):
+            rules: Any = self.rules.arrays
+            reading = getattr(_reading, "py_func", _reading)
+            for m, slot, i in zip(members.tolist(), slots.tolist(), used.tolist(), strict=True):
+                if self._own[i]:
+                    out = readings[m, slot, rules.start[i] : rules.start[i + 1]]
+                    turn = reading(i, shelf.vessels[m, slot], stream[m], out, rules)
+                    with blamed(self._own[i]):
+                        self.kinds[i].read(turn._replace(numbers=self._numbers[i]), shelf.chem(m))
+                    out[:] = checked_numbers(out, out.shape, self._own[i], 0.0, 1.0)
+        handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
+        _take(members, slots, used, readings, stream, *handles)
+        off = self._right if drifted is None else drifted
+        _err(members, slots, used, readings, stream, off, self.rules.handle)

@@ -1,0 +1,56 @@
+"""Which kinds of bench there are, and how a scenario's benches are built."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..config.parts import load_part
+from ..config.scenario import Scenario
+from ..physics.chemistry import ChemistryTable
+from .bench import Bench
+from .discrete import Discretised, discretised
+
+if TYPE_CHECKING:
+    from .models import ReactionModel, SeparationModel
+
+__all__ = ["BENCH_KINDS", "build_bench", "discretised_twin"]
+
+BENCH_KINDS: dict[str, str] = {
+    "reaction": "chemlab.roles.reaction_bench:ReactionBench",
+    "extraction": "chemlab.roles.extraction_bench:ExtractionBench",
+    "distillation": "chemlab.roles.distillation_bench:DistillationBench",
+    "crystallization": "chemlab.roles.crystallization_bench:CrystallizationBench",
+}
+"""Bench kinds that a scenario may name in short."""
+
+
+def build_bench(
+    key: str,
+    scenario: Scenario,
+    chemistry: ChemistryTable,
+    reaction_model: ReactionModel | None = None,
+    separation_model: SeparationModel | None = None,
+) -> Bench:
+    """The bench ``key`` of a scenario; models replace the built-in physics of benches that use them.
+
+    Raises:
+        DataError: the bench kind cannot be found, or its options are wrong.
+    """
+    cls = load_part(scenario.benches[key].kind, scenario, f"benches.{key}.kind", BENCH_KINDS, Bench)
+    bench: Bench = cls(key, scenario, chemistry)
+    if bench.spec.actions == "discrete" and not bench.action_count:
+        bench = discretised(cls)(key, scenario, chemistry)
+    if reaction_model is not None and hasattr(bench, "reaction_model"):
+        bench.reaction_model = reaction_model
+    if separation_model is not None and hasattr(bench, "separation_model"):
+        bench.separation_model = separation_model
+    return bench
+
+
+def discretised_twin(bench: Bench) -> Discretised | None:
+    """The same bench with discrete actions; None where they are discrete already."""
+    if bench.action_count:
+        return None
+    scenario = bench.scenario.with_actions("discrete")
+    twin = build_bench(bench.key, scenario, bench.chemistry)
+    return twin if isinstance(twin, Discretised) else None

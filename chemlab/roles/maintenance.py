@@ -1,0 +1,163 @@
+"""The condition of benches and instruments: as an episode begins, while they are used, after a repair or a calibration.
+
+It is drawn from streams of the world's, one for each bench and instrument, so that what happens to one does not depend
+on the use of another. Only scenarios that declare ``wear`` of a bench or ``drift`` of an instrument have any.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..config.scenario import DriftSpec, Scenario, WearSpec
+from ..kernels.arrays import FloatArray, Handle, IntArray
+from ..kernels.jit import inner, kernel, opened
+from ..kernels.rng import normal
+from ..kernels.tables import Table
+from . import wear
+from .bench import HEAT, STIR, Bench, Experiments
+from .instruments.table import InstrumentTable
+from .manager_state import INSTRUMENTS, TIME, ManagerState, Rules
+
+if TYPE_CHECKING:
+    from ..lab.hidden import Worlds
+
+__all__ = [
+    "begin_drift",
+    "calibrate",
+    "drift_numbers",
+    "equip",
+    "go_astray",
+    "repair_numbers",
+    "send_fitter",
+    "under_repair",
+    "usable",
+]
+
+_FIRST, _WALK, _TREND, _PRICE, _ERROR = range(5)
+_COST, _TICKS = range(2)
+
+
+def drift_numbers(scenario: Scenario) -> FloatArray:
+    """[I, 5] of each instrument first, walk, trend, price and error; nobody's, where none drifts."""
+    if not any(spec.drift is not None for spec in scenario.instruments.values()):
+        return np.zeros((0, 5))
+    drifts = [spec.drift or DriftSpec() for spec in scenario.instruments.values()]
+    return np.array([(one.first, one.walk, one.trend, one.price, one.error) for one in drifts])
+
+
+def repair_numbers(scenario: Scenario) -> FloatArray:
+    """[B, 2] of each bench price and ticks of a repair; nobody's, where none wears."""
+    specs = [bench.wear for bench in scenario.benches.values() for _ in range(bench.count)]
+    if all(spec is None for spec in specs):
+        return np.zeros((0, 2))
+    return np.array([(one.repair_price, one.repair_ticks) for one in (spec or WearSpec() for spec in specs)])
+
+
+def equip(bench: Bench, experiments: Experiments, members: IntArray, worlds: Worlds, device: int, name: str) -> None:
+    """Give the benches of ``members`` [B] the condition that their worlds have drawn for them.
+
+    Args:
+        bench: which one.
+        experiments: whose arrays hold it.
+        members: laboratories whose episodes begin.
+        worlds: of the laboratories.
+        device: number of its stream.
+        name: by which draws call it.
+    """
+    spec = bench.spec.wear
+    if spec is None:
+        return
+    experiments.wear_stream[members, 0] = worlds.device_streams(members, device)
+    wear.renew(bench, experiments, members)
+    actuator = HEAT if spec.actuator == "heat" else STIR
+    gain = worlds.drawn("gain", name, members, experiments.gain[members, actuator])
+    experiments.gain[members, actuator] = gain
+    experiments.life[members] = worlds.drawn("life", name, members, experiments.life[members])
+
+
+@kernel
+def _draw_biases(members: IntArray, manager: Handle, scenario: Handle) -> None:
+    state, rules = opened(ManagerState, manager), opened(Rules, scenario)
+    for b in range(members.shape[0]):
+        n = members[b]
+        for i in range(state.trend.shape[1]):
+            state.trend[n, i] = rules.drift[i, _TREND]
+            for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
+                state.bias[n, r] = rules.drift[i, _FIRST] * normal(state.drift_stream[n, i : i + 1])
+
+
+def begin_drift(
+    instruments: InstrumentTable, members: IntArray, table: Table[ManagerState], scenario: Handle, worlds: Worlds
+) -> None:
+    """Give the instruments of laboratories ``members`` [B] the biases that their worlds have drawn for them.
+
+    Args:
+        instruments: the laboratories'.
+        members: whose episodes begin.
+        table: the laboratories' state, which holds the biases.
+        scenario: handle of the scenario's :class:`~chemlab.roles.manager_state.Rules`.
+        worlds: of the laboratories.
+    """
+    state = table.arrays
+    if not state.trend.shape[1]:
+        return
+    for i in range(len(instruments.names)):
+        state.drift_stream[members, i] = worlds.device_streams(members, -1 - i)
+    _draw_biases(members, table.handle, scenario)
+    for i, name in enumerate(instruments.names):
+        state.trend[members, i] = worlds.drawn("trend", name, members, state.trend[members, i])
+        own = slice(*instruments.start[i : i + 2])
+        state.bias[members, own] = worlds.drawn("bias", name, members, state.bias[members, own])
+
+
+@kernel
+def go_astray(members: IntArray, used: IntArray, manager: Handle, scenario: Handle) -> None:
+    """Let instrument ``used`` [B] of laboratories ``members`` [B] have gone as far astray as it has by now."""
+    state, rules = opened(ManagerState, manager), opened(Rules, scenario)
+    for b in range(members.shape[0]):
+        n, i = members[b], used[b]
+        ticks = state.ticks[n] - state.since[n, i]
+        if ticks <= 0:
+            continue
+        state.since[n, i] = state.ticks[n]
+        for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
+            state.bias[n, r] += state.trend[n, i] * ticks
+            if rules.drift[i, _WALK] > 0.0:
+                state.bias[n, r] += rules.drift[i, _WALK] * math.sqrt(ticks) * normal(state.drift_stream[n, i : i + 1])
+
+
+@inner
+def calibrate(n: int, i: int, state: ManagerState, rules: Rules) -> None:
+    """Set instrument ``i`` right, as well as it can be, and charge it."""
+    for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
+        state.bias[n, r] = rules.drift[i, _ERROR] * normal(state.drift_stream[n, i : i + 1])
+    state.since[n, i] = state.ticks[n]
+    state.calibrated[n, i] = state.ticks[n]
+    state.charges[n, INSTRUMENTS] += rules.drift[i, _PRICE]
+
+
+@inner
+def usable(n: int, b: int, state: ManagerState) -> bool:
+    """Whether bench ``b`` is neither broken nor under repair."""
+    if state.ready.shape[1] == 0:
+        return True
+    return not state.broken[b, n] and bool(state.ready[n, b] <= state.ticks[n])
+
+
+@inner
+def under_repair(n: int, state: ManagerState) -> bool:
+    """Whether any bench is."""
+    found = False
+    for b in range(state.ready.shape[1]):
+        found = found or state.ready[n, b] > state.ticks[n]
+    return found
+
+
+@inner
+def send_fitter(n: int, b: int, state: ManagerState, rules: Rules) -> None:
+    """Have bench ``b`` repaired, and pay for it."""
+    state.ready[n, b] = state.ticks[n] + int(rules.repair[b, _TICKS])
+    state.charges[n, TIME] += rules.repair[b, _COST]

@@ -1,0 +1,160 @@
+"""The manager's actions as one flat table, which decodes, masks, documents and names every move."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..config.scenario import Scenario
+from ..kernels.arrays import IntArray
+
+__all__ = [
+    "CALIBRATE",
+    "DISCARD",
+    "KINDS",
+    "MEASURE",
+    "RECALL",
+    "REPAIR",
+    "START",
+    "SUBMIT",
+    "WAIT",
+    "ManagerActions",
+]
+
+START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT, CALIBRATE, REPAIR = range(8)
+KINDS = ("start", "measure", "discard", "submit", "recall", "wait", "calibrate", "repair")
+
+
+@dataclass(frozen=True)
+class ManagerActions:
+    """The manager's actions, enumerated from the scenario: every legal move has one number.
+
+    Attributes:
+        table: [A, 5] kind, then its arguments (start: bench, slot, goal, and grade if there are any; measure: slot,
+            instrument; submit: slot, order; discard: slot; recall, repair: bench; calibrate: instrument; wait: none),
+            -1 where there is none.
+        drifting: instruments that can be calibrated.
+        wearing: benches that can be repaired.
+    """
+
+    bench_agents: tuple[str, ...]
+    slots: int
+    orders: int
+    goals: tuple[str, ...]
+    instruments: tuple[str, ...]
+    grades: tuple[str, ...]
+    table: IntArray
+    drifting: tuple[str, ...] = ()
+    wearing: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> ManagerActions:
+        """The table for a scenario."""
+        bench_agents, slots = scenario.bench_agents(), scenario.shelf.slots
+        grades = range(len(scenario.grades)) if scenario.grades else (-1,)
+        asked = list(itertools.product(range(len(scenario.goals)), grades))
+        rows = [(START, b, s, *goal) for b in range(len(bench_agents)) for s in range(slots) for goal in asked]
+        rows += [(MEASURE, s, i, -1, -1) for s in range(slots) for i in range(len(scenario.instruments))]
+        rows += [(DISCARD, s, -1, -1, -1) for s in range(slots)]
+        rows += [(SUBMIT, s, o, -1, -1) for s in range(slots) for o in range(scenario.orders)]
+        rows += [(RECALL, b, -1, -1, -1) for b in range(len(bench_agents))]
+        instruments = tuple(scenario.instruments)
+        drifting = tuple(name for name, spec in scenario.instruments.items() if spec.drift is not None)
+        kinds = [bench for bench in scenario.benches.values() for _ in range(bench.count)]
+        wearing = tuple(agent for agent, bench in zip(bench_agents, kinds, strict=True) if bench.wear is not None)
+        rows += [(CALIBRATE, instruments.index(name), -1, -1, -1) for name in drifting]
+        rows += [(REPAIR, bench_agents.index(agent), -1, -1, -1) for agent in wearing]
+        rows += [(WAIT, -1, -1, -1, -1)]
+        table = np.array(rows, dtype=np.int64)
+        named = scenario.goals, instruments, tuple(scenario.grades)
+        return cls(tuple(bench_agents), slots, scenario.orders, *named, table, drifting, wearing)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def encode(self, kind: str, *arguments: str | int) -> int:
+        """Number of an action.
+
+        Args:
+            kind: ``start`` (bench agent, slot, goal, and the grade where there are any), ``measure`` (slot,
+                instrument), ``discard`` (slot), ``submit`` (slot, and the order where there are several), ``recall``
+                (bench agent), ``wait``; where instruments drift or benches wear ``calibrate`` (instrument) and
+                ``repair`` (bench agent).
+            arguments: bench agents, goals, grades and instruments by name, slots and orders by number.
+
+        Raises:
+            ValueError: no such action; the message names what there is.
+        """
+        try:
+            return self._numbers[(kind, *arguments)]
+        except (KeyError, TypeError):  # what cannot be a key is no action either
+            raise ValueError(f"manager action{self._mistake(kind, arguments)}") from None
+
+    @cached_property
+    def _numbers(self) -> Mapping[tuple[str | int, ...], int]:
+        """The number of every action that :meth:`decode` has."""
+        return {self.decode(action): action for action in range(len(self))}
+
+    def _mistake(self, kind: str, arguments: tuple[str | int, ...]) -> str:
+        """What is wrong with an action that there is not."""
+        spaces = {
+            "start": (self.bench_agents, range(self.slots), self.goals, self.grades)[: 3 + bool(self.grades)],
+            "measure": (range(self.slots), self.instruments),
+            "discard": (range(self.slots),),
+            "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
+            "recall": (self.bench_agents,),
+            "wait": (),
+            **({"calibrate": (self.drifting,)} if self.drifting else {}),
+            **({"repair": (self.wearing,)} if self.wearing else {}),
+        }
+        if kind not in spaces:
+            return f": unknown kind {kind!r}; known: {', '.join(spaces)}"
+        expected: tuple[Any, ...] = spaces[kind]
+        if len(arguments) != len(expected):
+            return f" {kind!r}: takes {len(expected)} arguments, given {arguments!r}"
+        given = zip(arguments, expected, strict=True)
+        wrong = (
+            pair for pair in given if not isinstance(pair[0], (str, int, float, np.number)) or pair[0] not in pair[1]
+        )
+        argument, values = next(wrong, (arguments, self._numbers))
+        return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
+
+    def decode(self, action: int) -> tuple[str | int, ...]:
+        """(kind, arguments...) of an action: the inverse of :meth:`encode`."""
+        kind, *arguments = (int(value) for value in self.table[action])
+        if kind == START:
+            grade = (self.grades[arguments[3]],) if self.grades else ()
+            return "start", self.bench_agents[arguments[0]], arguments[1], self.goals[arguments[2]], *grade
+        if kind == MEASURE:
+            return "measure", arguments[0], self.instruments[arguments[1]]
+        if kind in (RECALL, REPAIR):
+            return KINDS[kind], self.bench_agents[arguments[0]]
+        if kind == CALIBRATE:
+            return "calibrate", self.instruments[arguments[0]]
+        if kind == SUBMIT and self.orders > 1:
+            return "submit", arguments[0], arguments[1]
+        return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)
+
+    @property
+    def action_meanings(self) -> list[str]:
+        """What every action does, in words."""
+        meanings = []
+        for action in range(len(self)):
+            kind, *arguments = self.decode(action)
+            words = {
+                "start": "start {} on slot {}, goal {}" + (", grade {}" if self.grades else ""),
+                "measure": "measure slot {} with {}",
+                "discard": "discard slot {}",
+                "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",
+                "recall": "recall {}",
+                "wait": "wait for the benches",
+                "calibrate": "calibrate {}",
+                "repair": "have {} repaired",
+            }[str(kind)]
+            meanings.append(words.format(*arguments))
+        return meanings

@@ -1,0 +1,75 @@
+"""What a user's own physics has to offer to take the place of chemlab's."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ..kernels.arrays import FloatArray
+
+__all__ = ["ReactionModel", "SeparationModel", "checked_reaction"]
+
+_CONSERVED = 1e-6
+"""Relative error that an integrator of the user's may leave in the atoms."""
+
+
+class ReactionModel(Protocol):
+    """Anything that can be called like this replaces the kinetics of reaction benches."""
+
+    def __call__(self, amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
+        """Amounts [M] (mol, in the order of ``scenario.materials``) after ``dt`` at constant T and liquid volume."""
+
+
+class SeparationModel(Protocol):
+    """An object with these two methods replaces layers and partition on extraction and distillation benches.
+
+    L solvents, K dissolvable materials, C layers. A model sees only what the built-in one sees.
+    """
+
+    def partition(
+        self,
+        dissolved_mol: FloatArray,
+        total_mol: FloatArray,
+        solvent_volume_l: FloatArray,
+        clock_before: float,
+        clock_after: float,
+    ) -> FloatArray:
+        """Dissolved amounts [K, L] at ``clock_after``; row k must add up to ``total_mol[k]`` [K]."""
+
+    def profile(self, volume_l: FloatArray, density_kg_l: FloatArray, clock: float, pixels: int) -> FloatArray:
+        """Share [C, pixels] of each layer in each pixel, bottom first.
+
+        ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they lie lowest), the fluid
+        layers, densest first, and air. Each pixel's shares add up to 1, each layer's pixels to its share of the volume.
+        """
+
+
+def checked_reaction(
+    model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float, elements: FloatArray
+) -> FloatArray:
+    """Call a user's reaction model and refuse a result that is no amounts array or makes atoms out of nothing.
+
+    Args:
+        model: the user's model.
+        amounts: [M] mol before.
+        temperature: K.
+        volume: liquid volume, L.
+        dt: reaction time.
+        elements: [E, M] atoms of each element (and charge) in each material.
+
+    Raises:
+        ValueError: wrong shape, a negative amount, a value that is not finite, or atoms that are not conserved.
+    """
+    result = np.asarray(model(amounts.copy(), temperature, volume, dt), dtype=np.float64)
+    if result.shape != amounts.shape:
+        raise ValueError(f"reaction model {model!r} returned shape {result.shape}, expected {amounts.shape}")
+    if not np.all(np.isfinite(result)) or result.min(initial=0.0) < -1e-9:
+        raise ValueError(f"reaction model {model!r} returned amounts that are negative or not finite: {result!r}")
+    before, after = elements @ amounts, elements @ result
+    worst = float(np.abs(after - before).max(initial=0.0))
+    if worst > _CONSERVED * max(1.0, float(np.abs(before).max(initial=0.0))):
+        raise ValueError(
+            f"reaction model {model!r} does not conserve atoms: {worst:.3g} mol of an element too many or few"
+        )
+    return np.maximum(result, 0.0)

@@ -1,0 +1,30 @@
+"""Operations: what a bench with an action table can do to vessels, one file each.
+
+To add one of chemlab's: a file with an ``OPERATION``, and an entry in :data:`OPERATIONS`. One of your own is an
+:class:`~chemlab.roles.operations.operation.Operation` in a file beside your scenario, named there as
+``kind = "my_parts.py:NAME"``.
+"""
+
+from ...kernels.jit import chained
+from . import add, drain, dry, filter, heat, mix, pour, seed, settle
+from .operation import Operation, Turn
+
+__all__ = ["OPERATIONS", "Operation", "Turn", "act", "legal"]
+
+OPERATIONS: dict[str, Operation] = {
+    "drain": drain.OPERATION,
+    "mix": mix.OPERATION,
+    "pour": pour.OPERATION,
+    "add": add.OPERATION,
+    "settle": settle.OPERATION,
+    "heat": heat.OPERATION,
+    "seed": seed.OPERATION,
+    "filter": filter.OPERATION,
+    "dry": dry.OPERATION,
+}
+"""Operations by kind; their order numbers them."""
+
+act = chained([operation.act for operation in OPERATIONS.values()], 0.0)
+"""Carry out operation ``number``, inside a kernel: ``act(number, turn, chem)``."""
+legal = chained([operation.legal for operation in OPERATIONS.values()], True)
+"""Whether operation ``number`` is possible, inside a kernel: ``legal(number, turn, chem)``."""

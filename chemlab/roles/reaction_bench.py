@@ -1,0 +1,464 @@
+"""The reaction bench (RxN): heat, compress, add reagents, let them react.
+
+| Observation | Actions | Steps |
+|---|---|---|
+| spectrum 200, temperature, volume, pressure, n reagents left, goal | Box(n + 2) | step limit, 20 by default |
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ..config.materials import COLDEST_K, HOTTEST_K
+from ..config.scenario import Scenario
+from ..kernels.arrays import Field as Array
+from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
+from ..kernels.jit import inner, kernel, opened
+from ..physics.backends import partition, react, settle_phases, vent
+from ..physics.chemistry import (
+    AIR,
+    AMOUNTS,
+    CAPACITY,
+    CLOCK,
+    TEMPERATURE,
+    WAVELENGTHS_NM,
+    Chemistry,
+    ChemistryTable,
+    element_matrix,
+)
+from ..physics.shelf import T_MIX, Shelf, ShelfArrays
+from ..physics.spectra import spectrum
+from ..physics.surroundings import Surroundings
+from ..physics.thermal import pressure, seal_vessel
+from ..physics.transfer import heat_capacity, liquid_volume, spill, volume, within_range
+from .bench import (
+    HEAT,
+    STIR,
+    Bench,
+    BenchRules,
+    Channel,
+    Experiments,
+    ExperimentState,
+    check_box,
+    goal_amount,
+    on_scale,
+    weighted_amount,
+)
+from .models import ReactionModel, checked_reaction
+
+__all__ = ["ReactionBench", "ReactionOptions", "Span"]
+
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_FULLEST = 0.98
+"""The piston stops where the contents would fill this share of the vessel."""
+
+
+class Span(BaseModel):
+    """A quantity the agent moves within [low, high], by at most ``step`` a step."""
+
+    model_config = _FROZEN
+
+    low: float = Field(gt=0.0, le=1e4)
+    high: float = Field(gt=0.0, le=1e4)
+    step: float = Field(gt=0.0, le=1e4)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Span:
+        if self.high <= self.low:
+            raise ValueError(f"high = {self.high} must be above low = {self.low}")
+        return self
+
+
+class TemperatureSpan(Span):
+    """A temperature the agent moves, in K."""
+
+    low: float = Field(ge=COLDEST_K, le=HOTTEST_K)
+    high: float = Field(ge=COLDEST_K, le=HOTTEST_K)
+
+
+class ReactionOptions(BaseModel):
+    """Scenario keys of a reaction bench."""
+
+    model_config = _FROZEN
+
+    reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1, max_length=100)
+    """mol of each reagent an experiment may take from stock."""
+    temperature_k: TemperatureSpan
+    volume_l: Span
+    vessel_volume_l: float = Field(default=1.0, gt=0.0, le=100.0)
+    """Where the piston stands when an experiment begins and ends."""
+    rated_pressure_kpa: float = Field(gt=0.0, le=1e6)
+    tick: float = Field(gt=0.0, le=1e6)
+    """Reaction time of one step, in the unit of the rate constants."""
+    jacket_w_k: float | None = Field(default=None, gt=0.0, le=1e4)
+    """Heat that passes between contents and jacket, W/K; the agent then sets the jacket's temperature, and sees it
+    (physics ``real``). Without it the contents are kept at the temperature that the agent sets."""
+    condenser_w: float | None = Field(default=None, gt=0.0, le=1e6)
+    """Heat that a reflux condenser takes, W: the vessel is open through it, boils at its boiling point and loses vapour
+    only beyond that (physics ``real``). Without it the vessel is sealed."""
+    rtol: float = Field(default=1e-3, ge=1e-12, le=0.1)
+    atol: float = Field(default=1e-6, ge=1e-15, le=0.1)
+    penalty: dict[str, Annotated[float, Field(ge=-1e4, le=1e4)]] = Field(default_factory=dict, max_length=100)
+    """Score lost per mol of a by-product, unless it is the goal itself."""
+
+
+class SupplyState(NamedTuple):
+    """What a reaction bench keeps of its experiments. N laboratories, Q reagents."""
+
+    supply: Annotated[FloatArray, Array("N Q")]
+    """[N, Q] mol each reagent the experiment may still take"""
+    jacket: Annotated[FloatArray, Array("N")]
+    """[N] K, temperature of what the vessel stands in"""
+
+
+class ReactorRules(NamedTuple):
+    """A scenario's numbers of a reaction bench. Q reagents, G goals, M materials."""
+
+    coldest: Annotated[float, Array("")]
+    """K, and so on: how far the agent may go, and how far in a step"""
+    hottest: Annotated[float, Array("")]
+    temperature_step: Annotated[float, Array("")]
+    smallest: Annotated[float, Array("")]
+    """L, and so on"""
+    largest: Annotated[float, Array("")]
+    volume_step: Annotated[float, Array("")]
+    vessel_volume: Annotated[float, Array("")]
+    """L, where the piston stands when an experiment begins and ends"""
+    rated_pressure: Annotated[float, Array("")]
+    """kPa"""
+    pressure_scale: Annotated[float, Array("")]
+    """kPa that the pressure gauge shows as 1"""
+    tick: Annotated[float, Array("")]
+    """reaction time of a step"""
+    transfer: Annotated[float, Array("")]
+    """W/K between contents and jacket; below 0: the contents have its temperature"""
+    condenser: Annotated[float, Array("")]
+    """W that a reflux condenser takes; below 0: the vessel is sealed"""
+    rtol: Annotated[float, Array("")]
+    atol: Annotated[float, Array("")]
+    """mol/L"""
+    reagents: Annotated[IntArray, Array("Q")]
+    """[Q] material indices"""
+    full: Annotated[FloatArray, Array("Q")]
+    """[Q] mol that an experiment may take"""
+    penalty: Annotated[FloatArray, Array("G M")]
+    """[G, M] score lost per mol, by goal"""
+
+
+ReactionState: Any = merged(ExperimentState, SupplyState)
+ReactionRules: Any = merged(BenchRules, ReactorRules)
+
+
+@inner
+def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat)."""
+    row = shelf.rows[state.places[m, 0]]
+    state.events[m, :] = 0.0
+    jacketed = rules.transfer >= 0.0
+    temperature = state.jacket[m] if jacketed else row[TEMPERATURE]
+    step = rules.temperature_step if jacketed else rules.temperature_step * state.gain[m, HEAT]
+    temperature += (2.0 * action[0] - 1.0) * step
+    chemistry = opened(Chemistry, chem)
+    molar_volume = chemistry.molar_volume
+    before = heat_capacity(row, chem) if jacketed else 0.0
+    arriving = 0.0
+    for i in range(rules.reagents.shape[0]):
+        material = rules.reagents[i]
+        arriving += action[2 + i] * min(state.supply[m, i], shelf.stock[m, material]) * molar_volume[material]
+    lowest = max(rules.smallest, (volume(row, chem) + arriving) / _FULLEST)
+    row[CAPACITY] = min(max(row[CAPACITY] + (2.0 * action[1] - 1.0) * rules.volume_step, lowest), rules.largest)
+    for i in range(rules.reagents.shape[0]):
+        material = rules.reagents[i]
+        mol = action[2 + i] * min(state.supply[m, i], shelf.stock[m, material])
+        state.supply[m, i] -= mol
+        shelf.stock[m, material] -= mol
+        share = chemistry.bottle_share[material]
+        row[AMOUNTS + material] += share * mol
+        if share < 1.0:
+            rest = chemistry.bottle_rest[material]
+            row[AMOUNTS + rest] += (1.0 - share) * mol * molar_volume[material] / molar_volume[rest]
+    temperature = min(max(temperature, rules.coldest), rules.hottest)
+    if jacketed:
+        state.jacket[m] = temperature
+        after = heat_capacity(row, chem)
+        if after > 0.0:
+            ambient = chemistry.ambient_temperature
+            row[TEMPERATURE] = within_range(ambient + (row[TEMPERATURE] - ambient) * before / after)
+    spill(row, chem, shelf.waste[m], state.events[m])
+    if not jacketed:
+        row[TEMPERATURE] = temperature
+
+
+@inner
+def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> int:
+    """The reactions of a tick; below 0 if they were too stiff."""
+    row = shelf.rows[state.places[m, 0]]
+    jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
+    around = Surroundings(jacket, rules.transfer * state.gain[m, HEAT], rules.condenser, rules.rtol, rules.atol)
+    tick = rules.tick * state.gain[m, STIR]
+    return react(row, tick, around, chem, shelf.waste[m], state.events[m], rules.work)
+
+
+@inner
+def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
+    """After the reaction: phases, stirred contents, relief valve."""
+    row = shelf.rows[state.places[m, 0]]
+    settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work)
+    spill(row, chem, shelf.waste[m], state.events[m])  # reacting changes the volume
+    row[CLOCK] = T_MIX
+    partition(row, chem, rules.work)
+    if rules.condenser < 0.0:
+        vent(row, rules.rated_pressure, chem, shelf.waste[m], state.events[m])
+    state.steps[m] += 1
+    state.ended[m] = state.steps[m] >= rules.step_limit
+
+
+@kernel
+def _load_all(
+    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _load(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
+
+
+@kernel
+def _conclude_all(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        _conclude(members[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
+
+
+@kernel
+def _step(
+    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+) -> int:
+    """One step of every member with the built-in kinetics: load, react, conclude. Returns the last member in which the
+    reactions were too stiff, -1 if none."""
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    stiff = -1
+    for b in range(members.shape[0]):
+        m = members[b]
+        chem = chemistry[arrays.variant[m]]
+        _load(m, actions[b], state, rules, arrays, chem)
+        if _react(m, state, rules, arrays, chem) < 0:
+            stiff = m
+        _conclude(m, state, rules, arrays, chem)
+    return stiff
+
+
+@kernel
+def _observe(
+    members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
+) -> None:
+    """Spectrum, gauges, what is left of the supply, the goal."""
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        m = members[b]
+        out[b, :] = 0.0
+        if not state.busy[m]:
+            continue
+        chem = chemistry[arrays.variant[m]]
+        row = arrays.rows[state.places[m, 0]]
+        at = opened(Chemistry, chem).basis.shape[1]
+        light = rules.work[0, :at]
+        spectrum(row, chem, light)
+        for w in range(at):
+            out[b, w] = light[w]
+        out[b, at] = on_scale(row[TEMPERATURE], rules.coldest, rules.hottest)
+        out[b, at + 1] = on_scale(row[CAPACITY], rules.smallest, rules.largest)
+        out[b, at + 2] = on_scale(pressure(row, chem), 0.0, rules.pressure_scale)
+        at += 3
+        for i in range(rules.reagents.shape[0]):
+            left = min(state.supply[m, i], arrays.stock[m, rules.reagents[i]])
+            out[b, at] = on_scale(left, 0.0, rules.full[i])
+            at += 1
+        if rules.transfer >= 0.0:
+            out[b, at] = on_scale(state.jacket[m], rules.coldest, rules.hottest)
+            at += 1
+        out[b, at + state.goal[m]] = 1.0
+
+
+@kernel
+def _measure(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, out: FloatArray) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        m = members[b]
+        row, goal = arrays.rows[state.places[m, 0]], state.goal[m]
+        out[b] = goal_amount(row, rules.parts[goal]) - weighted_amount(row, rules.penalty[goal])
+
+
+@kernel
+def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
+    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
+    for b in range(members.shape[0]):
+        chem = chemistry[arrays.variant[members[b]]]
+        row = arrays.rows[state.places[members[b], 0]]
+        row[CAPACITY] = max(rules.vessel_volume, volume(row, chem) / _FULLEST)
+        if rules.transfer >= 0.0:
+            state.jacket[members[b]] = min(max(row[TEMPERATURE], rules.coldest), rules.hottest)
+        if rules.condenser < 0.0:
+            seal_vessel(row, chem)
+
+
+class ReactionBench(Bench):
+    """Reaction bench.
+
+    **Actions** - ``Box(0, 1, (n + 2,))``: temperature down/up, piston in/out (0.5 = no change, each step at most the
+    scenario's ``step``), then for each of n reagents the fraction of what is left of it to add.
+
+    **Observation** - 200 absorptions of the UV-Vis spectrum; temperature, volume and pressure scaled to their ranges
+    (pressure: 0 to 1.25 x the rated pressure); the fraction left of each reagent's supply; the goal's one-hot.
+
+    **Reward** at the end - mol of the goal produced, minus the scenario's penalties on by-products.
+    """
+
+    options_model = ReactionOptions
+    own_state = (SupplyState,)
+    own_rules = (ReactorRules,)
+    kernels = (_step,)
+    score_meaning = "mol of the goal produced"
+
+    def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
+        super().__init__(key, scenario, chemistry)
+        options: ReactionOptions = self.options
+        self.reaction_model: ReactionModel | None = None
+        """Replaces the built-in kinetics where set."""
+        self.reagent_names = tuple(options.reagents)
+        self.reagents = len(options.reagents)
+        self._full = np.array(list(options.reagents.values()))
+        t, v = options.temperature_k, options.volume_l
+        self._pressure_scale = 1.25 * options.rated_pressure_kpa
+        self._elements = element_matrix(scenario)
+        channels = (
+            Channel("spectrum", len(WAVELENGTHS_NM), "absorption", 0.0, 1.0, "UV-Vis absorption, 200 to 800 nm"),
+            Channel("temperature", 1, "K", t.low, t.high, "temperature of the contents"),
+            Channel("volume", 1, "L", v.low, v.high, "volume the piston leaves"),
+            Channel("pressure", 1, "kPa", 0.0, self._pressure_scale, "pressure in the sealed vessel"),
+            Channel(
+                "reagents", self.reagents, "fraction", 0.0, 1.0, "left of the supply: " + ", ".join(self.reagent_names)
+            ),
+            *([Channel("jacket", 1, "K", t.low, t.high, "temperature of the jacket")] if options.jacket_w_k else []),
+        )
+        self._set_spaces(channels, gymnasium.spaces.Box(0.0, 1.0, (self.reagents + 2,), np.float32))
+
+    @property
+    def action_meanings(self) -> list[str]:
+        t, v = self.options.temperature_k.step, self.options.volume_l.step
+        return [
+            f"temperature: 0 = {t:g} K down, 0.5 = hold, 1 = {t:g} K up",
+            f"volume: 0 = {v:g} L in, 0.5 = hold, 1 = {v:g} L out",
+            *(f"add this fraction of the {name} that is left" for name in self.reagent_names),
+        ]
+
+    def representative_actions(self) -> list[tuple[str, FloatArray]]:
+        """Each control by itself, and together all that the way to a goal needs, as it is, heating or with more room;
+        see :meth:`Bench.representative_actions`."""
+        t, v, names = self.options.temperature_k.step, self.options.volume_l.step, self.reagent_names
+        rest = np.array([0.5, 0.5, *(0.0 for _ in names)])
+        gauges = {f"{t:g} K down": (0, 0.0), f"{t / 4:g} K down": (0, 0.375), f"{t / 4:g} K up": (0, 0.625)}
+        gauges |= {f"{t:g} K up": (0, 1.0), f"{v:g} L in": (1, 0.0), f"{v:g} L out": (1, 1.0)}
+        moves = {"": rest}
+        for words, (i, number) in gauges.items():
+            moves[words] = rest.copy()
+            moves[words][i] = number
+        ways = [(words, row) for words, row in moves.items() if words]
+        for i, name in enumerate(names):
+            for share, words in ((0.25, f"add a quarter of the {name} that is left"), (1.0, f"add all {name}")):
+                row = rest.copy()
+                row[2 + i] = share
+                ways.append((words, row))
+        family = self.scenario.family
+        needed = [[name in family.towards(goal) for name in names] for goal in self.goals.names]
+        for which in dict.fromkeys(tuple(row) for row in needed):
+            adding = ", ".join(name for name, wanted in zip(names, which, strict=True) if wanted)
+            for words in ("", f"{t:g} K up", f"{v:g} L out"):
+                row = moves[words].copy()
+                row[2:] = which
+                if sum(which) > 1 or (sum(which) == 1 and words):
+                    ways.append((f"add all {adding}{': ' if words else ''}{words}", row))
+        return [*ways, ("hold", rest)]
+
+    def state_sizes(self, members: int, positions: int) -> dict[str, int]:
+        return {**super().state_sizes(members, positions), "Q": self.reagents, "W": self.layout.width}
+
+    def rules_values(self) -> dict[str, Any]:
+        options: ReactionOptions = self.options
+        t, v = options.temperature_k, options.volume_l
+        penalty = np.zeros((len(self.goals.names), len(self.layout.materials)))
+        for name, price in options.penalty.items():
+            for g, goal in enumerate(self.goals.names):
+                if goal != name:
+                    penalty[g, self.material(name, "penalty")] = price
+        return {
+            "coldest": t.low,
+            "hottest": t.high,
+            "temperature_step": t.step,
+            "smallest": v.low,
+            "largest": v.high,
+            "volume_step": v.step,
+            "vessel_volume": options.vessel_volume_l,
+            "rated_pressure": options.rated_pressure_kpa,
+            "pressure_scale": self._pressure_scale,
+            "tick": options.tick,
+            "transfer": -1.0 if options.jacket_w_k is None else options.jacket_w_k,
+            "condenser": -1.0 if options.condenser_w is None else options.condenser_w,
+            "rtol": options.rtol,
+            "atol": options.atol,
+            "reagents": np.array([self.material(name, "reagents") for name in options.reagents], dtype=np.int64),
+            "full": self._full,
+            "penalty": penalty,
+        }
+
+    def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        experiments.supply[members] = self._full
+        _seal(members, *self._handles(shelf, experiments))
+
+    def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
+        _seal(members, *self._handles(shelf, experiments))
+        shelf.rows[experiments.places[members, 0], AIR] = 0.0
+
+    def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+        out = np.empty(len(members))
+        _measure(members, experiments.handle, self.rules.handle, shelf.handle, out)
+        return out
+
+    def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
+        return check_box(agent, action, self.reagents + 2)[None]
+
+    def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        handles = self._handles(shelf, experiments)
+        if self.reaction_model is None:
+            stiff = _step(members, actions, *handles)
+            if stiff >= 0:
+                raise ArithmeticError(
+                    f"{experiments.agent}: the reactions of laboratory {stiff} at "
+                    f"{shelf.rows[experiments.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
+                    f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a "
+                    f"shorter benches.{self.key}.tick, or smaller rate constants"
+                )
+            return
+        _load_all(members, actions, *handles)
+        for m in members.tolist():
+            row = shelf.rows[experiments.places[m, 0]]
+            amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
+            amounts[:] = checked_reaction(
+                self.reaction_model,
+                amounts,
+                float(row[TEMPERATURE]),
+                liquid_volume(row, shelf.chem(m)),
+                self.options.tick * float(experiments.gain[m, STIR]),
+                self._elements,
+            )
+        _conclude_all(members, *handles)
+
+    def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
+        _observe(members, *self._handles(shelf, experiments), out)
+
+    def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
+        """Continuous actions have no mask."""

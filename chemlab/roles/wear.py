@@ -1,0 +1,55 @@
+"""How a bench's apparatus errs, drifts and breaks: see :class:`chemlab.config.scenario.WearSpec`."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernels.arrays import Handle, IntArray
+from ..kernels.jit import kernel, opened
+from ..kernels.rng import normal, uniform
+from .bench import Bench, BenchRules, Experiments, ExperimentState
+
+__all__ = ["LEAST_GAIN", "MOST_GAIN", "renew", "wear_out"]
+
+_ACTUATOR, _GAIN, _SPREAD, _DRIFT, _LIFE = range(5)
+LEAST_GAIN, MOST_GAIN = 0.01, 100.0
+"""Between these a gain drifts."""
+
+
+@kernel
+def _renew(members: IntArray, experiment: Handle, bench: Handle) -> None:
+    state, wear = opened(ExperimentState, experiment), opened(BenchRules, bench).wear
+    for b in range(members.shape[0]):
+        m = members[b]
+        stream = state.wear_stream[m]
+        gain = wear[_GAIN] * math.exp(wear[_SPREAD] * normal(stream))
+        state.gain[m, int(wear[_ACTUATOR])] = min(max(gain, LEAST_GAIN), MOST_GAIN)
+        span = -math.log(1.0 - uniform(stream))
+        state.life[m] = wear[_LIFE] * span if wear[_LIFE] > 0.0 else math.inf
+        state.broken[m] = False
+
+
+@kernel
+def _wear_out(members: IntArray, experiment: Handle, bench: Handle) -> None:
+    state, wear = opened(ExperimentState, experiment), opened(BenchRules, bench).wear
+    k = int(wear[_ACTUATOR])
+    for b in range(members.shape[0]):
+        m = members[b]
+        if wear[_DRIFT] > 0.0:
+            gain = state.gain[m, k] * math.exp(wear[_DRIFT] * normal(state.wear_stream[m]))
+            state.gain[m, k] = min(max(gain, LEAST_GAIN), MOST_GAIN)
+        state.life[m] -= 1.0
+        if state.life[m] <= 0.0:
+            state.broken[m] = True
+            state.ended[m] = True
+
+
+def renew(bench: Bench, experiments: Experiments, members: IntArray) -> None:
+    """The benches of ``members`` [B] are new, or repaired: gain and life are drawn from their wear's stream."""
+    _renew(members, experiments.handle, bench.rules.handle)
+
+
+def wear_out(bench: Bench, experiments: Experiments, members: IntArray) -> None:
+    """The benches of ``members`` [B] have worked for a tick: one that breaks ends its experiment."""
+    if bench.spec.wear is not None:
+        _wear_out(members, experiments.handle, bench.rules.handle)

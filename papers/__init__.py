@@ -1,1 +1,0 @@
-"""What is published of results: ``python -m papers``, from the root of a checkout. It is no part of the package."""

@@ -1,0 +1,1 @@
+"""Published results: ``python -m studies.paper``, from the root of a checkout. Not part of the package."""

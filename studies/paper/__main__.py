@@ -1,0 +1,106 @@
+"""Make every published figure, table and page of results from tables: ``python -m studies.paper``.
+
+| Tables | Made into |
+|---|---|
+| `studies/paper/chemgymrl/results/` | `docs/results/summary.md`, figures, first table of `docs/results.md` |
+| `studies/baselines/results/` | `docs/results/laboratory.md` with curves, the other tables of `docs/results.md` |
+
+``--collect RUNS`` first makes those tables from training runs, as ``chemlab sweep`` leaves them, and plays their best
+checkpoints; what the tables have of other runs stays. Needs the extra ``plot``, and for collecting ``train``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from chemlab.agents.evaluate.laboratory import brief_table, collect, write_laboratory
+from chemlab.agents.evaluate.results import read_runs, write_runs
+from chemlab.config.files import check_marks, replace_between
+
+from .chemgymrl.figures import write_figures
+from .chemgymrl.page import paper_table, write_page
+from .chemgymrl.results import TABLES, experiment_of, read_results, results_of
+from .chemgymrl.traces import collect_traces
+from .shipped import benches_table, collect_benches
+
+ROOT = Path(__file__).parents[2]
+LABORATORY = ROOT / "studies" / "baselines" / "results"
+PAGES = {ROOT / "docs" / "results.md": ("paper", "managers", "benches", "measuring")}
+"""Files with marks, between which the tables stand."""
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m studies.paper", description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument(
+        "--collect", type=Path, metavar="RUNS", help="make the tables anew of these training runs first"
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="where figures and pages go")
+    arguments = parser.parse_args()
+    try:
+        for page, marks in PAGES.items():
+            for mark in marks:
+                check_marks(page, mark)
+        if arguments.collect is not None:
+            collect_all(arguments.collect, lambda name: print(f"played {name}", file=sys.stderr))
+        for line in make(arguments.out, PAGES):
+            print(line)
+    except (ImportError, ValueError) as error:
+        raise SystemExit(f"error: {error}") from error
+
+
+def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
+    """Make the tables from a folder of training runs.
+
+    Raises:
+        ValueError: the folder is not there, or a run in it cannot be played.
+        ImportError: Stable-Baselines3 is not installed.
+    """
+    ours = [run for run in read_runs(runs) if run.result is not None and experiment_of(run) is not None]
+    if ours:
+        known = read_runs(TABLES) if TABLES.is_dir() else []
+        merged = {run.name: run for run in (*known, *ours)}
+        collect_traces(results_of(merged.values()), TABLES, watch=watch)
+        write_runs(TABLES, merged.values())
+    for line in collect(runs, LABORATORY, watch=watch, keep=lambda run: experiment_of(run) is None):
+        print(f"not played: {line}", file=sys.stderr)
+    collect_benches(LABORATORY, watch=watch)
+
+
+def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
+    """Make everything from the tables; what is missing, and which pages were written, a line each.
+
+    Raises:
+        ValueError: a table is missing or not what was written, has runs of a bench that has changed since, or a page
+            lacks its marks.
+        ImportError: matplotlib is not installed.
+    """
+    results = read_results(TABLES)
+    if results.left_out:
+        count, first = len(results.left_out), results.left_out[0]
+        raise ValueError(
+            f"{TABLES}: {count} runs and traces cannot be published, the first: {first}. Nothing was made: train them "
+            "again (chemlab sweep) and --collect them, or take their rows from the tables"
+        )
+    lacking = write_figures(results, out)
+    page, laboratory = write_page(results, out, lacking), write_laboratory(LABORATORY, out)
+    tables = {
+        "paper": paper_table(results),
+        "managers": brief_table(LABORATORY, shipped=True),
+        "measuring": brief_table(LABORATORY, shipped=False),
+        "benches": benches_table(LABORATORY),
+    }
+    for file, marks in pages.items():
+        for mark in marks:
+            replace_between(file, mark, tables[mark])
+    missing = [f"{stem}: missing: {'; '.join(what)}" for stem, what in lacking.items() if what]
+    left_out = laboratory.left_out if laboratory else []
+    written = [page, *([laboratory.page] if laboratory else []), *pages]
+    return [*missing, *(f"left out {line}" for line in left_out), *(f"wrote {path}" for path in written)]
+
+
+if __name__ == "__main__":
+    main()

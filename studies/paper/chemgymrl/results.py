@@ -1,0 +1,219 @@
+"""The experiments of the paper, and which training runs belong to them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
+from chemlab.agents.evaluate.tables import read_table
+from chemlab.agents.train.arguments import TrainArguments
+from chemlab.agents.train.tasks import task_fingerprint
+from chemlab.config.scenario import load_scenario
+
+__all__ = [
+    "EXPERIMENTS",
+    "TABLES",
+    "TRACE_COLUMNS",
+    "TRACE_FILE",
+    "Experiment",
+    "Results",
+    "Trace",
+    "experiment_of",
+    "read_results",
+    "results_of",
+    "source_of",
+]
+
+TABLES = Path(__file__).parent / "results"
+"""The published results."""
+
+TRACE_FILE = "traces.csv"
+TRACE_COLUMNS = (
+    *("experiment", "policy", "fingerprint", "run", "step", "goal", "case"),
+    *("episodes", "mean_return", "best_return", "actions"),
+)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One of the paper's experiments: a bench, and the algorithms that were trained on it."""
+
+    key: str
+    title: str
+    scenario: str
+    bench: str
+    algorithms: tuple[str, ...]
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the bench as it is now."""
+        bench = TrainArguments(env_id="chemlab/Bench-v0", scenario=self.scenario, bench=self.bench)
+        return str(task_fingerprint(bench))
+
+    @property
+    def goals(self) -> tuple[str, ...]:
+        """All of them."""
+        return tuple(load_scenario(self.scenario).goals)
+
+    @property
+    def action_names(self) -> list[str]:
+        """What each action is, or each number of a continuous one."""
+        return _action_names(self.scenario, self.bench)
+
+
+@cache
+def _action_names(scenario: str, bench: str) -> list[str]:
+    env = BenchTarget(load_scenario(scenario), bench).environment(1)
+    reagents = getattr(env.bench, "reagent_names", None)
+    return list(env.action_meanings) if reagents is None else ["temperature", "volume", *(f"add {r}" for r in reagents)]
+
+
+_CONTINUOUS, _DISCRETE = ("ppo", "a2c", "sac", "td3"), ("ppo-xl", "ppo", "a2c", "dqn")
+
+EXPERIMENTS: dict[str, Experiment] = {
+    e.key: e
+    for e in (
+        Experiment("wurtz_rxn", "Wurtz RxN", "wurtz_dodecane", "rxn", _CONTINUOUS),
+        Experiment("fictitious_rxn", "Fictitious RxN", "fictitious", "rxn", _CONTINUOUS),
+        Experiment("wurtz_ext", "Wurtz ExT", "wurtz_dodecane", "ext", _DISCRETE),
+        Experiment("wurtz_dit", "Wurtz DiT", "wurtz_dodecane", "dit", _DISCRETE),
+    )
+}
+"""By key, in the paper's order."""
+
+
+def experiment_of(run: TrainedRun) -> str | None:
+    """Key of the experiment that a run belongs to: its bench, all goals, the paper's starting states; or None."""
+    for key, experiment in EXPERIMENTS.items():
+        same = (run.config.get("scenario"), run.config.get("bench")) == (experiment.scenario, experiment.bench)
+        everything = set(run.config.get("goals", ())) == set(experiment.goals)
+        if same and everything and run.config.get("starts", "paper") == "paper":
+            return key
+    return None
+
+
+class Trace(NamedTuple):
+    """What a policy does for one goal from one starting state.
+
+    Attributes:
+        episodes: how many were played.
+        mean_return: of these.
+        best_return: of the best one, where actions are discrete.
+        actions: the best episode's, or, where they are continuous, the means of each step.
+    """
+
+    episodes: int
+    mean_return: float
+    best_return: float | None
+    actions: list[Any]
+
+
+@dataclass
+class Results:
+    """What the tables hold.
+
+    Attributes:
+        cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
+        traces: by experiment key, policy (``heuristic``, ``random`` or an algorithm's label), goal and starting state
+            ('' where there is one only); without what is of another bench, or of another policy than the best now.
+        left_out: what is in neither (runs, traces), and why.
+    """
+
+    cells: Cells = field(default_factory=lambda: {key: {} for key in EXPERIMENTS})
+    traces: dict[str, dict[str, dict[str, dict[str, Trace]]]] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+    def cell(self, experiment: str, label: str) -> Cell | None:
+        """A cell, if there are runs for it."""
+        return self.cells[experiment].get(label)
+
+    def variants(self, experiment: str, label: str) -> list[str]:
+        """An algorithm of the paper and the variants of it that were trained (but not those that the paper has)."""
+        own = EXPERIMENTS[experiment].algorithms
+        return [label, *(name for name in self.cells[experiment] if name not in own and label in name.split("-"))]
+
+    def missing(self, experiment: str) -> list[str]:
+        """The paper's algorithms without runs."""
+        return [label for label in EXPERIMENTS[experiment].algorithms if label not in self.cells[experiment]]
+
+    def trace(self, experiment: str, policy: str) -> dict[str, dict[str, Trace]] | None:
+        """By goal and starting state what a policy does."""
+        return self.traces.get(experiment, {}).get(policy)
+
+    def played_mean(self, experiment: str, policy: str) -> float | None:
+        """Mean return over goals of a policy's traces."""
+        by_goal = self.trace(experiment, policy)
+        if by_goal is None:
+            return None
+        means = [
+            sum(t.episodes * t.mean_return for t in cases.values()) / sum(t.episodes for t in cases.values())
+            for cases in by_goal.values()
+        ]
+        return sum(means) / len(means)
+
+    def heuristic_mean(self, experiment: str) -> float | None:
+        """Mean return of the scripted policy, as the runs' evaluations have it."""
+        known = [mean for cell in self.cells[experiment].values() if (mean := cell.heuristic_mean()) is not None]
+        return sum(known) / len(known) if known else self.played_mean(experiment, "heuristic")
+
+
+def read_results(folder: Path = TABLES) -> Results:
+    """Read a folder of tables, or of runs (with a table of traces, perhaps), see :func:`results_of`.
+
+    Raises:
+        ValueError: the folder is not there, or a file in it is not what was written.
+    """
+    results = results_of(read_runs(folder))
+    _read_traces(results, folder)
+    return results
+
+
+def results_of(given: Iterable[TrainedRun]) -> Results:
+    """Runs by experiment and label, without traces; runs of a bench that has changed since are left out."""
+    results, runs = Results(), []
+    for run in given:
+        key = experiment_of(run)
+        if key is None:
+            results.left_out.append(f"{run.name}: not one of the paper's experiments")
+        elif run.config.get("fingerprint") != EXPERIMENTS[key].fingerprint:
+            results.left_out.append(f"{run.name}: the bench has changed since it was trained")
+        else:
+            runs.append(run)
+    cells, others = cells_of(runs, lambda run: EXPERIMENTS[experiment_of(run) or ""].title)
+    results.left_out += others
+    for key, experiment in EXPERIMENTS.items():
+        own, order = cells.get(experiment.title, {}), experiment.algorithms
+        ranks = {label: order.index(label) if label in order else len(order) for label in own}
+        results.cells[key] = {label: own[label] for label in sorted(own, key=lambda label: (ranks[label], label))}
+    return results
+
+
+def source_of(cell: Cell) -> tuple[str, str]:
+    """What a trace of a cell's best policy says of where it comes from: the run, and the checkpoint's step."""
+    return cell.best.name, str(cell.best.finished.best_step)
+
+
+def _read_traces(results: Results, folder: Path) -> None:
+    """Read the traces, without what is another policy's than the one that is shown now."""
+    again = "python -m studies.paper --collect RUNS makes it anew"
+    left_out = set()
+    for row in read_table(folder / TRACE_FILE, TRACE_COLUMNS):
+        key, policy = row["experiment"], row["policy"]
+        title, cell = EXPERIMENTS[key].title, results.cell(key, policy)
+        source = ("", "") if cell is None else source_of(cell)
+        if row["fingerprint"] != EXPERIMENTS[key].fingerprint:
+            left_out.add(f"{TRACE_FILE}: {title}: the bench has changed since; {again}")
+        elif (row["run"], row["step"]) != source:
+            left_out.add(f"{TRACE_FILE}: {title}, {display_name(policy)}: not of the best policy now; {again}")
+        else:
+            best = float(row["best_return"]) if row["best_return"] else None
+            trace = Trace(int(row["episodes"]), float(row["mean_return"]), best, json.loads(row["actions"]))
+            by_goal = results.traces.setdefault(key, {}).setdefault(policy, {})
+            by_goal.setdefault(row["goal"], {})[row["case"]] = trace
+    results.left_out += sorted(left_out)

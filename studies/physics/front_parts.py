@@ -1,0 +1,30 @@
+"""What the agents of `front.toml` are paid for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from chemlab.kernels.arrays import FloatArray, IntArray
+from chemlab.physics.chemistry import AMOUNTS
+from chemlab.physics.shelf import Shelf
+from chemlab.roles.bench import Bench, Experiments
+
+__all__ = ["kept", "pot"]
+
+
+def pot(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> tuple[FloatArray, FloatArray]:
+    """[B] mol of the goal in the pots, and its mole fraction there."""
+    amounts = shelf.rows[experiments.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
+    goals = [bench.layout.index(bench.goals.names[goal]) for goal in experiments.goal[members]]
+    mol = amounts[np.arange(len(members)), goals]
+    return mol, mol / np.maximum(amounts.sum(axis=1), 1e-12)
+
+
+def kept(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
+    """[B] at the end, mol of the goal in the pot, if it is as pure there as the grade asks for, in place of the bench's
+    own score, which counts what has been distilled over, too."""
+    mol, purity = pot(bench, shelf, experiments, members)
+    grade = experiments.grade[members]
+    gain = bench.measure(shelf, experiments, members) - experiments.baseline[members]
+    score = gain * bench.grades.met(grade, bench.best(shelf, experiments, members))
+    return np.where(experiments.ended[members], mol * (purity >= bench.grades.purity[grade]) - score, 0.0)

@@ -1,0 +1,93 @@
+"""What the first episode of a scenario takes where nothing is compiled yet, and where everything is.
+
+    python studies/speed/cold_start.py
+    python studies/speed/cold_start.py --scenarios wurtz_real --before ../before python
+
+A run is `chemlab run SCENARIO` in a process of its own with an empty cache of kernels, then once more with that cache.
+On a machine with other work only the processor time (of all processes together) means something, and of that mostly
+ratios: with `--before CHECKOUT PYTHON` (see compare_commits.py) both commits run in alternation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from chemlab.config.files import replace_between
+
+SCENARIOS = ("wurtz_dodecane", "fictitious", "wurtz_real", "recrystallization")
+PLAY = "from chemlab.cli import main; main()"
+
+
+def run(checkout: Path, python: str, scenario: str, cache: str) -> dict[str, float]:
+    """Wall and processor seconds of a first episode with a cache, and how many compiled kernels that has then."""
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(
+        [python, "-c", PLAY, "run", scenario, "--json"],
+        check=True,
+        capture_output=True,
+        cwd=cache,  # not in the other checkout: its chemlab would be found first
+        env={**os.environ, "PYTHONPATH": str(checkout.resolve()), "NUMBA_CACHE_DIR": cache},
+    )
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"wall_s": wall, "processor_s": processor, "kernels": sum(1 for _ in Path(cache).rglob("*.nbc"))}
+
+
+def measure(scenario: str, checkouts: list[tuple[Path, str]], rounds: int) -> list[dict[str, Any]]:
+    """Medians of a scenario's cold and warm starts in each of some checkouts, which take turns."""
+    found: list[list[tuple[dict[str, float], dict[str, float]]]] = [[] for _ in checkouts]
+    for _ in range(rounds):
+        for rows, (checkout, python) in zip(found, checkouts, strict=True):
+            with tempfile.TemporaryDirectory() as cache:
+                rows.append((run(checkout, python, scenario, cache), run(checkout, python, scenario, cache)))
+    return [
+        {
+            kind: {key: statistics.median(row[at][key] for row in rows) for key in rows[0][at]}
+            for at, kind in enumerate(("cold", "warm"))
+        }
+        for rows in found
+    ]
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--before", nargs=2, metavar=("CHECKOUT", "PYTHON"), help="another commit, to compare with")
+    parser.add_argument("--most", type=float, default=math.inf, help="largest ratio of cold starts that is no failure")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
+    arguments = parser.parse_args()
+    checkouts = [(Path(__file__).parents[2], sys.executable)]
+    if arguments.before:
+        checkouts.insert(0, (Path(arguments.before[0]), arguments.before[1]))
+    results = {name: measure(name, checkouts, arguments.rounds) for name in arguments.scenarios}
+    ratios = {name: rows[-1]["cold"]["processor_s"] / rows[0]["cold"]["processor_s"] for name, rows in results.items()}
+    table = ["| scenario | kernels | cold, processor | cold, wall | warm, processor |", "|---|--:|--:|--:|--:|"]
+    for name, rows in results.items():
+        cold, warm = rows[-1]["cold"], rows[-1]["warm"]
+        ratio = f" ({ratios[name]:.2f}x)" if arguments.before else ""
+        table.append(
+            f"| `{name}` | {cold['kernels']:.0f} | {cold['processor_s']:.0f} s{ratio} | {cold['wall_s']:.0f} s "
+            f"| {warm['processor_s']:.1f} s |"
+        )
+    print(json.dumps(results, indent=1) if arguments.json else "\n".join(table))
+    if arguments.update is not None:
+        replace_between(arguments.update, "cold-start", table)
+    return int(max(ratios.values()) > arguments.most)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

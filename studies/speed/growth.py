@@ -1,0 +1,280 @@
+"""What a turn and a laboratory cost as they grow: benches, slots, materials, reactions, laboratories.
+
+Run ``python studies/speed/growth.py`` (``--json``, ``--quick``, ``--update docs/performance.md``, ``--plot FILE``;
+``--axes`` for some). Everybody plays random legal actions. Time is the processor's, on one thread, of
+``BatchedLaboratory.step`` alone, for each turn that an agent had; sizes of an axis take turns, ``--rounds`` times. The
+exponent is the slope of log(time) over log(size), fitted in every round: median, smallest and largest; beside it that
+of the two largest sizes, towards which it goes. Memory is what one laboratory more allocates, by ``tracemalloc``; its
+exponent is that of the two largest sizes.
+
+Benches and slots are beyond what a scenario's file may ask for, so that it is seen where it goes. Materials are isomers
+that turn into one another; with more reactions each is slower by as much, so that the time that all of them together
+take stays what it is, and with it the steps of the integrator.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Callable
+from itertools import islice, permutations
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from chemlab.agents.policies import RandomPolicy
+from chemlab.config.files import replace_between
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchVectorEnv
+
+BASE = "wurtz_dodecane"
+_FEW_REACTIONS, _FEW_MATERIALS = 6, 20
+_VESSELS = 4
+_FIRST_TURNS = 200
+"""Turns that are played before anything is measured, so that laboratories are not all at their beginning."""
+
+
+def with_benches(count: int) -> Scenario:
+    """So many of each of three kinds."""
+    spec = load_scenario(BASE)
+    benches = {key: bench.model_copy(update={"count": count}) for key, bench in spec.benches.items()}
+    return spec.model_copy(update={"benches": benches})
+
+
+def with_slots(count: int) -> Scenario:
+    """Such a shelf, with as many vessels on it as the scenario has."""
+    spec = load_scenario(BASE)
+    return spec.model_copy(update={"shelf": spec.shelf.model_copy(update={"slots": count})})
+
+
+def isomers(materials: int, reactions: int) -> Scenario:
+    """A laboratory of so many isomers, dealt out to four vessels, and reactions among them."""
+    names = [f"m{i}" for i in range(materials)]
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "materials.toml").write_text("\n".join(_material(i, name) for i, name in enumerate(names)))
+        steps = "\n".join(
+            f"[[reaction]]\nreactants = {{ {a} = 1 }}\nproducts = {{ {b} = 1 }}\n"
+            f"pre_exponential = {1e5 / reactions:.6g}\n"
+            'activation_energy_j_mol = 40000.0\nsource = "made up for a benchmark"\n'
+            for a, b in islice(_pairs(names), reactions)
+        )
+        (Path(folder) / "family.toml").write_text(f'name = "family"\nsummary = "isomers"\n{steps}')
+        vessels = []
+        for own in (names[i::_VESSELS] for i in range(_VESSELS)):
+            contents = ", ".join(["diethyl_ether = 4.0", *(f"{name} = {1.0 / len(own):.6g}" for name in own)])
+            vessels.append(f"{{ capacity_l = 1.2, contents = {{ {contents} }} }}")
+        goals = names[:5]
+        text = 'name = "isomers"\nbase = "fictitious"\nreactions = "family.toml"\nmaterial_files = ["materials.toml"]\n'
+        text += f"goals = {goals}\nlab_goals = {goals}\nstock = {{ m0 = 1.0 }}\n"
+        text += 'remove = ["theoretical_maximum_mol", "costs.stock_per_mol", "benches.rxn.reagents", '
+        text += '"benches.rxn.penalty", "benches.dit.start", "benches.rxn.start"]\n'
+        text += f"theoretical_maximum_mol = {{ {', '.join(f'{goal} = 1.0' for goal in goals)} }}\n"
+        text += f"[shelf]\nvessel = [{', '.join(vessels)}]\n"
+        text += f"[benches.rxn]\nreagents = {{ m0 = 1.0 }}\nstart = {vessels[0]}\n"
+        text += "[benches.dit]\nstart = { capacity_l = 1.2, contents = { diethyl_ether = 4.0 }, goal_mol = 1.0 }\n"
+        path = Path(folder) / "isomers.toml"
+        path.write_text(text)
+        return load_scenario(path)
+
+
+def _pairs(names: list[str]) -> Any:
+    """A ring first, so that every material takes part, then all others."""
+    ring = list(zip(names, [*names[1:], names[0]], strict=True))
+    return iter([*ring, *(pair for pair in permutations(names, 2) if pair not in set(ring))])
+
+
+def _material(number: int, name: str) -> str:
+    kelvin = 380.0 + 0.5 * number
+    keys = ("molar_mass_g_mol", "density_kg_l", "heat_capacity_j_mol_k", "boiling_point_k")
+    source = "\n".join(f'{key} = "made up"' for key in (*keys, "vaporization_enthalpy_j_mol", "polarity"))
+    return f"""[{name}]
+name = "{name}"
+formula = "Q"
+composition = {{ Qq = 1 }}
+molar_mass_g_mol = 80.0
+density_kg_l = 0.8
+heat_capacity_j_mol_k = 150.0
+boiling_point_k = {kelvin}
+vaporization_enthalpy_j_mol = 35000.0
+polarity = 0.2
+role = "solute"
+color = "#cc6677"
+shade = {0.1 + 0.004 * number:.3f}
+absorption = [{{ height_l_mol = 0.1, center_nm = {250 + 2 * number}.0, width_nm = 20.0 }}]
+
+[{name}.source]
+{source}
+color_shade_absorption = "made up"
+"""
+
+
+class Play:
+    """Laboratories in which everybody plays random legal actions."""
+
+    def __init__(self, spec: Scenario, count: int) -> None:
+        self._batch = BatchedLaboratory(count, spec, copy=False)
+        self._policies = {
+            agent: RandomPolicy((self._batch.action_space(agent).shape or (0,))[0], seed)
+            for seed, agent in enumerate(self._batch.possible_agents)
+        }
+        self._members, self._steps = np.arange(count), np.zeros(count, dtype=np.int64)
+        self._seen, self._infos = self._batch.reset(seed=0)
+
+    def turns(self, least: int, seconds: float) -> tuple[int, float]:
+        """Play so many turns at least, and so long; (turns, seconds of the processor in ``step``)."""
+        done, spent = 0, 0.0
+        while done < least or spent < seconds:
+            actions = {}
+            for agent, policy in self._policies.items():
+                acting = int(self._infos[agent]["has_turn"].sum())
+                if acting:
+                    done += acting
+                    mask = self._infos[agent].get("action_mask")
+                    actions[agent] = policy.act(self._seen[agent], mask, self._steps, self._members)
+            begun = time.process_time()
+            self._seen, _, _, _, self._infos = self._batch.step(actions)
+            spent += time.process_time() - begun
+        return done, spent
+
+
+class BenchPlay(Play):
+    """Reaction benches alone."""
+
+    def __init__(self, spec: Scenario, count: int) -> None:
+        self._envs = BenchVectorEnv(count, scenario=spec, bench="rxn", copy=False)
+        self._envs.reset(seed=0)
+        self._envs.action_space.seed(0)
+        self._actions = [self._envs.action_space.sample() for _ in range(64)]
+
+    def turns(self, least: int, seconds: float) -> tuple[int, float]:
+        """See :meth:`Play.turns`."""
+        steps, spent = 0, 0.0
+        while steps * self._envs.num_envs < least or spent < seconds:
+            begun = time.process_time()
+            self._envs.step(self._actions[steps % 64])
+            spent += time.process_time() - begun
+            steps += 1
+        return steps * self._envs.num_envs, spent
+
+
+Axis = tuple[tuple[int, ...], Callable[[int], Scenario], int, type[Play]]
+_MATERIALS, _REACTIONS = (10, 20, 50, 100, 200), (6, 12, 25, 50, 100, 200)
+AXES: dict[str, Axis] = {
+    "benches of each kind": ((1, 2, 4, 8, 16, 32, 64), with_benches, 64, Play),
+    "slots": ((8, 16, 32, 64, 128, 256, 512), with_slots, 64, Play),
+    "materials": (_MATERIALS, lambda count: isomers(count, _FEW_REACTIONS), 64, Play),
+    "materials, reaction bench alone": (_MATERIALS, lambda count: isomers(count, _FEW_REACTIONS), 64, BenchPlay),
+    "reactions": (_REACTIONS, lambda count: isomers(_FEW_MATERIALS, count), 64, Play),
+    "reactions, reaction bench alone": (_REACTIONS, lambda count: isomers(_FEW_MATERIALS, count), 64, BenchPlay),
+    "laboratories": ((1, 4, 16, 64, 256, 1024, 4096, 16384), lambda _: load_scenario(BASE), 0, Play),
+}
+"""By name: sizes, the scenario of a size, how many laboratories play it (0: the size), and who plays."""
+
+
+def memory(spec: Scenario, few: int = 2, more: int = 10) -> float:
+    """Bytes of one laboratory more."""
+    sizes = []
+    for count in (few, few, more):  # what is loaded by the first is there for the others
+        gc.collect()
+        tracemalloc.start()
+        batch = BatchedLaboratory(count, spec, copy=False)
+        batch.reset(seed=0)
+        sizes.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+        del batch
+    return (sizes[2] - sizes[1]) / (more - few)
+
+
+def slope(sizes: Any, values: Any) -> float:
+    """Exponent of the power that fits best."""
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
+
+
+def measure(name: str, rounds: int, seconds: float, most: int | None) -> dict[str, Any]:
+    """Microseconds a turn and bytes a laboratory at every size of an axis, with exponents."""
+    sizes, scenario, count, player = AXES[name]
+    sizes = tuple(size for size in sizes if most is None or size <= most)
+    specs = [scenario(size) for size in sizes]
+    plays = [player(spec, count or size) for spec, size in zip(specs, sizes, strict=True)]
+    for play in plays:
+        play.turns(_FIRST_TURNS, 0.0)
+    found = []
+    for _ in range(rounds):
+        found.append([1e6 * spent / turns for turns, spent in (play.turns(1, seconds) for play in plays)])
+    del plays
+    fits = [slope(sizes, row) for row in found]
+    at_end = [slope(sizes[-2:], row[-2:]) for row in found]
+    each = [memory(specs[0])] if not count else [memory(spec) for spec in specs]
+    return {
+        "sizes": sizes,
+        "turn_us": [median(column) for column in zip(*found, strict=True)],
+        "exponent": [median(fits), min(fits), max(fits)],
+        "exponent_at_end": [median(at_end), min(at_end), max(at_end)],
+        "bytes": each,
+        "bytes_exponent": slope(sizes[-2:], each[-2:]) if count else 0.0,
+    }
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """The figures as Markdown."""
+    lines = ["| | sizes | µs a turn | exponent [range] | of the last two | KiB a laboratory | exponent |"]
+    lines.append("|---|---|---|--:|--:|---|--:|")
+    for name, one in result.items():
+        fitted, last = (f"{m:.2f} [{a:.2f}, {b:.2f}]" for m, a, b in (one["exponent"], one["exponent_at_end"]))
+        times, kib = (
+            ", ".join(f"{x:.3g}" if x < 1000.0 else f"{x:,.0f}" for x in xs)
+            for xs in (one["turn_us"], [b / 1024.0 for b in one["bytes"]])
+        )
+        sizes = ", ".join(f"{size:,}" for size in one["sizes"])
+        lines.append(f"| {name} | {sizes} | {times} | {fitted} | {last} | {kib} | {one['bytes_exponent']:.2f} |")
+    return lines
+
+
+def plot(result: dict[str, Any], path: Path) -> None:
+    """Curves of time (above) and memory over size. Needs the extra ``plot``."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(3.0 * len(result), 5.0), layout="constrained")
+    for column, (name, one) in enumerate(result.items()):
+        for row, (values, label) in enumerate(((one["turn_us"], "µs a turn"), (one["bytes"], "bytes a laboratory"))):
+            axes = figure.add_subplot(2, len(result), row * len(result) + column + 1)
+            axes.loglog(one["sizes"][: len(values)], values, "o-")
+            axes.set(xlabel=name, ylabel=label)
+    figure.savefig(path)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--axes", nargs="*", default=list(AXES), choices=list(AXES), metavar="AXIS", help="default: all"
+    )
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=0.5, help="of each measurement")
+    parser.add_argument("--most", type=int, help="no larger sizes")
+    parser.add_argument("--quick", action="store_true", help="three short rounds, sizes up to 64")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
+    parser.add_argument("--update", type=Path, metavar="FILE", help="put the table between the marks `growth`")
+    given = parser.parse_args()
+    rounds, seconds, most = (3, 0.1, 64) if given.quick else (given.rounds, given.seconds, given.most)
+    load = os.getloadavg()[0]
+    result = {name: measure(name, rounds, seconds, most) for name in given.axes}
+    lines = [*table(result), "", f"{rounds} rounds; load average {load:.1f} before."]
+    print(json.dumps(result, indent=1) if given.json else "\n".join(lines))
+    if given.plot is not None:
+        plot(result, given.plot)
+    if given.update is not None:
+        replace_between(given.update, "growth", lines)
+
+
+if __name__ == "__main__":
+    main()

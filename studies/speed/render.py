@@ -1,0 +1,82 @@
+"""Frames per second of pictures at 960 x 540, reading the scene off the arrays included.
+
+Run ``python studies/speed/render.py`` (``--json`` for machines). Each scenario is played by its scripted policies,
+each bench by random actions; every turn is drawn once. Without a screen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+import numpy as np
+
+from chemlab.agents.episodes import PlayedTurn, play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchEnv
+from chemlab.render.draw import draw
+from chemlab.render.scene import bench_scene, laboratory_scene
+
+
+def laboratory(name: str, episodes: int) -> dict[str, float]:
+    """Frames per second and the slowest frame, over whole episodes."""
+    env = raw_env(name)
+    env.reset(seed=0)
+    seconds: list[float] = []
+
+    def watch(turn: PlayedTurn) -> None:
+        begun = time.perf_counter()
+        draw(laboratory_scene(env.laboratories))
+        seconds.append(time.perf_counter() - begun)
+
+    for seed in range(episodes):
+        play_episode(env, make_policies("heuristic", env.laboratories, seed), seed, watch=watch)
+    return summary(seconds)
+
+
+def bench(name: str, key: str, frames: int) -> dict[str, float]:
+    """The same of a single bench."""
+    env = BenchEnv(name, key)
+    env.action_space.seed(0)
+    seconds: list[float] = []
+    over = True
+    while len(seconds) < frames:
+        if over:
+            env.reset(seed=len(seconds))
+        _, _, over, _, _ = env.step(env.action_space.sample())
+        begun = time.perf_counter()
+        draw(bench_scene(env.batch))
+        seconds.append(time.perf_counter() - begun)
+    return summary(seconds)
+
+
+def summary(seconds: list[float]) -> dict[str, float]:
+    """Mean rate, and the slowest frame after the first (which makes fonts and background)."""
+    return {
+        "frames": len(seconds),
+        "frames_per_second": round(1.0 / float(np.mean(seconds[1:])), 1),
+        "slowest_ms": round(1000.0 * max(seconds[1:]), 1),
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--episodes", type=int, default=3, help="episodes of each scenario")
+    arguments = parser.parse_args()
+    results = {name: laboratory(name, arguments.episodes) for name in scenario_names()}
+    for key in load_scenario("wurtz_dodecane").benches:
+        results[f"wurtz_dodecane {key}"] = bench("wurtz_dodecane", key, 100)
+    if arguments.json:
+        print(json.dumps(results, indent=2))
+        return
+    for name, result in results.items():
+        print(f"{name:<24} {result['frames_per_second']:7.1f} frames/s, slowest {result['slowest_ms']:.1f} ms")
+
+
+if __name__ == "__main__":
+    main()

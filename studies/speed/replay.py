@@ -1,0 +1,79 @@
+"""How long replay pages of long episodes take to load, in a headless Chromium.
+
+Run ``python studies/speed/replay.py`` (``--json`` for machines). Needs Playwright (extra ``test``) and ``chromium``.
+Each scenario is played by its random policies; loading ends when everything is drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import statistics
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.config.scenario import scenario_names
+from chemlab.envs.aec import raw_env
+from chemlab.record import Recorder, read_record
+from chemlab.render.replay import replay_page
+
+FLAGS = ["--no-sandbox", "--disable-gpu"]
+
+
+def page_of(name: str, folder: Path) -> Path:
+    """The page of the longest of ten episodes."""
+    env = raw_env(name)
+    pages = []
+    for seed in range(10):
+        path = folder / f"{name}-{seed}.jsonl"
+        with Recorder(path, env.laboratories) as recorder:
+            play_episode(env, make_policies("random", env.laboratories, seed), seed, recorder=recorder)
+        pages.append(replay_page(read_record(path)))
+    page = folder / f"{name}.html"
+    page.write_text(max(pages, key=len), encoding="utf-8")
+    return page
+
+
+def load(browser: Any, page: Path) -> float:
+    """ms from the request to the load event's end."""
+    tab = browser.new_page()
+    tab.goto(page.as_uri())
+    tab.wait_for_selector("#slots svg")
+    spent = tab.evaluate("performance.timing.loadEventEnd - performance.timing.navigationStart")
+    tab.close()
+    return float(spent)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--loads", type=int, default=5, help="times each page is loaded")
+    arguments = parser.parse_args()
+    results = {}
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=FLAGS)
+        for name in scenario_names():
+            page = page_of(name, Path(folder))
+            times = [load(browser, page) for _ in range(arguments.loads)]
+            results[name] = {
+                "kilobytes": round(page.stat().st_size / 1000.0),
+                "median_ms": statistics.median(times),
+                "slowest_ms": max(times),
+            }
+        browser.close()
+    if arguments.json:
+        print(json.dumps(results, indent=2))
+        return
+    for name, r in results.items():
+        print(f"{name:<24} {r['kilobytes']:6.0f} kB, median {r['median_ms']:.0f} ms, slowest {r['slowest_ms']:.0f} ms")
+
+
+if __name__ == "__main__":
+    main()

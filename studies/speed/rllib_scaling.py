@@ -1,0 +1,163 @@
+"""Turns per second of training on RLlib with 1 and 2 env runners; and the manager's view, one by one and in a batch.
+
+Run ``python studies/speed/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a look, ``--update PAGE`` to
+write the table between its marks). The runs stand side by side and take turns, a round each, so that whatever else the
+machine does meets them alike; figures are medians of rounds, the first not counted. A round gathers a batch of turns
+and learns from it. The learning rate is so small that policies stay as they begin: those that learn play other episodes
+(a manager that submits at once makes twenty times as many), which is other work. Episodes a round show that it is the
+same. One process learns, so that only gathering can scale.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+
+from chemlab.agents.executors import connected
+from chemlab.agents.rllib.train import _Team
+from chemlab.agents.roles import chosen_roles
+from chemlab.agents.train.arguments import RllibArguments
+from chemlab.agents.train.loop import Progress
+from chemlab.config.files import replace_between
+from chemlab.config.scenario import load_scenario
+from chemlab.lab.engine import Laboratories
+
+STILL = 1e-9
+"""A learning rate that moves nothing."""
+VIEW, LABORATORIES = "chemlab/LabManager-v0", 64
+
+
+class Timed:
+    """A team, and what its rounds took: (turns, seconds of gathering, seconds of learning, episodes)."""
+
+    clock = staticmethod(time.perf_counter)
+
+    def __init__(self, arguments: RllibArguments) -> None:
+        scenario = load_scenario(arguments.scenario)
+        roles = chosen_roles(Laboratories(scenario, 1), arguments.roles)
+        self.team = _Team(arguments, scenario, roles, 0)
+        self.rounds: list[tuple[int, float, float, int]] = []
+        self._learning = 0.0
+        group: Any = self.team.algorithm.learner_group
+        update = group.update
+
+        def timed(*given: Any, **named: Any) -> Any:
+            begun = self.clock()
+            found = update(*given, **named)
+            self._learning += self.clock() - begun
+            return found
+
+        group.update = timed
+
+    def round(self) -> None:
+        self._learning, begun = 0.0, self.clock()
+        turns, scores = self.team.learn(Progress())
+        seconds = self.clock() - begun
+        self.rounds.append((turns, seconds - self._learning, self._learning, len(scores)))
+
+
+def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
+    """Rates of every number of runners, all in one Ray."""
+    torch.set_num_threads(1)
+    # Ray gives its workers a low priority, so that whatever else the machine does would be measured.
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    with connected(None, sum(runners)):
+        runs = {
+            n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch, learning_rate=STILL))
+            for n in runners
+        }
+        for _ in range(rounds + 1):
+            for run in runs.values():
+                run.round()
+        rows = [
+            {
+                "runners": n,
+                "gathered_per_second": statistics.median(t / gathering for t, gathering, _, _ in run.rounds[1:]),
+                "all_per_second": statistics.median(t / (g + learning) for t, g, learning, _ in run.rounds[1:]),
+                "episodes": statistics.median(episodes for _, _, _, episodes in run.rounds[1:]),
+            }
+            for n, run in runs.items()
+        ]
+        for run in runs.values():
+            run.team.stop()
+    return rows
+
+
+def _view(settings: Any) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]:
+    """The manager's view: a batch where a runner asks for one."""
+    if "num_envs" in settings:
+        return gymnasium.make_vec(VIEW, settings["num_envs"], vectorization_mode="vector_entry_point")
+    return gymnasium.make(VIEW)
+
+
+def inside(rounds: int) -> dict[str, float]:
+    """Decisions a second that one runner gathers of :data:`LABORATORIES` laboratories, one by one and in a batch."""
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+    from ray.tune.registry import register_env
+
+    register_env("view", _view)
+    runners = {}
+    for mode in ("sync", "vector_entry_point"):
+        config = PPOConfig().environment("view")
+        config = config.env_runners(num_envs_per_env_runner=LABORATORIES, gym_env_vectorize_mode=mode)
+        runners[mode] = SingleAgentEnvRunner(config=config)
+    rates: dict[str, list[float]] = {mode: [] for mode in runners}
+    turns = 32 * LABORATORIES
+    for _ in range(rounds + 1):
+        for mode, runner in runners.items():
+            begun = Timed.clock()
+            runner.sample(num_timesteps=turns)
+            rates[mode].append(turns / (Timed.clock() - begun))
+    return {mode: statistics.median(found[1:]) for mode, found in rates.items()}
+
+
+def table(rows: list[dict[str, Any]]) -> list[str]:
+    """Markdown."""
+    first = rows[0]
+    lines = ["| env runners | turns gathered a second | learning included | episodes a round |", "|--:|--:|--:|--:|"]
+    for row in rows:
+        cells = [f"{row[key]:,.0f} ({row[key] / first[key]:.2f}x)" for key in ("gathered_per_second", "all_per_second")]
+        lines.append(f"| {row['runners']} | {' | '.join(cells)} | {row['episodes']:.0f} |")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="wurtz_dodecane")
+    parser.add_argument("--roles", nargs="*", help="default: all")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--quick", action="store_true", help="3 rounds")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--update", type=Path, help="page with the marks rllib-scaling")
+    given = parser.parse_args()
+    roles = tuple(given.roles) if given.roles else None
+    load = os.getloadavg()[0]
+    rounds = 3 if given.quick else given.rounds
+    rows = measure(given.scenario, roles, (1, 2), rounds, 4096)
+    views = inside(rounds)
+    if given.json:
+        print(json.dumps({"rows": rows, "views": views, "cores": os.cpu_count(), "load": load}))
+        return
+    one, batch = views.values()
+    lines = [
+        *table(rows),
+        "",
+        f"{LABORATORIES} laboratories in a runner, the manager's view: {one:,.0f} decisions gathered a second one by "
+        f"one, {batch:,.0f} ({batch / one:.2f}x) as a batch. {os.cpu_count()} cores; load average {load:.1f} before.",
+    ]
+    print("\n".join(lines))
+    if given.update is not None:
+        replace_between(given.update, "rllib-scaling", lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""How training on RLlib goes on with many env runners: measured with one and two, simulated with more.
+
+Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md``). One and two
+runners take turns, a round each, as in ``rllib_scaling.py``; figures are of the processors' time of each process, which
+what else the machine does does not count in, so they tell what happens where every runner has a core of its own.
+
+A round of the simulation: every runner plays its share of turns, and the slowest is waited for (each takes what a
+measured round, drawn at random, took); what they have played is sent to the one process that learns, which takes it
+apart and updates; the new weights go to every runner. Measured: a runner's and the learner's seconds for a turn, the
+bytes of a turn and of the weights. Assumed: ``--gigabits`` of the learner's network, ``--share`` turns of each runner.
+Its speed-up for two runners stands beside the one measured in the same way: the slower runner's time and the learner's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import pickle
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import torch
+from rllib_scaling import STILL, Timed
+
+from chemlab.agents.executors import connected
+from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv
+from chemlab.agents.train.arguments import RllibArguments
+from chemlab.agents.train.loop import Progress
+from chemlab.config.files import replace_between
+
+RUNNERS = (1, 2, 8, 64, 512)
+_ROUNDS = 200
+"""Of a simulation."""
+
+
+def processor_seconds(_: Any) -> float:
+    """Seconds of the processor that an env runner's process has taken."""
+    return time.process_time()
+
+
+def bytes_a_turn(runner: Any) -> float:
+    """Of what it sends."""
+    turns = 256
+    return len(pickle.dumps(runner.sample(num_timesteps=turns))) / turns
+
+
+class Clocked(Timed):
+    """A team, and the processors' seconds of its rounds, for each turn: the slowest runner's, all that the learning
+    process does besides updating, and updating."""
+
+    clock = staticmethod(time.process_time)
+
+    def __init__(self, arguments: RllibArguments) -> None:
+        super().__init__(arguments)
+        self.seconds: list[tuple[float, float, float]] = []
+        self.each: list[float] = []
+
+    def of_runners(self, function: Any) -> list[float]:
+        """A number of each of them."""
+        group = self.team.algorithm.env_runner_group
+        found: list[float] = group.foreach_env_runner(function, local_env_runner=False)
+        return found
+
+    def round(self) -> None:
+        """Play and learn once."""
+        self._learning = 0.0
+        runners, mine = self.of_runners(processor_seconds), time.process_time()
+        turns, _ = self.team.learn(Progress())
+        own = time.process_time() - mine
+        taken = [after - before for before, after in zip(runners, self.of_runners(processor_seconds), strict=True)]
+        share = turns / len(taken)
+        self.each += [one / share for one in taken]
+        self.seconds.append((max(taken) / turns, (own - self._learning) / turns, self._learning / turns))
+
+
+def environment_alone(scenario: str, turns: int) -> float:
+    """Seconds of the processor for a turn of the environment that runners play, random legal actions."""
+    env = LaboratoryMultiAgentEnv({"scenario": scenario})
+    seen, _ = env.reset(seed=0)
+    spent = 0.0
+    for turn in range(2 * turns):
+        if turn == turns:
+            spent = 0.0  # the first half warms up
+        (agent,) = seen
+        mask = seen[agent]["action_mask"] if isinstance(seen[agent], dict) else None
+        action = env.get_action_space(agent).sample(mask)
+        begun = time.process_time()
+        seen, _, terminated, truncated, _ = env.step({agent: action})
+        if terminated["__all__"] or truncated["__all__"]:
+            seen, _ = env.reset()
+        spent += time.process_time() - begun
+    return spent / turns
+
+
+def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
+    """Seconds for a turn and bytes, with one runner and with two."""
+    torch.set_num_threads(1)
+    with connected(None, 3):
+        runs = {n: Clocked(RllibArguments(scenario, runners=n, batch=batch, learning_rate=STILL)) for n in RUNNERS[:2]}
+        for _ in range(rounds + 1):
+            for run in runs.values():
+                run.round()
+        one = runs[1]
+        found = {
+            "runner_s": one.each[1:],
+            "apart_s": median(row[1] for row in one.seconds[1:]),
+            "update_s": median(row[2] for row in one.seconds[1:]),
+            "turn_bytes": median(one.of_runners(bytes_a_turn)),
+            "weights_bytes": len(pickle.dumps(one.team.algorithm.learner_group.get_weights())),
+            "round_s": {n: median(sum(row) for row in run.seconds[1:]) for n, run in runs.items()},
+            "gathering_s": {n: median(row[0] for row in run.seconds[1:]) for n, run in runs.items()},
+        }
+        for run in runs.values():
+            run.team.stop()
+    return {**found, "environment_s": environment_alone(scenario, batch)}
+
+
+def simulate(found: dict[str, Any], runners: int, share: int, gigabits: float) -> dict[str, float]:
+    """Seconds of a round by what they are spent on, and turns a second."""
+    rng, turns = np.random.default_rng(runners), runners * share
+    slowest = rng.choice(found["runner_s"], (_ROUNDS, runners)).max(axis=1).mean() * share
+    speed = gigabits * 1e9 / 8.0
+    parts = {
+        "playing": float(slowest),
+        "sending": (turns * found["turn_bytes"] + runners * found["weights_bytes"]) / speed,
+        "taking apart": turns * found["apart_s"],
+        "updating": turns * found["update_s"],
+    }
+    return {**parts, "turns_a_second": turns / sum(parts.values())}
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """Markdown."""
+    found = result["measured"]
+    runner = median(found["runner_s"])
+    figures = {
+        "a runner plays a turn in": (1e6 * runner, "µs of a processor"),
+        "of which the laboratory takes": (1e6 * found["environment_s"], "µs"),
+        "the learning process takes a turn apart in": (1e6 * found["apart_s"], "µs of a processor"),
+        "and learns from it in": (1e6 * found["update_s"], "µs of a processor"),
+        "a turn is": (found["turn_bytes"] / 1024, "KiB"),
+        "the weights are": (found["weights_bytes"] / 1024, "KiB"),
+        "two runners gather, of what one does,": (result["gathering_speedup"], "times as much a second"),
+        "learning included": (result["speedup"], "times"),
+        "the same, simulated": (result["simulated_speedup"], "times"),
+    }
+    lines = [
+        "| measured | | |",
+        "|---|--:|---|",
+        *(f"| {words} | {value:,.{0 if value >= 20 else 2}f} | {unit} |" for words, (value, unit) in figures.items()),
+        "",
+        "| env runners | turns a second | of one | playing | sending | taking apart | updating | bottleneck |",
+        "|--:|--:|--:|--:|--:|--:|--:|---|",
+    ]
+    first = result["simulated"]["1"]["turns_a_second"]
+    for runners, one in result["simulated"].items():
+        parts = {name: seconds for name, seconds in one.items() if name != "turns_a_second"}
+        whole = sum(parts.values())
+        shares = " | ".join(f"{seconds / whole:.0%}" for seconds in parts.values())
+        rate = one["turns_a_second"]
+        bottleneck = max(parts, key=lambda name: parts[name])
+        lines.append(f"| {runners} | {rate:,.0f} | {rate / first:.2f}x | {shares} | {bottleneck} |")
+    return lines
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="wurtz_dodecane")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--batch", type=int, default=2048, help="turns of a measured round")
+    parser.add_argument("--share", type=int, default=2048, help="turns of each runner in a simulated round")
+    parser.add_argument("--gigabits", type=float, default=10.0, help="a second, of the learner's network")
+    parser.add_argument("--quick", action="store_true", help="3 short rounds")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--update", type=Path, metavar="FILE", help="put the table between the marks `runners`")
+    given = parser.parse_args()
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    load = os.getloadavg()[0]
+    rounds, batch = (3, 512) if given.quick else (given.rounds, given.batch)
+    found = measure(given.scenario, rounds, batch)
+    # For the comparison, shares are those of the measured rounds, in which two runners play as much as one.
+    halves = [simulate(found, n, batch // n, given.gigabits)["turns_a_second"] for n in RUNNERS[:2]]
+    result = {
+        "measured": found,
+        "gathering_speedup": found["gathering_s"][1] / found["gathering_s"][2],
+        "speedup": found["round_s"][1] / found["round_s"][2],
+        "simulated_speedup": halves[1] / halves[0],
+        "simulated": {str(n): simulate(found, n, given.share, given.gigabits) for n in RUNNERS},
+    }
+    if given.json:
+        print(json.dumps({**result, "load": load}, indent=1))
+        return
+    lines = [*table(result), "", f"{rounds} rounds of {batch} turns; load average {load:.1f} before."]
+    print("\n".join(lines))
+    if given.update is not None:
+        replace_between(given.update, "runners", lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,357 @@
+"""Steps per second of every environment, where the time goes, and what start-up costs.
+
+Run ``python studies/speed/throughput.py`` (``--json`` for machines, ``--quick`` for a look). Random actions, resets
+included. Every figure also comes as a ratio to Gymnasium's CartPole-v1 stepped singly in the same run, so that it means
+something on another machine; machines are noisy, so compare ratios of one run only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import chemlab  # noqa: F401 - registers the environments
+from chemlab.agents.background import focal_vector_env
+from chemlab.agents.policies import RandomPolicy
+from chemlab.config.files import replace_between
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.laboratory import env as laboratory_env
+from chemlab.laboratory import parallel_env, raw_env
+
+ROUNDS = 5
+IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
+START_UP = """
+import time, sys
+begun = time.perf_counter()
+import gymnasium, chemlab
+env = gymnasium.make("chemlab/{name}-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(time.perf_counter() - begun)
+"""
+MEMORY = """
+import gymnasium, chemlab
+envs = gymnasium.make_vec("chemlab/{name}-v0", num_envs=4096, vectorization_mode="vector_entry_point")
+envs.reset(seed=0)
+for _ in range(3):
+    envs.step(envs.action_space.sample())
+print(next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM")) / 1024)
+"""
+
+
+def rate(step: Callable[[int], int], seconds: float) -> float:
+    """Steps per second: ``step(i)`` takes some steps and returns how many."""
+    for i in range(20):
+        step(i)
+    done, i, begun = 0, 0, time.perf_counter()
+    while (elapsed := time.perf_counter() - begun) < seconds:
+        for _ in range(10):
+            done += step(i)
+            i += 1
+    return done / elapsed
+
+
+def single(name: str, seconds: float) -> float:
+    """Steps per second of one environment made by ``gymnasium.make``."""
+    env = gymnasium.make(name)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(1000)]
+
+    def step(i: int) -> int:
+        _, _, terminated, truncated, _ = env.step(actions[i % 1000])
+        if terminated or truncated:
+            env.reset()
+        return 1
+
+    return rate(step, seconds)
+
+
+def batched(name: str, count: int, threads: int, seconds: float, **arguments: Any) -> float:
+    """Steps per second of a batch of ``count``."""
+    envs = gymnasium.make_vec(
+        f"chemlab/{name}-v0",
+        num_envs=count,
+        vectorization_mode="vector_entry_point",
+        threads=threads,
+        copy=False,
+        **arguments,
+    )
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    actions = [envs.action_space.sample() for _ in range(max(2, 4096 // count))]
+
+    def step(i: int) -> int:
+        envs.step(actions[i % len(actions)])
+        return count
+
+    found = rate(step, seconds)
+    envs.close()
+    return found
+
+
+def parts(name: str, seconds: float) -> dict[str, float]:
+    """Microseconds a step of a batch of 256 spends in physics, in observing and masking, and in Python around them."""
+    envs = gymnasium.make_vec(f"chemlab/{name}-v0", num_envs=256, vectorization_mode="vector_entry_point", copy=False)
+    assert isinstance(envs, BenchVectorEnv)
+    envs.reset(seed=0)
+    actions = [envs.action_space.sample() for _ in range(16)]
+    bench, spent = envs.bench, {"physics": 0.0, "observation": 0.0}
+
+    def timed(method: Callable[..., None], part: str) -> Callable[..., None]:
+        def call(*args: Any) -> None:
+            begun = time.perf_counter()
+            method(*args)
+            spent[part] += time.perf_counter() - begun
+
+        return call
+
+    for i in range(60):
+        envs.step(actions[i % 16])
+    for method, part in (("act", "physics"), ("begin", "physics"), ("observe", "observation"), ("mask", "observation")):
+        setattr(bench, method, timed(getattr(bench, method), part))
+    steps, begun = 0, time.perf_counter()
+    while (elapsed := time.perf_counter() - begun) < seconds:
+        envs.step(actions[steps % 16])
+        steps += 1
+    figures = {part: value / steps / 256 * 1e6 for part, value in spent.items()}
+    figures["python"] = elapsed / steps / 256 * 1e6 - sum(figures.values())
+    out = np.zeros((256, *bench.observation_space.shape), dtype=np.float32)
+    source = np.ones_like(out)
+    begun = time.perf_counter()
+    for _ in range(200):
+        np.copyto(out, source)
+    figures["writing an observation"] = (time.perf_counter() - begun) / 200 / 256 * 1e6
+    return figures
+
+
+def laboratory(make: Callable[..., Any], seconds: float) -> float:
+    """Agent steps per second of an AEC laboratory under random legal actions."""
+    env = make("wurtz_dodecane")
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def step(i: int) -> int:
+        if not env.agents:
+            env.reset()
+        _, _, terminated, truncated, info = env.last()
+        if terminated or truncated:
+            env.step(None)
+            return 0
+        mask = info.get("action_mask")
+        if mask is None:
+            env.step(rng.random(6, dtype=np.float32))
+        else:
+            legal = mask.nonzero()[0]
+            env.step(int(legal[int(rng.random() * len(legal))]))
+        return 1
+
+    return rate(step, seconds)
+
+
+def parallel(seconds: float) -> float:
+    """Agent steps per second (all agents are in every step) of the parallel laboratory, random legal actions."""
+    env = parallel_env("wurtz_dodecane")
+    _, infos = env.reset(seed=0)
+    rng = np.random.default_rng(0)
+
+    def step(i: int) -> int:
+        nonlocal infos
+        if not env.agents:
+            _, infos = env.reset()
+        actions: dict[str, Any] = {}
+        for agent, info in infos.items():
+            if info["has_turn"]:
+                mask = info.get("action_mask")
+                if mask is None:
+                    actions[agent] = rng.random(6)
+                else:
+                    legal = mask.nonzero()[0]
+                    actions[agent] = int(legal[int(rng.random() * len(legal))])
+        _, _, _, _, infos = env.step(actions)
+        return len(infos)
+
+    return rate(step, seconds)
+
+
+def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "wurtz_dodecane") -> float:
+    """Turns per second of ``count`` laboratories at once, random legal actions of all roles."""
+    batch = BatchedLaboratory(count, scenario, copy=False)
+    policies = {
+        agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
+        for seed, agent in enumerate(batch.possible_agents)
+    }
+    members, steps = np.arange(count), np.zeros(count, dtype=np.int64)
+    observations, infos = batch.reset(seed=0)
+
+    def step(i: int) -> int:
+        nonlocal observations, infos
+        turns, actions = 0, {}
+        for agent, policy in policies.items():
+            acting = int(infos[agent]["has_turn"].sum())
+            if acting:
+                turns += acting
+                actions[agent] = policy.act(observations[agent], infos[agent].get("action_mask"), steps, members)
+        observations, _, _, _, infos = batch.step(actions)
+        return turns
+
+    return rate(step, seconds)
+
+
+def manager_view(count: int, seconds: float) -> float:
+    """Manager decisions per second of ``count`` laboratories with scripted benches, random legal decisions."""
+    envs = focal_vector_env(count, autoreset_mode="SameStep", copy=False)
+    policy, members, steps = RandomPolicy(0, 0), np.arange(count), np.zeros(count, dtype=np.int64)
+    observations, infos = envs.reset(seed=0)
+
+    def step(i: int) -> int:
+        nonlocal observations, infos
+        actions = policy.act(observations, infos["action_mask"], steps, members)
+        observations, _, _, _, infos = envs.step(actions)
+        return count
+
+    return rate(step, seconds)
+
+
+def in_a_process(code: str, **environment: str) -> float:
+    """What a fresh Python process that runs ``code`` prints."""
+    run = [sys.executable, "-c", code]
+    return float(
+        subprocess.run(run, check=True, capture_output=True, text=True, env={**os.environ, **environment}).stdout
+    )
+
+
+def rates(seconds: float, quick: bool) -> dict[str, Any]:
+    """Everything that is measured while it runs, once."""
+    cartpole = single("CartPole-v1", seconds)
+    result: dict[str, Any] = {"cartpole_single": cartpole, "single": {}, "batched": {}, "parts_us": {}}
+    for name in IDS:
+        result["single"][name] = single(f"chemlab/{name}-v0", seconds)
+        sizes = ((256, 1), (256, 2)) if quick else [(n, t) for n in (1, 16, 256, 4096) for t in (1, 2) if t <= n]
+        result["batched"][name] = {f"{n}x{t}": batched(name, n, t, seconds) for n, t in sizes}
+        result["parts_us"][name] = parts(name, seconds)
+    result["materials"] = {
+        scenario: {
+            "materials": len(load_scenario(scenario).materials),
+            "rxn_256": batched("Bench", 256, 1, seconds, scenario=scenario, bench="rxn"),
+            "dit_256": batched("Bench", 256, 1, seconds, scenario=scenario, bench="dit"),
+        }
+        for scenario in ("fictitious", "wurtz_dodecane_direct", "wurtz_dodecane")
+    }
+    result["laboratory"] = {
+        "`env`, agent steps": laboratory(laboratory_env, seconds),
+        "`raw_env`, agent steps": laboratory(raw_env, seconds),
+        "`parallel_env`, agent steps": parallel(seconds),
+        "256 at once, all roles random, turns": batched_laboratory(256, 4.0 * seconds),
+        **{
+            f"manager's view, {count} at once, benches scripted, decisions": manager_view(count, seconds)
+            for count in (64, 256)
+        },
+    }
+    return result
+
+
+def medians(found: list[Any]) -> Any:
+    """Of figures that have been measured several times, each one's median."""
+    if isinstance(found[0], dict):
+        return {key: medians([one[key] for one in found]) for key in found[0]}
+    return statistics.median(found)
+
+
+def measure(seconds: float, quick: bool) -> dict[str, Any]:
+    """All figures: medians of rounds, so that what else a machine does for a while spoils none of them."""
+    result: dict[str, Any] = medians([rates(seconds, quick) for _ in range(1 if quick else ROUNDS)])
+    result["start_up_s"] = {}
+    for name in IDS[::2]:
+        result["start_up_s"][name] = {"warm": in_a_process(START_UP.format(name=name))}
+        if not quick:
+            with tempfile.TemporaryDirectory() as folder:
+                cold = in_a_process(START_UP.format(name=name), NUMBA_CACHE_DIR=folder)
+            result["start_up_s"][name]["cold"] = cold
+    result["peak_memory_mib_4096"] = {name: in_a_process(MEMORY.format(name=name)) for name in IDS[::2]}
+    return result
+
+
+def table(result: dict[str, Any]) -> str:
+    """The figures as Markdown."""
+    base = result["cartpole_single"]
+    lines = [f"CartPole-v1, single: {base:,.0f} steps/s (= 1x)", ""]
+    sizes = list(next(iter(result["batched"].values())))
+    heads = " | ".join(f"batch {s.replace('x', ', ')} thr." for s in sizes)
+    lines += [f"| environment | single | {heads} |", "|---|--:|" + "--:|" * len(sizes)]
+    for name in IDS:
+        row = [result["single"][name], *(result["batched"][name][s] for s in sizes)]
+        lines.append(f"| `chemlab/{name}-v0` | " + " | ".join(f"{x:,.0f} ({x / base:.2f}x)" for x in row) + " |")
+    lines += ["", "| laboratory | a second |", "|---|--:|"]
+    for name, value in result["laboratory"].items():
+        lines.append(f"| {name} | {value:,.0f} ({value / base:.2f}x) |")
+    lines += [
+        "",
+        "| microseconds a step, batch 256, 1 thread | " + " | ".join(next(iter(result["parts_us"].values()))) + " |",
+    ]
+    lines.append("|---|" + "--:|" * 4)
+    for name, figures in result["parts_us"].items():
+        lines.append(f"| `{name}` | " + " | ".join(f"{x:.2f}" for x in figures.values()) + " |")
+    lines += ["", "| scenario | materials | rxn, batch 256 | dit, batch 256 |", "|---|--:|--:|--:|"]
+    for name, figures in result["materials"].items():
+        lines.append(f"| `{name}` | {figures['materials']} | {figures['rxn_256']:,.0f} | {figures['dit_256']:,.0f} |")
+    lines.append("")
+    for name, figures in result["start_up_s"].items():
+        lines.append(f"first step of {name}: " + ", ".join(f"{kind} {value:.1f} s" for kind, value in figures.items()))
+    memory = ", ".join(f"{name} {value:.0f} MiB" for name, value in result["peak_memory_mib_4096"].items())
+    return "\n".join([*lines, f"peak memory of a process with a batch of 4,096: {memory}"])
+
+
+def short_table(result: dict[str, Any]) -> str:
+    """A few of the figures, for README."""
+    base = result["cartpole_single"]
+    lines = ["| | single | batch of 256, 1 thread |", "|---|--:|--:|", f"| Gymnasium's `CartPole-v1` | {base:,.0f} | |"]
+    for name in IDS[::2]:
+        found = (result["single"][name], result["batched"][name]["256x1"])
+        lines.append(f"| `chemlab/{name}-v0` | " + " | ".join(f"{x:,.0f} ({x / base:.2f}x)" for x in found) + " |")
+    one, many = (result["laboratory"][name] for name in ("`env`, agent steps", "256 at once, all roles random, turns"))
+    lines.append(
+        f"| laboratory, turns of all agents | {one:,.0f} ({one / base:.2f}x) | {many:,.0f} ({many / base:.2f}x) |"
+    )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--quick", action="store_true", help="fewer sizes, one round, no cold start")
+    parser.add_argument(
+        "--update",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="replace the tables between the marks `throughput` (all) or `speed` (a few) in Markdown files",
+    )
+    arguments = parser.parse_args()
+    result = measure(0.3, arguments.quick)
+    for file in arguments.update:
+        if "<!-- speed: begin -->" in file.read_text(encoding="utf-8"):
+            replace_between(file, "speed", short_table(result).splitlines())
+        else:
+            replace_between(file, "throughput", table(result).splitlines())
+    print(json.dumps(result, indent=2) if arguments.json else table(result))
+
+
+if __name__ == "__main__":
+    main()

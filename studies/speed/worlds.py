@@ -1,0 +1,65 @@
+"""What it costs that every laboratory has a world of its own: turns a second over those of the same scenario in which
+nothing is drawn.
+
+Run ``python studies/speed/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both take turns
+in one run; ratios are medians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from throughput import batched_laboratory
+
+from chemlab.config.draws import WorldSpec
+from chemlab.config.files import replace_between
+from chemlab.config.scenario import load_scenario, scenario_names
+
+LABORATORIES = 256
+
+
+def measure(names: list[str], seconds: float, turns: int) -> dict[str, Any]:
+    """Of each scenario: turns a second of 256 laboratories with worlds of their own and with one, turn by turn."""
+    result: dict[str, Any] = {}
+    for name in names:
+        drawn = load_scenario(name)
+        plain = drawn.model_copy(update={"world": WorldSpec()})
+        found: dict[str, list[float]] = {"worlds": [], "one_world": []}
+        for _ in range(turns):
+            found["worlds"].append(batched_laboratory(LABORATORIES, seconds, drawn))
+            found["one_world"].append(batched_laboratory(LABORATORIES, seconds, plain))
+        ratio = median(a / b for a, b in zip(found["worlds"], found["one_world"], strict=True))
+        result[name] = {"turns_a_second": found, "ratio": ratio}
+    return result
+
+
+def table(result: dict[str, Any]) -> str:
+    """The figures as Markdown."""
+    lines = ["| scenario | turns a second, 256 worlds | of one world |", "|---|--:|--:|"]
+    for name, figures in result.items():
+        lines.append(f"| `{name}` | {median(figures['turns_a_second']['worlds']):,.0f} | {figures['ratio']:.2f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Command line."""
+    worlds = [name for name in scenario_names() if load_scenario(name).world.draws]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenarios", nargs="*", default=worlds, help="default: all with a world")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--seconds", type=float, default=1.0, help="of each measurement")
+    parser.add_argument("--turns", type=int, default=5, help="of each of the two")
+    parser.add_argument("--update", type=Path, metavar="FILE", help="put the table into this Markdown file")
+    chosen = parser.parse_args()
+    result = measure(chosen.scenarios, chosen.seconds, chosen.turns)
+    print(json.dumps(result, indent=2) if chosen.json else table(result))
+    if chosen.update:
+        replace_between(chosen.update, "worlds", table(result).splitlines())
+
+
+if __name__ == "__main__":
+    main()
