@@ -1,0 +1,1 @@
+"""Studies: reproductions, baselines, validation of the physics, and benchmarks, with their committed results."""
