@@ -1,7 +1,7 @@
 """Hashes of whole trajectories, to hold a redesign against what was there before.
 
-Every shipped scenario of the paper tier, several seeds, scripted and random agents, and every single bench with random
-actions: agents, observations, masks, actions, rewards and scores all go into one hash an episode.
+Every shipped scenario, several seeds, scripted and random agents, and every single bench with random actions: agents,
+observations, masks, actions, rewards and scores all go into one hash an episode.
 
     python studies/speed/trajectories.py --write before.json     # on the old commit
     python studies/speed/trajectories.py --compare before.json   # on the new one: what differs, by episode
@@ -20,24 +20,9 @@ import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the single benches
-
-SCENARIOS = (
-    "fictitious",
-    "salt_from_oil",
-    "wurtz_any",
-    "wurtz_dodecane",
-    "wurtz_dodecane_direct",
-    "wurtz_safe",
-    "wurtz_scarce",
-    "wurtz_two_lines",
-)
-BENCHES = (
-    "WurtzReaction",
-    "FictitiousReaction",
-    "WurtzExtraction",
-    "SaltFromOilExtraction",
-    "WurtzDistillation",
-)
+from chemlab.config.datafile import DataError
+from chemlab.config.inherit import scenario_names, synthesis_names
+from chemlab.config.scenario import load_scenario
 
 
 class Digest:
@@ -70,8 +55,7 @@ def laboratory_episode(env: Any, policies: dict[str, Any], seed: int) -> str:
     members, steps = np.zeros(1, dtype=np.int64), dict.fromkeys(env.possible_agents, 0)
     for agent in env.agent_iter():
         observation, reward, terminated, truncated, info = env.last()
-        status = int(env.laboratories.state.status[0])  # environments of other commits tell a limit in another way
-        digest.add(agent, observation, float(reward), float(status == 1), float(status == 2), float(info["cost"]))
+        digest.add(agent, observation, float(reward), float(terminated), float(truncated), float(info["cost"]))
         if terminated or truncated:
             env.step(None)
             continue
@@ -110,17 +94,28 @@ def hashes(seeds: int) -> dict[str, list[str]]:
     from chemlab.laboratory import raw_env
 
     found: dict[str, list[str]] = {}
-    for scenario in SCENARIOS:
+    for scenario in (*scenario_names(), *synthesis_names()):
         env = raw_env(scenario)
         for name in ("random", "heuristic", "hasty"):
             policies = make_policies(name, env.laboratories, 0)
             found[f"{scenario} {name}"] = [laboratory_episode(env, policies, seed) for seed in range(seeds)]
             print(f"{scenario} {name}", file=sys.stderr, flush=True)
-    for bench in BENCHES:
-        for starts in ("paper", "lab"):
-            single = gymnasium.make(f"chemlab/{bench}-v0", starts=starts)
-            found[f"{bench} {starts}"] = [bench_episode(single, seed) for seed in range(seeds)]
+        for bench in load_scenario(scenario).benches:
+            for starts in ("paper", "lab"):
+                single = _bench(scenario, bench, starts)
+                if single is not None:
+                    name = f"{scenario} {bench} {starts}"
+                    found[name] = [bench_episode(single, seed) for seed in range(seeds)]
+                    print(name, file=sys.stderr, flush=True)
     return found
+
+
+def _bench(scenario: str, bench: str, starts: str) -> gymnasium.Env[Any, Any] | None:
+    """A single bench of a scenario; None where nothing was recorded that it could start from."""
+    try:
+        return gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench=bench, starts=starts)
+    except (DataError, ValueError):
+        return None
 
 
 def main() -> int:
