@@ -1,0 +1,39 @@
+"""The command check: conformance of a scenario and of the parts that it names."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import typer
+
+from .common import JsonOption, ScenarioArgument, TrustOption, app, out, readable_errors
+from .screen import counting, plain
+
+__all__: list[str] = []
+
+
+@app.command()
+def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonOption = False) -> None:
+    """Check that a scenario, with the benches, operations and instruments that it names, behaves as agents expect.
+
+    Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and that all
+    environments agree. Ends with 0 if every check passes and with 1 if one fails.
+    """
+    with readable_errors():
+        from ..config.scenario import load_scenario
+        from ..conformance import CHECKS, check_scenario
+
+        spec = load_scenario(scenario)
+        results = []
+        with counting() as progress:
+            task = progress.add_task("checks", total=len(CHECKS))
+            for result in check_scenario(spec):
+                results.append(result)
+                progress.advance(task)
+                if not as_json:
+                    word = "[red]failed[/red]" if result.error else "[green]passed[/green]"
+                    out.print(f"{word} {result.name}: {plain(result.error or result.meaning)}")
+    if as_json:
+        typer.echo(json.dumps([asdict(result) for result in results]))
+    raise typer.Exit(int(any(result.error for result in results)))

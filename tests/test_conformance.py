@@ -1,0 +1,76 @@
+"""Conformance checks: they pass on every bundled scenario, and find faults that a user's parts can have."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from helpers import EVERY_SCENARIO
+from typer.testing import CliRunner
+
+from chemlab.cli import app
+from chemlab.conformance import CHECKS, check_scenario
+
+PARTS = Path(__file__).parent / "parts"
+FAULTS = {
+    "conservation": ("turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol", "C changed by"),
+    "spaces": (
+        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
+        "return 2.0 + litres[:, None]",
+        "must be from 0 to 1",
+    ),
+    "seeds": (
+        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
+        "return np.random.random((len(members), 1))",
+        "the same seed gives another episode",
+    ),
+    "copies": (
+        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
+        "CALLS.append(0)\n    return np.full((len(members), 1), len(CALLS) / 1e6)\n\n\nCALLS: list[int] = []",
+        "plays on differently",
+    ),
+}
+
+
+def written(folder: Path, old: str, new: str) -> Path:
+    """The laboratory with parts of a user's own, with one line of its parts replaced."""
+    text = (PARTS / "my_parts.py").read_text()
+    assert old in text
+    (folder / "my_parts.py").write_text(text.replace(old, new))
+    path = folder / "my_laboratory.toml"
+    path.write_text((PARTS / "my_laboratory.toml").read_text().replace("../bench/", f"{PARTS.parent}/bench/"))
+    return path
+
+
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
+def test_bundled_scenarios_conform(name: str) -> None:
+    results = list(check_scenario(name))
+    assert [result.name for result in results] == list(CHECKS)
+    assert [(result.name, result.error) for result in results if result.error] == []
+
+
+def test_parts_of_a_user_conform(tmp_path: Path) -> None:
+    assert [result.error for result in check_scenario(written(tmp_path, "", ""))] == [None] * len(CHECKS)
+
+
+@pytest.mark.parametrize("check", FAULTS)
+def test_a_fault_is_found(check: str, tmp_path: Path) -> None:
+    old, new, message = FAULTS[check]
+    errors = {result.name: result.error or "" for result in check_scenario(written(tmp_path, old, new))}
+    with pytest.raises(AssertionError, match=message):
+        raise AssertionError(errors[check])
+
+
+def test_the_command(tmp_path: Path) -> None:
+    runner = CliRunner()
+    done = runner.invoke(app, ["check", "fictitious"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.count("passed") == len(CHECKS)
+    old, new, _ = FAULTS["conservation"]
+    file = str(written(tmp_path, old, new))
+    done = runner.invoke(app, ["check", file])
+    assert done.exit_code == 2
+    done = runner.invoke(app, ["check", file, "--trust", "--json"])
+    assert done.exit_code == 1, done.output
+    assert [one["name"] for one in json.loads(done.stdout) if one["error"]] == ["conservation"]
