@@ -84,7 +84,7 @@ class _Episode:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended."""
+        """True when the episode has ended."""
         return not self.env.agents
 
     def play(self, rounds: int) -> list[Any]:
@@ -180,7 +180,7 @@ def _check_environments(scenario: Scenario) -> None:
             single.step(actions[single.agent_selection])
             for agent in paid:
                 paid[agent] += single.rewards[agent]
-        chosen = {agent: np.zeros((2, *batch.action_space(agent).shape)) for agent in totals}
+        chosen = {agent: np.zeros((2, *(batch.action_space(agent).shape or ()))) for agent in totals}
         for agent, action in actions.items():
             chosen[agent][1] = action
         _, rewards, _, _, _ = batch.step(
@@ -255,7 +255,7 @@ CHECKS: dict[str, tuple[str, Callable[[Scenario], None]]] = {
     "conservation": ("elements and charge are conserved; amounts are not negative", _check_conservation),
     "records": ("a record of an episode verifies", _check_records),
 }
-"""What each check means, and the check, by name."""
+"""Meaning and function of each check, by name."""
 
 
 def check_scenario(scenario: Scenario | str | Path) -> Iterator[CheckResult]:
