@@ -235,7 +235,7 @@ def test_a_picture_stands_beside_its_record(scripted: Path, tmp_path: Path) -> N
     ("arguments", "part"),
     [
         (["timeline", "{record}", "-o", "x.gif"], "known: png"),
-        (["moles", "{record}", "--only", "Au"], "Au is not among"),
+        (["moles", "{record}", "--only", "Au"], "Au is not in this record"),
         (["moles", "none.jsonl"], "No such file"),
         (["curves", "{folder}"], "no training run"),
     ],

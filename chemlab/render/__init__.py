@@ -1,5 +1,5 @@
-"""Pictures of laboratories and benches: what is to be drawn as data, and the drawing of it.
+"""Pictures of laboratories and benches: scenes as plain data, and functions that draw them.
 
-``scene`` needs nothing but numpy; ``draw`` and ``frames`` need Pillow (extra ``plot``), a window pygame (extra
-``human``). Both are imported where they are used.
+``scene`` needs only NumPy. ``draw`` and ``frames`` need Pillow (extra ``plot``), and a window needs pygame (extra
+``human``). Both packages are imported on first use.
 """

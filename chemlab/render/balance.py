@@ -1,4 +1,4 @@
-"""Where the moles of an episode went: what was there at the start, and where it is after each experiment."""
+"""Mole balance of an episode: the location of every mole at the start and after each experiment."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from .history import Move, RecordReplay
 __all__ = ["PLACES", "Balance", "Group", "Inventory", "mole_balance"]
 
 PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
-"""``vessels`` are all on the shelf and the benches; ``samples`` what instruments took; ``lost`` what was spilled or
-vented."""
+"""Locations of material.
+
+``vessels`` are all vessels on the shelf and the benches. ``samples`` is material that instruments consumed. ``lost`` is
+material that was spilled or vented.
+"""
 _MOVED = 1e-9
 _BALANCED = 1e-9
 
 
 @dataclass(frozen=True)
 class Inventory:
-    """Where everything is at one moment."""
+    """Amounts of every material at every location at one time."""
 
     label: str
     tick: int
@@ -32,7 +35,7 @@ class Inventory:
 
 @dataclass(frozen=True)
 class Group:
-    """What nothing can make more or less of: an element in all materials that reacted, or a material that did not."""
+    """A conserved quantity: one element summed over all materials that reacted, or one material that did not react."""
 
     name: str
     element: bool
@@ -41,27 +44,27 @@ class Group:
 
     @property
     def unit(self) -> str:
-        """Of its amounts."""
+        """Unit of the group's amounts."""
         return f"mol {self.name}"
 
 
 @dataclass(frozen=True)
 class Balance:
-    """The inventories of an episode, first to last."""
+    """Inventories of an episode in chronological order."""
 
     materials: tuple[str, ...]
     inventories: tuple[Inventory, ...]
     groups: tuple[Group, ...]
 
     def amounts(self, group: Group) -> FloatArray:
-        """[inventories, places, materials] of a group, in its unit."""
+        """Return the amounts of a group as [inventories, places, materials], in the group's unit."""
         return np.array([inventory.amounts * group.weights for inventory in self.inventories])
 
     def check(self) -> None:
-        """Every group's total is the same at every inventory.
+        """Check that every group has the same total in every inventory.
 
         Raises:
-            ValueError: it is not; the message says which and by how much.
+            ValueError: a total changes; the message names the group and the difference.
         """
         for group in self.groups:
             totals = self.amounts(group).sum(axis=(1, 2))
@@ -71,7 +74,7 @@ class Balance:
 
 
 class _Books:
-    """What has left the vessels, and how."""
+    """Running totals of the material that has left the vessels, by location."""
 
     def __init__(self, labs: Laboratories) -> None:
         self._labs = labs
@@ -79,10 +82,10 @@ class _Books:
         self._out = {place: np.zeros(count) for place in ("samples", "discarded", "lost")}
         self._waste = labs.shelf.waste[0].copy()
         self._last = np.zeros(count)
-        """contents of the vessel whose submission ended the episode: it stays where it stands"""
+        """Contents of the vessel whose submission ended the episode; such a vessel is not removed from the shelf."""
 
     def enter(self, move: Move) -> None:
-        """Book what a move threw away."""
+        """Add the material that a move removed from the vessels."""
         labs = self._labs
         kind = move.manager[0] if move.manager else ""
         place = {"measure": "samples", "discard": "discarded"}.get(str(kind), "lost")
@@ -90,10 +93,10 @@ class _Books:
         self._waste = labs.shelf.waste[0].copy()
         if kind == "submit":
             vessel = labs.shelf.amounts[0, int(move.manager[1])]
-            self._last = vessel.copy()  # nothing, where it has been taken away
+            self._last = vessel.copy()  # zeros if the vessel was removed
 
     def inventory(self, label: str) -> Inventory:
-        """Where everything is now."""
+        """Return the inventory at the current state of the laboratory."""
         labs = self._labs
         shelf, state = labs.shelf, labs.state
         amounts = {
@@ -106,15 +109,15 @@ class _Books:
 
 
 def mole_balance(record: Record, trust: bool = False) -> Balance:
-    """Where everything was at the start, after each experiment and at the end.
+    """Compute the mole balance at the start, after each experiment and at the end of a record.
 
     Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that the record names.
+        record: A record, finished or not.
+        trust: Allow imports of code that the record names.
 
     Raises:
-        RecordError: the record cannot be played here.
-        ValueError: it does not balance, which is a mistake of the simulator's.
+        RecordError: the record cannot be replayed here.
+        ValueError: the amounts do not balance, which indicates a fault of the simulator.
     """
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
@@ -124,7 +127,7 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
         books.enter(move)
         if move.scores:
             inventories.append(books.inventory(", ".join(move.scores)))
-    # What comes after the last experiment (measuring, submitting) is the episode's end.
+    # Actions after the last experiment (measuring, submitting) count toward the end of the episode.
     inventories.append(books.inventory("end" if replay.over else "so far"))
     balance = Balance(labs.shelf.layout.materials, tuple(inventories), tuple(_groups(labs, inventories)))
     balance.check()
@@ -132,7 +135,7 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
 
 
 def _groups(labs: Laboratories, inventories: list[Inventory]) -> list[Group]:
-    """Elements of what reacted, then each material that only moved."""
+    """Return the elements of all materials that reacted, then each material that was only moved."""
     totals = np.array([inventory.amounts.sum(axis=0) for inventory in inventories])
     reacted = np.abs(totals - totals[0]).max(axis=0) > _MOVED
     table = list(labs.scenario.materials.values())

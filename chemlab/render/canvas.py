@@ -1,4 +1,4 @@
-"""A canvas that knows where its text stands, and draws text as fast as pictures are pasted."""
+"""A canvas that records the position of every text and caches rendered text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Box(NamedTuple):
 
 
 class TextBox(NamedTuple):
-    """Where a text's ink stands."""
+    """Bounding box of a text's ink."""
 
     text: str
     box: Box
@@ -44,12 +44,12 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 @functools.lru_cache(maxsize=4096)
 def _ink(text: str, size: int) -> tuple[Image.Image, int, int]:
-    """(grey picture of the text's ink, its offset from the start of the baseline).
+    """Return the grey image of a text's ink and its offset from the start of the baseline.
 
-    Drawn larger and shrunk: the font's hints, made for print, space small letters unevenly.
+    The text is drawn larger and then reduced, because the font's hinting spaces small letters unevenly.
     """
     left, top, right, bottom = (int(value) for value in _font(size * _FINER).getbbox(text, anchor="ls"))
-    # Whole pixels around the ink, so that the baseline stays on one.
+    # Align the ink box to whole pixels, so that the baseline stays on a pixel boundary.
     left, top = math.floor(left / _FINER), math.floor(top / _FINER)
     right, bottom = max(math.ceil(right / _FINER), left + 1), max(math.ceil(bottom / _FINER), top + 1)
     large = Image.new("L", ((right - left) * _FINER, (bottom - top) * _FINER))
@@ -60,13 +60,13 @@ def _ink(text: str, size: int) -> tuple[Image.Image, int, int]:
 
 @functools.lru_cache(maxsize=4096)
 def text_width(text: str, size: int) -> int:
-    """Width in pixels of a text of ``size`` pixels."""
+    """Return the width in pixels of a text set at ``size`` pixels."""
     return math.ceil(_font(size * _FINER).getlength(text) / _FINER)
 
 
 @functools.lru_cache(maxsize=4096)
 def _fitted(text: str, size: int, room: int) -> str:
-    """The text, its end replaced by dots if it takes more than ``room`` pixels; empty if not even they fit."""
+    """Truncate a text with an ellipsis so that it fits ``room`` pixels; return an empty string if nothing fits."""
     if text_width(text, size) <= room:
         return text
     for end in range(len(text) - 1, 0, -1):
@@ -77,9 +77,9 @@ def _fitted(text: str, size: int, room: int) -> str:
 
 
 class Canvas:
-    """An RGB picture of which every text is recorded.
+    """An RGB image that keeps a list of its texts.
 
-    Coordinates are in units, ``scale`` pixels each; colours are ``#rrggbb``.
+    Coordinates are in units of ``scale`` pixels. Colours are ``#rrggbb``.
     """
 
     def __init__(self, image: Image.Image, scale: float, texts: Iterable[TextBox] = ()) -> None:
@@ -89,7 +89,7 @@ class Canvas:
         self.pen = ImageDraw.Draw(image)
 
     def px(self, units: float) -> int:
-        """Units as whole pixels."""
+        """Convert units to whole pixels."""
         return round(units * self.scale)
 
     def text(
@@ -102,9 +102,9 @@ class Canvas:
         align: str = "left",
         room: float | None = None,
     ) -> float:
-        """Write a line; ``room`` units at most, the rest becomes dots. Returns the units it took.
+        """Draw one line of text, truncated to ``room`` units, and return its width in units.
 
-        ``align`` says what ``x`` is: the text's ``left``, ``center`` or ``right``.
+        ``align`` names the anchor at ``x``: ``left``, ``center`` or ``right``.
         """
         pixels = max(self.px(size), 5)
         if room is not None:
@@ -122,7 +122,7 @@ class Canvas:
     def rectangle(
         self, left: float, top: float, right: float, bottom: float, fill: str | None, outline: str | None = None
     ) -> None:
-        """A rectangle between two corners."""
+        """Draw a rectangle between two corners."""
         box = (
             self.px(left),
             self.px(top),
@@ -142,7 +142,7 @@ class Canvas:
         radius: float = 5.0,
         width: int = 1,
     ) -> None:
-        """A rectangle with round corners."""
+        """Draw a rectangle with rounded corners."""
         self.pen.rounded_rectangle(
             (self.px(left), self.px(top), self.px(right) - 1, self.px(bottom) - 1),
             radius=self.px(radius),
@@ -152,18 +152,18 @@ class Canvas:
         )
 
     def line(self, points: Sequence[tuple[float, float]], color: str, width: int = 1) -> None:
-        """A polyline."""
+        """Draw a polyline."""
         self.pen.line([(x * self.scale, y * self.scale) for x, y in points], fill=color, width=width)
 
     def bar(self, left: float, top: float, right: float, bottom: float, share: float, color: str, track: str) -> None:
-        """A horizontal bar filled to ``share``."""
+        """Draw a horizontal bar filled to ``share``."""
         self.rectangle(left, top, right, bottom, track)
         end = left + (right - left) * min(max(share, 0.0), 1.0)
         if self.px(end) > self.px(left):
             self.rectangle(left, top, end, bottom, color)
 
     def stack(self, left: float, top: float, right: float, bottom: float, parts: Sequence[tuple[float, str]]) -> None:
-        """A horizontal bar of (share, colour) parts beside each other."""
+        """Draw a horizontal bar of adjacent (share, colour) segments."""
         at = left
         for share, color in parts:
             end = min(at + (right - left) * share, right)

@@ -1,6 +1,6 @@
-"""Charts of a record: who did what when, spectra before and after, where the moles went. Drawn with matplotlib.
+"""Charts of a record: timeline of all agents, spectra of reaction experiments and mole balance. Needs matplotlib.
 
-Colours are Okabe and Ito's, which the colour-blind can tell apart, and the materials' own.
+The colours are the colour-blind safe palette of Okabe and Ito, and the materials' own colours.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ _DOING = {
     "cool": "#56B4E9",
     "end": "#000000",
 }
-"""Colours of what agents do; of the same colour are only things that different agents do."""
+"""Colours of agents' actions. Actions share a colour only if no agent can take both."""
 _LINES = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#999999")
 _LOST = "#FFFFFF"
 
 
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Positions near the wanted ones (ascending), at least ``gap`` apart and within [low, high] if there is room."""
+    """Return positions near the wanted ones (ascending), at least ``gap`` apart and within [low, high] if possible."""
     count = len(wanted)
     if not count:
         return []
     gap = min(gap, (high - low) / max(count - 1, 1))
-    # Blocks of touching labels, each as near as its members can be to where they want to be.
+    # Blocks of adjacent labels; each block is placed at the mean of its members' wanted positions.
     blocks: list[list[float]] = []
     for place in wanted:
         blocks.append([place, 1.0])
@@ -66,7 +66,7 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
             other, more = blocks.pop()
             blocks.append([(middle * size + other * more) / (size + more), size + more])
     found = [_bottom(block, gap) + gap * i for block in blocks for i in range(int(block[1]))]
-    for i in range(count):  # the bounds push what is outside inwards
+    for i in range(count):  # move blocks that lie outside the bounds inwards
         found[i] = max(found[i], low if i == 0 else found[i - 1] + gap)
     for i in reversed(range(count)):
         found[i] = min(found[i], high if i == count - 1 else found[i + 1] - gap)
@@ -91,12 +91,12 @@ def _title(record: Record, scenario: Scenario) -> str:
     return f"{scenario.title}{'' if seed is None else f', seed {seed}'}"
 
 
-# -- who did what when ------------------------------------------------------------------------------------------------
+# -- timeline ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass
 class _Strip:
-    """What one agent does for some time."""
+    """One continuous activity of one agent."""
 
     start: int
     stop: int
@@ -106,7 +106,7 @@ class _Strip:
 
 @dataclass
 class _Story:
-    """A record in units of time: one for each of the manager's actions, one for each tick."""
+    """A record on a time axis of units: one unit for each manager action and one for each tick."""
 
     labs: Laboratories
     strips: dict[str, list[_Strip]]
@@ -121,7 +121,7 @@ class _Story:
 
 
 def _doing(labs: Laboratories, agent: int, action: Any) -> str:
-    """What an action is, in a word."""
+    """Return a one-word description of an action."""
     words = action_words(labs, agent, action)
     if agent == 0 or labs.action_counts[agent]:
         return words.replace(",", " ").split()[0]
@@ -147,7 +147,7 @@ def _tell(record: Record, trust: bool) -> _Story:
     open_tick = False
     for move in replay.moves():
         by_manager = move.plays[0].agent == 0
-        if open_tick and (by_manager or move.tick != tick):  # the tick that was running is over
+        if open_tick and (by_manager or move.tick != tick):  # the open tick has ended
             unit, open_tick = unit + 1, False
             tick = move.tick
             note()
@@ -166,7 +166,7 @@ def _tell(record: Record, trust: bool) -> _Story:
     if open_tick:
         unit, tick = unit + 1, int(labs.state.ticks[0])
         note()
-    # The last turn may have settled accounts after it was noted.
+    # Rewards and costs may have been booked after the last turn was noted.
     story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
     story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
     story.over = replay.over
@@ -192,20 +192,20 @@ def _experiments(story: _Story, running: dict[str, tuple[int, str]], move: Move,
 
 
 def draw_timeline(record: Record, trust: bool = False) -> Any:
-    """A figure of what every agent does and when, of experiments, and of costs and rewards as they add up.
+    """Draw a timeline: actions of every agent, experiments, and cumulative costs and rewards.
 
     Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that it names.
+        record: A record, finished or not.
+        trust: Allow imports of code that the record names.
 
     Raises:
-        RecordError: it cannot be played here, or it has no turn.
+        RecordError: the record cannot be replayed here or has no turn.
         ImportError: matplotlib is not installed.
     """
     story = _tell(record, trust)
     labs, units = story.labs, len(story.ticks) - 1
     if not units:
-        raise RecordError(f"{record.path}: has no turn to draw")
+        raise RecordError(f"{record.path}: has no turns to draw")
     agents = labs.agents
     rows = -(-len(story.decisions) // 3)
     listed = story.decisions if rows <= 14 else story.decisions[: 3 * 14 - 1]
@@ -231,7 +231,7 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
                         colors=_LINES[: len(items)], step="post", linewidth=0.0)  # fmt: skip
         handles, labels = costs.get_legend_handles_labels()
         costs.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
-    costs.set_title("manager's costs so far (score)", loc="left", fontsize=10)
+    costs.set_title("manager's cumulative costs (score)", loc="left", fontsize=10)
     costs.set_ylim(bottom=0.0)
     earned = figure.add_axes(place(top, graph, 0.95 + half + 2.1, half))
     for i, (agent, line) in enumerate(zip(agents, np.array(story.rewards).T, strict=True)):
@@ -239,7 +239,7 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
                     ls=("-", "--", "-.", ":")[i % 4])  # fmt: skip
     earned.axhline(0.0, color=FAINT, lw=0.6)
     earned.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
-    earned.set_title("rewards so far", loc="left", fontsize=10)
+    earned.set_title("cumulative rewards", loc="left", fontsize=10)
     for other in (costs, earned):
         _plain(other)
         other.set_xlim(0, units)
@@ -265,7 +265,7 @@ def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
                              hatch="////" if strip.lost else None)  # fmt: skip
     for number, (unit, _) in enumerate(story.decisions, start=1):
         size = min(7.5, 96.0 * inches / len(str(number)))
-        if size < 4.5:  # too small to read: the first of each run of decisions, above them
+        if size < 4.5:  # Too small to read: label only the first of each run of decisions, above the strip.
             if number == 1 or story.decisions[number - 2][0] != unit - 1:
                 axes.text(unit, -0.42, str(number), fontsize=6.5, ha="left", va="bottom", color=SOFT)
             continue
@@ -287,13 +287,13 @@ def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
 
 
 def _tick_labels(axes: Any, story: _Story, most: int) -> None:
-    """Ticks as the laboratory counts them, at the unit they begin with."""
+    """Set the axis ticks to laboratory ticks, each at the unit where it begins."""
     first = {tick: unit for unit, tick in reversed(list(enumerate(story.ticks)))}
     last = story.ticks[-1]
     step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 10**6) if last / s <= most)
     shown = [tick for tick in range(0, last + 1, step) if tick in first]
     axes.set_xticks([first[tick] for tick in shown], [str(tick) for tick in shown])
-    axes.set_xlabel("tick (the manager's actions take room, but no tick)" if most > 5 else "tick")
+    axes.set_xlabel("tick (manager actions take width on this axis, but no ticks)" if most > 5 else "tick")
 
 
 def _doing_key(figure: Any, story: _Story, height: float) -> None:
@@ -323,7 +323,7 @@ def _doing_key(figure: Any, story: _Story, height: float) -> None:
 
 
 def _decisions(figure: Any, story: _Story, listed: Sequence[tuple[int, str]], rows: int, share: float) -> None:
-    """The manager's decisions in words, by number, in three columns."""
+    """Print the manager's decisions as a numbered list in three columns."""
     more = len(story.decisions) - len(listed)
     lines = [f"{number}  {words}" for number, (_, words) in enumerate(listed, start=1)]
     lines += [f"and {more} more"] if more else []
@@ -341,7 +341,7 @@ def _columns(lines: Sequence[str], rows: int) -> list[Sequence[str]]:
 
 @dataclass(frozen=True)
 class _Reaction:
-    """A reaction experiment: what its spectrum was and became, and what was then in the vessel."""
+    """A reaction experiment: spectra before and after it, and the vessel's final contents."""
 
     agent: str
     tick: int
@@ -386,8 +386,11 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
 
 
 def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, str]]:
-    """(wavelength, material, colour) of the peaks that can be told apart: where the material absorbs much of what all
-    absorb there. A material's highest peak may be lower than its others."""
+    """Return (wavelength, material, colour) of the distinguishable peaks.
+
+    A peak counts where the material contributes most of the total absorption. A material's highest peak may be lower
+    than its other peaks.
+    """
     basis = labs.shelf.known().basis * contents[:, None]
     total = basis.sum(axis=0)
     peaks = []
@@ -406,19 +409,19 @@ def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, s
 
 
 def draw_spectra(record: Record, trust: bool = False) -> Any:
-    """A figure of the vessel's spectrum before and after each reaction experiment, with the peaks' materials.
+    """Draw the vessel's spectrum before and after each reaction experiment, with labelled peaks.
 
     Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that it names.
+        record: A record, finished or not.
+        trust: Allow imports of code that the record names.
 
     Raises:
-        RecordError: it cannot be played here, or no reaction was run.
+        RecordError: the record cannot be replayed here or has no reaction experiment.
         ImportError: matplotlib is not installed.
     """
     labs, found = _reactions(record, trust)
     if not found:
-        raise RecordError(f"{record.path}: has no reaction experiment, so no spectrum")
+        raise RecordError(f"{record.path}: has no reaction experiment, so there is no spectrum to draw")
     columns = 1 if len(found) == 1 else 2
     rows = -(-len(found) // columns)
     width, height = (8.0 if columns == 1 else 13.0), 0.5 + 3.5 * rows
@@ -428,7 +431,7 @@ def draw_spectra(record: Record, trust: bool = False) -> Any:
         left, top = 0.65 + (i % columns) * cell, 0.5 + (i // columns) * 3.5
         axes = figure.add_axes((left / width, 1.0 - (top + 2.85) / height, (cell - 0.85) / width, 1.75 / height))
         _spectrum(axes, labs, one)
-    figure.suptitle(f"{_title(record, labs.scenario)}: spectra of what reacts", y=1.0 - 0.12 / height)
+    figure.suptitle(f"{_title(record, labs.scenario)}: spectra of reaction experiments", y=1.0 - 0.12 / height)
     return figure
 
 
@@ -454,7 +457,7 @@ def _spectrum(axes: Any, labs: Laboratories, one: _Reaction) -> None:
               fontsize=9, color=SOFT)  # fmt: skip
 
 
-# -- where the moles went ---------------------------------------------------------------------------------------------
+# -- mole balance ------------------------------------------------------------------------------------------------------
 
 _PLACE_WORDS = {
     "submitted": "submitted",
@@ -467,20 +470,20 @@ _PLACE_WORDS = {
 _HATCHES = {"submitted": "", "vessels": "", "stock": "....", "samples": "xxxx", "discarded": "////", "lost": "xxxx"}
 _MOST_STAGES = 7
 _SMALL = 0.012
-"""Shares below this are one band, ``others``."""
+"""Materials whose share is below this are merged into one band, ``others``."""
 
 
 def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) -> Any:
-    """A figure of where the moles went: one part for each element that reacted and each material that only moved.
+    """Draw the mole balance: one panel for each element that reacted and each material that was only moved.
 
     Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that it names.
-        only: names of elements and materials to show; default: all, without hydrogen where there is carbon.
+        record: A record, finished or not.
+        trust: Allow imports of code that the record names.
+        only: Names of elements and materials to draw. Default: all, without hydrogen if there is carbon.
 
     Raises:
-        RecordError: it cannot be played here.
-        ValueError: the books do not balance, or an unknown name.
+        RecordError: the record cannot be replayed here.
+        ValueError: the amounts do not balance, or a name is unknown.
         ImportError: matplotlib is not installed.
     """
     balance = mole_balance(record, trust)
@@ -494,8 +497,8 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
         left, top = 8.2 * (i % columns), 0.95 + 3.3 * (i // columns)
         axes = figure.add_axes(((left + 1.95) / width, 1.0 - (top + 2.75) / height, 4.1 / width, 2.4 / height))
         _alluvium(axes, balance, group, scenario)
-    figure.suptitle(f"{_title(record, scenario)}: where the moles went", y=1.0 - 0.12 / height)
-    figure.text(0.5, 1.0 - 0.55 / height, "Every column adds up to the same amount. Colour: what it is in; "
+    figure.suptitle(f"{_title(record, scenario)}: mole balance", y=1.0 - 0.12 / height)
+    figure.text(0.5, 1.0 - 0.55 / height, "Every column has the same total. Colour: material; "
                 "dots: in stock; strokes: discarded; crosses: in samples, spilled or vented; bold frame: submitted.",
                 ha="center", fontsize=9, color=SOFT)  # fmt: skip
     return figure
@@ -505,7 +508,7 @@ def _chosen(balance: Balance, only: Sequence[str]) -> list[Group]:
     names = [group.name for group in balance.groups]
     unknown = [name for name in only if name not in names]
     if unknown:
-        raise ValueError(f"only: {', '.join(unknown)} is not among {', '.join(names)}, which this record has")
+        raise ValueError(f"only: {', '.join(unknown)} is not in this record; choose from {', '.join(names)}")
     if only:
         return [group for group in balance.groups if group.name in only]
     return [group for group in balance.groups if not (group.element and group.name == "H" and "C" in names)]
@@ -517,7 +520,7 @@ def _dark(color: str) -> bool:
 
 
 def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> None:
-    """Columns of bands, one for each (place, material), that flow from stage to stage."""
+    """Draw columns of (place, material) bands and the flows between consecutive stages."""
     amounts = balance.amounts(group)
     total = float(amounts[0].sum())
     chosen = np.unique(np.linspace(0, len(amounts) - 1, min(len(amounts), _MOST_STAGES)).round().astype(int))
@@ -567,5 +570,5 @@ def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> 
     axes.tick_params(axis="x", length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)
-    what = f"{group.name} in what reacts" if group.element else group.name
+    what = f"{group.name} in all materials that react" if group.element else group.name
     axes.set_title(f"{what}: {total:.4g} mol", fontsize=10.5, pad=7)

@@ -1,7 +1,7 @@
-"""Scenes as pictures: a shelf, benches, what it all cost, a legend. Drawn with Pillow, without a screen.
+"""Draw scenes as pictures: shelf, benches, costs and a legend. Uses Pillow; needs no display.
 
-What stands still in an episode (cards, legend, headings) is drawn once and copied. Lengths are in units of which
-960 x 540 fill a picture of that shape; a picture of another size is scaled, one of another shape has more room.
+Parts that do not change within an episode (cards, legend, headings) are drawn once and copied. Lengths are in units of
+which 960 x 540 fill a 16:9 picture. Other sizes are scaled; other aspect ratios gain room.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _LINE = 14.0
 _SECTION = 16.0
 _LEGEND_ROWS = 4
 _MORE = 60.0
-"""Room in the legend's last row for the number of materials left out."""
+"""Width reserved in the legend's last row for the number of omitted materials."""
 _READINGS = 46.0
 _KEY = 66.0
 _LEAST_BESIDE = 60.0
 """Width and height below which nothing is drawn beside a bench's vessel."""
 _LOWEST_GLASS = 10.0
-"""A vessel that would be lower than this is not drawn."""
+"""Minimum height of a vessel; lower ones are not drawn."""
 
 _EVENT_WORDS = {
     "spill_l": ("spilled", " L"),
@@ -53,7 +53,7 @@ _EVENT_WORDS = {
 
 
 class GlassBox(NamedTuple):
-    """Where a vessel's inside stands in a picture: its contents begin at ``box.bottom``."""
+    """Interior of a vessel in a picture; its contents begin at ``box.bottom``."""
 
     owner: str
     """bench agent, or ``shelf``"""
@@ -63,7 +63,7 @@ class GlassBox(NamedTuple):
 
 
 class Painting(NamedTuple):
-    """A picture and what stands where in it."""
+    """A picture with the positions of its texts and vessels."""
 
     image: Image.Image
     texts: list[TextBox]
@@ -88,7 +88,7 @@ class _Rect:
         return self.bottom - self.top
 
     def grid(self, count: int, columns: int) -> list[_Rect]:
-        """``count`` cells beside and below each other."""
+        """Divide a rectangle into a grid of ``count`` cells."""
         rows = math.ceil(count / columns)
         wide = (self.width - _GAP * (columns - 1)) / columns
         high = (self.height - _GAP * (rows - 1)) / rows
@@ -101,7 +101,7 @@ class _Rect:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Where everything stands."""
+    """Layout of a picture."""
 
     header: _Rect
     sidebar: _Rect
@@ -114,7 +114,7 @@ class _Plan:
 
 
 class _Still(NamedTuple):
-    """What of a scene stays as it is for an episode: with the size, all that the background depends on."""
+    """Constant parts of a scene within an episode, and the picture size: the key of the cached background."""
 
     kind: str
     title: str
@@ -128,21 +128,21 @@ class _Still(NamedTuple):
 
 
 def draw(scene: Scene, width: int = 960, height: int = 540) -> npt.NDArray[np.uint8]:
-    """The scene as an array [height, width, 3] of RGB values.
+    """Draw a scene and return it as an array [height, width, 3] of RGB values.
 
     Args:
-        scene: what to draw.
-        width, height: pixels; at least 480 x 270.
+        scene: Scene to draw.
+        width, height: Size in pixels; at least 480 x 270.
 
     Raises:
         ImportError: Pillow is not installed.
-        ValueError: the picture would be too small to read.
+        ValueError: the picture is smaller than the minimum.
     """
     return np.array(paint(scene, width, height).image)
 
 
 def paint(scene: Scene, width: int = 960, height: int = 540) -> Painting:
-    """As :func:`draw`, with where texts and vessels stand."""
+    """Draw a scene as :func:`draw` does, and return also the positions of texts and vessels."""
     if width < _SMALLEST[0] or height < _SMALLEST[1]:
         raise ValueError(f"width x height must be at least {_SMALLEST[0]} x {_SMALLEST[1]}, given {width} x {height}")
     still = _Still(
@@ -168,16 +168,15 @@ def paint(scene: Scene, width: int = 960, height: int = 540) -> Painting:
 
 
 def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArray[np.uint8]:
-    """A single vessel (of :func:`~chemlab.render.scene.vessel_scene`) with a legend of what is in it, as an array
-    [height, width, 3] of RGB values.
+    """Draw a single vessel with a legend of its contents, as an array [height, width, 3] of RGB values.
 
     Args:
-        scene: what to draw.
-        width, height: pixels; at least 120 each.
+        scene: A scene of :func:`~chemlab.render.scene.vessel_scene`.
+        width, height: Size in pixels; at least 120 each.
 
     Raises:
         ImportError: Pillow is not installed.
-        ValueError: the picture would be too small to read.
+        ValueError: the picture is smaller than the minimum.
     """
     if min(width, height) < _SMALLEST_VESSEL:
         raise ValueError(f"width and height must be at least {_SMALLEST_VESSEL}, given {width} x {height}")
@@ -204,14 +203,14 @@ def _scale(width: int, height: int) -> float:
     return min(width / _UNITS[0], height / _UNITS[1])
 
 
-# -- what stands still --------------------------------------------------------------------------------------------
+# -- static background ------------------------------------------------------------------------------------------------
 
 
 _TAG_WIDTH = 30.0
 
 
 def _legend_name(material: MaterialPicture) -> str:
-    """What stands beside a material's tag: nothing if the tag is its name."""
+    """Return the legend text beside a material's tag; empty if the tag is the full name."""
     return "" if material.name == material.tag else material.name.replace("_", " ")
 
 
@@ -222,7 +221,7 @@ def _legend_width(material: MaterialPicture, scale: float) -> float:
 
 
 def _legend_rows(materials: Sequence[MaterialPicture], room: float, scale: float) -> list[list[MaterialPicture]]:
-    """Materials in rows of at most ``room`` units; those that take more than the last row are left out."""
+    """Arrange materials in rows of at most ``room`` units; materials beyond the last row are omitted."""
     rows: list[list[MaterialPicture]] = [[]]
     used = 0.0
     for material in materials:
@@ -238,7 +237,7 @@ def _legend_rows(materials: Sequence[MaterialPicture], room: float, scale: float
 
 
 def _columns(count: int, rect: _Rect, shapes: Sequence[int]) -> int:
-    """Columns of a grid of benches in which the vessels have the most room."""
+    """Choose the number of grid columns that gives the benches' vessels the most room."""
 
     def vessel_size(columns: int) -> float:
         cell = rect.grid(count, columns)[0]
@@ -261,7 +260,7 @@ def _plan(still: _Still, width: int, height: int) -> _Plan:
     benches = _Rect(main.left, main.top + _SECTION, main.right, main.bottom)
     if still.slots:
         slot_rows = math.ceil(still.slots / 13)
-        # Two rows of benches need more of the height than one.
+        # Two rows of benches need a larger share of the height than one.
         share = 0.42 if len(still.benches) <= 4 else 0.37
         shelf = _Rect(main.left, main.top + _SECTION, main.right, main.top + _SECTION + main.height * share)
         slots = shelf.grid(still.slots, math.ceil(still.slots / slot_rows))
@@ -269,7 +268,7 @@ def _plan(still: _Still, width: int, height: int) -> _Plan:
     cards = benches.grid(
         len(still.benches), _columns(len(still.benches), benches, [positions for _, positions in still.benches])
     )
-    # Around the stock stand, in lines: result and costs; waste, all kinds of safety event; the key.
+    # The sidebar around the stock takes these lines: result and costs; waste and every kind of safety event; the key.
     before = 38.0 + 8 * _LINE if still.kind == "laboratory" else 0.0
     fitting = int((sidebar.height - before - (3 + len(_EVENT_WORDS)) * _LINE - 24.0 - _KEY) / _LINE)
     stock_lines = len(still.stock) if len(still.stock) <= fitting else max(fitting - 1, 0)
@@ -311,7 +310,7 @@ def _background(still: _Still, width: int, height: int) -> tuple[Image.Image, tu
 
 
 def _key(canvas: Canvas, sidebar: _Rect, still: _Still) -> None:
-    """What the marks around a vessel mean."""
+    """Draw the key to the marks around a vessel."""
     left, y = sidebar.left, sidebar.bottom - _KEY + 14.0
     words = left + 20.0
     canvas.bar(left + 5.0, y - 8.0, left + 9.0, y + 1.0, 1.0, ORANGE, TRACK)
@@ -347,7 +346,7 @@ def _rgb(color: str) -> tuple[int, int, int]:
 
 @functools.lru_cache(maxsize=512)
 def _ink_on(color: str) -> str:
-    """Black or white, whichever reads better on a colour."""
+    """Return black or white, whichever has more contrast with a colour."""
     red, green, blue = _rgb(color)
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else "#ffffff"
 
@@ -359,8 +358,11 @@ def _edge_of(color: str) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _glass(width: int, height: int, lid: bool) -> tuple[Image.Image, Image.Image]:
-    """(mask of a vessel's inside, mask of its walls) of ``width`` x ``height`` pixels of inside; the walls stand 2
-    pixels around it. Drawn fourfold, for smooth corners."""
+    """Return the masks of a vessel's interior and of its walls.
+
+    The interior has ``width`` x ``height`` pixels; the walls extend 2 pixels around it. Both are drawn at four times
+    the size, so that corners are smooth.
+    """
     fine = 4
     radius = max(min(width // 4, 9), 2) * fine
     size = ((width + 4) * fine, (height + 4) * fine)
@@ -378,11 +380,11 @@ def _glass(width: int, height: int, lid: bool) -> tuple[Image.Image, Image.Image
     return inside.resize(small, Image.Resampling.BOX).crop(box), walls.resize(small, Image.Resampling.BOX)
 
 
-# -- what moves ---------------------------------------------------------------------------------------------------
+# -- dynamic parts ----------------------------------------------------------------------------------------------------
 
 
 def _number(value: float) -> str:
-    """About three digits, without an exponent for what vessels and stock come to."""
+    """Format a number with about three digits, without an exponent at the magnitudes of vessels and stock."""
     size = abs(value)
     places = 3 if 0.0005 <= size < 0.0995 else 2 if size < 9.995 else 1 if size < 99.95 else 0
     return f"{value:.{places}f}"
@@ -394,7 +396,7 @@ def _event(kind: str, value: float) -> tuple[str, str]:
 
 
 class _Painter:
-    """Draws the moving parts of one scene."""
+    """Draws the dynamic parts of one scene."""
 
     def __init__(self, scene: Scene, canvas: Canvas) -> None:
         self.scene = scene
@@ -405,7 +407,7 @@ class _Painter:
     # -- around the laboratory
 
     def header(self, plan: _Plan) -> None:
-        """Orders, meters, whose turn it is."""
+        """Draw the orders, the meters and the agent that has the turn."""
         scene, canvas, right = self.scene, self.canvas, plan.header.right - _MARGIN
         laboratory = scene.kind == "laboratory"
         meters = right - 390.0
@@ -430,7 +432,7 @@ class _Painter:
         canvas.text(right - 59.0, 28.0, label, 11.0, color, "center", room=108.0)
 
     def sidebar(self, plan: _Plan) -> None:
-        """Result and costs, stock, waste, safety events."""
+        """Draw the result and costs, stock, waste and safety events."""
         scene, canvas = self.scene, self.canvas
         left, right, y = plan.sidebar.left, plan.sidebar.right, plan.sidebar.top
         if scene.kind == "laboratory":
@@ -463,7 +465,7 @@ class _Painter:
             y += _LINE
 
     def _section(self, left: float, right: float, y: float, title: str, value: str) -> float:
-        """A heading with a rule above; returns the baseline of the line below."""
+        """Draw a heading under a rule and return the baseline of the next line."""
         self.canvas.line([(left, y), (right, y)], EDGE)
         self.canvas.text(left, y + 13.0, title, 11.0, INK)
         self.canvas.text(right, y + 13.0, value, 10.0, SOFT, "right")
@@ -472,7 +474,7 @@ class _Painter:
     # -- shelf
 
     def slot(self, slot: SlotPicture, rect: _Rect) -> None:
-        """A card of the shelf."""
+        """Draw the card of a shelf slot."""
         canvas, vessel = self.canvas, slot.vessel
         middle = (rect.left + rect.right) / 2
         canvas.text(rect.left + 5.0, rect.top + 12.0, str(slot.slot), 10.0, FAINT)
@@ -484,7 +486,7 @@ class _Painter:
             return
         if slot.origin:
             canvas.text(rect.right - 5.0, rect.top + 12.0, slot.origin, 10.0, SOFT, "right", room=rect.width - 22.0)
-        # Room for readings is kept where there are none, too: all vessels of the shelf are of one scale.
+        # Space for readings is reserved even without readings, so that all vessels of the shelf have the same scale.
         measured = _Rect(
             rect.left + 5.0, rect.bottom - min(_READINGS, 0.26 * rect.height), rect.right - 5.0, rect.bottom
         )
@@ -492,7 +494,7 @@ class _Painter:
         self.vessel(vessel, "shelf", _Rect(rect.left + 4.0, rect.top + 15.0, rect.right - 4.0, measured.top), False)
 
     def _readings(self, slot: SlotPicture, rect: _Rect) -> None:
-        """What was measured, from the bottom up, as far as there is room."""
+        """Draw the readings of a slot from the bottom up, as many as fit."""
         canvas = self.canvas
         left, right, y = rect.left, rect.right, rect.bottom - 4.0
         for reading in sorted(slot.readings, key=lambda reading: reading.age):
@@ -513,14 +515,14 @@ class _Painter:
                 text = f"{_number(value)} {reading.unit}"
                 canvas.text((left + right) / 2, y - 1.0, text, 10.0, BLUE, "center", room=rect.width)
                 y -= 12.0
-            else:  # grey values, from the bottom of the vessel on
+            else:  # grey values from the bottom of the vessel upwards
                 grey = [(1.0 / len(reading.values), _grey(value)) for value in reading.values]
                 canvas.stack(left, y - 6.0, right, y, grey)
                 canvas.rectangle(left, y - 6.0, right, y, None, EDGE)
                 y -= 9.0
 
     def _curve(self, values: Sequence[float], rect: _Rect) -> None:
-        """A spectrum, absorption from 0 to 1."""
+        """Draw a spectrum with absorptions from 0 to 1."""
         canvas, step = self.canvas, rect.width / (len(values) - 1)
         points = [(rect.left + i * step, rect.bottom - value * rect.height) for i, value in enumerate(values)]
         outline = [(x * canvas.scale, y * canvas.scale) for x, y in points]
@@ -532,7 +534,7 @@ class _Painter:
     # -- vessels
 
     def vessel(self, vessel: VesselPicture, owner: str, rect: _Rect, piston: bool, label: str = "") -> None:
-        """A vessel with its layers, camera picture, thermometer and a line of figures."""
+        """Draw a vessel with its layers, camera picture, thermometer and a line of figures."""
         canvas = self.canvas
         middle = (rect.left + rect.right) / 2
         lines = [f"{_number(vessel.volume_l)}/{_number(vessel.capacity_l)} L", f"{vessel.temperature_k:.0f} K"]
@@ -609,7 +611,7 @@ class _Painter:
         return self.materials[layer.material].tag if layer.material in self.materials else ""
 
     def _solutes(self, vessel: VesselPicture, box: Box, y: int) -> None:
-        """A bar of what is neither solvent nor gas, by mol."""
+        """Draw a bar of the solutes and solids, by mol."""
         found = [(self.materials[name], mol) for name, mol in vessel.contents if name in self.materials]
         solutes = [(material, mol) for material, mol in found if material.role != "solvent"]
         total = sum(mol for _, mol in solutes)
@@ -620,7 +622,7 @@ class _Painter:
             self.canvas.stack(box.left / scale, y / scale, box.right / scale, (y + height) / scale, parts)
 
     def _camera(self, grey: Sequence[float], box: Box) -> None:
-        """What the bench's agent sees of the vessel."""
+        """Draw the camera picture that the bench's agent observes."""
         values = (255.0 - 225.0 * np.array(grey)[::-1]).astype(np.uint8)[:, None]
         picture = Image.fromarray(values).resize((max(box.right - box.left, 2), box.bottom - box.top))
         self.canvas.image.paste(picture, (box.left, box.top))
@@ -639,7 +641,7 @@ class _Painter:
     # -- benches
 
     def bench(self, bench: BenchPicture, rect: _Rect) -> None:
-        """A bench's card."""
+        """Draw the card of a bench."""
         canvas = self.canvas
         left, right = rect.left + 8.0, rect.right - 8.0
         if bench.turn:
@@ -659,7 +661,7 @@ class _Painter:
             y = (rect.top + rect.bottom) / 2
             canvas.text((left + right) / 2, y + 4.0, "idle", 11.0, FAINT, "center")
             return
-        # The room for events is kept where there are none, or vessels would shrink and grow; a low card has none.
+        # Space for events is reserved even without events, so that vessels keep their size. A low card has none.
         bottom = rect.bottom - (18.0 if tall else 5.0)
         if tall and words:
             canvas.text(left, rect.bottom - 6.0, words, 10.0, ORANGE, room=right - left)
@@ -677,7 +679,7 @@ class _Painter:
             self.vessel(vessel, bench.agent, cell, bench.kind == "reaction", vessel.position)
 
     def _instruments(self, rect: _Rect, spectrum: Sequence[float], gauges: Sequence[ChannelPicture]) -> None:
-        """Spectrum and gauges beside a single vessel."""
+        """Draw the spectrum and gauges beside a single vessel."""
         canvas, y = self.canvas, rect.bottom - 3.0
         for gauge in reversed(gauges):
             if rect.bottom - y > 0.3 * rect.height:
@@ -702,7 +704,7 @@ def _grey(value: float) -> str:
 
 
 def _blend(mixture: Sequence[Sequence[float]], liquids: Sequence[LayerPicture], height: int) -> Image.Image:
-    """A column of ``height`` pixels, top first, in the mean colour of the liquids at each height."""
+    """Return a column of ``height`` pixels, top first, with the mean colour of the liquids at each height."""
     colors = np.array([_rgb(layer.color) for layer in liquids], dtype=np.float64)
     slices = np.array(mixture) @ colors
     at = (np.arange(height)[::-1] + 0.5) / height * len(slices) - 0.5

@@ -1,4 +1,4 @@
-"""What all figures that matplotlib draws have in common; it comes with the extra ``plot`` and is imported when used."""
+"""Common parts of all matplotlib figures. Matplotlib (extra ``plot``) is imported on first use."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ SETTINGS: Any = {
     "axes.titlesize": 11.0,
     "legend.fontsize": 9.0,
     "figure.titlesize": 12.0,
-    "text.parse_math": False,  # text comes from scenarios, and a dollar there is a dollar
-    "svg.hashsalt": "chemlab",  # the same results make the same file
+    "text.parse_math": False,  # scenario texts may contain dollar signs
+    "svg.hashsalt": "chemlab",  # identical results give identical files
 }
-"""For ``matplotlib.rc_context``, around drawing and saving."""
+"""Settings for ``matplotlib.rc_context`` while drawing and saving."""
 
 
 def import_matplotlib() -> Any:
-    """matplotlib.
+    """Import and return matplotlib.
 
     Raises:
-        ImportError: it is not installed; the message names the extra.
+        ImportError: matplotlib is not installed; the message names the extra.
     """
     try:
         import matplotlib
@@ -35,7 +35,7 @@ def import_matplotlib() -> Any:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """An empty figure, sizes in inches.
+    """Create an empty figure; sizes are in inches.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -47,11 +47,12 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format of the path's ending; what was there stays until the new one is whole.
+    """Write a figure in the format of the path's suffix. An existing file is replaced only when the new one is
+    complete.
 
     Raises:
-        ValueError: unknown format, or larger than a picture may be.
-        OSError: it cannot be written.
+        ValueError: the format is unknown, or the figure exceeds the largest picture size.
+        OSError: the file cannot be written.
     """
     with draft_of(path) as draft:
         figure.savefig(draft, format=path.suffix.removeprefix("."))

@@ -1,4 +1,4 @@
-"""What environments return from ``render()``: frames as arrays, or a window that shows the same frames."""
+"""Frames of environments' ``render()``: arrays, or a window that shows the same frames."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ __all__ = ["Viewer"]
 
 
 class Viewer:
-    """Shows an environment's scenes, one frame a call.
+    """Shows an environment's scenes, one frame per call.
 
     Args:
         mode: ``rgb_array`` or ``human``.
-        frames_per_second: how fast a window's frames follow each other at most.
-        size: pixels (width, height) of a frame.
+        frames_per_second: Maximum frame rate of a window.
+        size: Width and height of a frame in pixels.
 
     Raises:
-        ImportError: Pillow, or for a window pygame, is not installed; the message names the extra.
+        ImportError: Pillow (or pygame, for a window) is not installed; the message names the extra.
     """
 
     def __init__(self, mode: str, frames_per_second: float, size: tuple[int, int] = (960, 540)) -> None:
@@ -34,9 +34,10 @@ class Viewer:
         self._closed = False
 
     def show(self, scene: Scene) -> npt.NDArray[np.uint8] | None:
-        """The frame [height, width, 3] as ``rgb_array``; as ``human`` it appears in the window and None is returned.
+        """Return the frame [height, width, 3] in mode ``rgb_array``; show it in the window and return None in
+        ``human``.
 
-        Once the window's user has closed it, nothing more is shown.
+        After the user has closed the window, nothing more is shown.
         """
         frame = draw(scene, *self.size)
         if self._pygame is None:
@@ -66,7 +67,7 @@ class Viewer:
             self._pygame.display.quit()  # type: ignore[union-attr]
 
     def __reduce__(self) -> tuple[type[Viewer], tuple[str, float, tuple[int, int]]]:
-        # A copied or pickled environment gets a viewer of its own: a window is not part of its state.
+        # The window is not part of the state: a copied or pickled environment gets its own viewer.
         return Viewer, (self.mode, self.frames_per_second, self.size)
 
 

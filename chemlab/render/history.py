@@ -1,6 +1,6 @@
-"""A record told turn by turn: what each agent saw and did, what came of it, and how experiments began and ended.
+"""Turn-by-turn history of a record: observations, actions, consequences, and the start and end of experiments.
 
-Records hold actions and hashes; what they do not hold is worked out by playing them on the simulator again.
+Records store actions and hashes. Everything else is recomputed by replaying the actions on the simulator.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["Look", "Move", "RecordReplay"]
 
 
 class Look(NamedTuple):
-    """What an agent is shown."""
+    """The observation of one agent and its action mask."""
 
     observation: ObservationArray
     mask: MaskArray | None
@@ -27,49 +27,49 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class Move:
-    """A turn, or a round of several agents, that has just been played."""
+    """A turn, or a simultaneous round of several agents, that has just been played."""
 
     number: int
-    """from 0"""
+    """number of the turn, from 0"""
     tick: int
-    """before it"""
+    """laboratory tick before the turn"""
     plays: list[Play]
     manager: tuple[str | int, ...]
-    """the manager's action, decoded; empty where benches acted or the action was not possible"""
+    """the manager's decoded action; empty if benches acted or the action was invalid"""
     lost: tuple[str, ...]
-    """agents whose action was not possible"""
+    """agents whose action was invalid"""
     rewards: dict[str, float]
     cost: dict[str, float]
     begun: str
-    """agent whose experiment has begun with it, or nothing"""
+    """agent whose experiment started in this turn, or an empty string"""
     scores: dict[str, float]
-    """of the experiments that have ended with it, by agent"""
+    """scores of the experiments that ended in this turn, by agent"""
     last: dict[str, Look] = field(default_factory=dict)
-    """what these agents saw after their last action, before their experiments ended"""
+    """by agent whose experiment ended: its observation after its last action, before the experiment ended"""
 
 
 class RecordReplay(Replay):
-    """A replay that tells the record's moves in order, with what came of each.
+    """A replay that yields the moves of a record in order, with their consequences.
 
     Arguments, attributes and errors are those of :class:`chemlab.record.Replay`.
     """
 
     def look(self, agent: int) -> Look:
-        """What an agent sees now."""
+        """Return an agent's current observation and mask."""
         labs = self.laboratories
         mask = labs.mask(agent, labs.members)
         return Look(labs.observe(agent, labs.members)[0], None if mask is None else mask[0])
 
     @property
     def over(self) -> bool:
-        """Whether the episode is over."""
+        """True once the episode has ended."""
         return bool(self.laboratories.state.status[0] != RUNNING)
 
     def moves(self) -> Iterator[Move]:
-        """Play the record.
+        """Replay the record and yield its moves.
 
         Raises:
-            RecordError: what it says is not possible or cannot be read; the message names the turn or the line.
+            RecordError: a turn is not possible or cannot be read; the message names the turn or the line.
         """
         labs = self.laboratories
         for number, turn in enumerate(self.record.turns):
@@ -100,12 +100,15 @@ class RecordReplay(Replay):
             raise RecordError(f"{self.record.path}: line {line} {problem} (see chemlab verify)")
 
     def _last_look(self, before: list[Any], plays: Sequence[Play], agent: int) -> Look:
-        """What an agent whose experiment has ended saw last: the laboratory itself shows it an idle bench by now."""
+        """Return the last observation of an agent whose experiment has ended.
+
+        The laboratory itself already shows an idle bench by then, so the turn is replayed up to the agent's action.
+        """
         labs = self.laboratories
         after = labs.snapshot()
         labs.restore(before)
         for play in plays:
-            if play.agent > 0:  # a recall comes without an action of the bench's own
+            if play.agent > 0:  # a recall has no action of the bench
                 action = np.asarray(play.action)[None]
                 labs.benches[play.agent - 1].act(labs.shelf, labs.experiments[play.agent - 1], labs.members, action)
             if play.agent == agent:

@@ -1,8 +1,8 @@
-"""A record as a page to look through: one HTML file with everything in it, which asks the network for nothing.
+"""A record as an interactive page: one self-contained HTML file that makes no network requests.
 
-The record is played on the simulator again, so that records stay small; what is drawn are the scenes of
-:mod:`chemlab.render.scene`. Scenes change little from turn to turn: the page holds every different part once
-(:class:`_Pool`) and a frame refers to its parts, so any frame can be shown without those before it.
+The record is replayed on the simulator, so that records stay small. The page draws the scenes of
+:mod:`chemlab.render.scene`. Scenes change little between turns: the page stores every distinct part once
+(:class:`_Pool`), and a frame refers to its parts, so that any frame can be shown without the earlier ones.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = ["replay_data", "replay_page"]
 
 _DIGITS = 4
 _LONG = 30
-"""Lists of numbers in [0, 1] from this length on (spectra, pictures) are kept in thousandths."""
+"""Lists of numbers in [0, 1] of at least this length (spectra, pictures) are stored in thousandths."""
 _STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
-"""What frames leave out: the same in all of them, or kept as columns of numbers."""
+"""Keys that frames omit: constant in all frames, or stored as columns of numbers."""
 _INLINE = 14
 _MOST_TURNS = 20_000
-"""A page of more would be too much for a browser."""
+"""Maximum number of turns of a page; browsers cannot show longer ones."""
 _EVENT_WORDS = {
     "spill_l": "{:.3g} L spilled",
     "relief_valve_mol": "{:.3g} mol lost through the relief valve",
@@ -44,10 +44,10 @@ _EVENT_WORDS = {
 
 
 class _Pool:
-    """Values by content: ``pack`` gives what stands for a value, equal values being kept once.
+    """Pool of distinct values; ``pack`` returns a reference and stores equal values once.
 
-    A number or a string stands for itself; ``[-2, i]`` is entry i; ``[-1, ...]`` a list; ``[s, ...]`` an object with
-    the keys ``shapes[s]``.
+    A number or a string represents itself; ``[-2, i]`` is entry i; ``[-1, ...]`` is a list; ``[s, ...]`` is an object
+    with the keys ``shapes[s]``.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class _Pool:
         self._entry_of: dict[str, int] = {}
 
     def pack(self, value: Any) -> Any:
-        """What stands for ``value`` (JSON data)."""
+        """Return the packed form of a JSON value."""
         if isinstance(value, dict):
             keys = tuple(value)
             shape = self._shape_of.setdefault(keys, len(self.shapes))
@@ -78,7 +78,7 @@ class _Pool:
 
 
 def _compact(value: Any) -> Any:
-    """Long lists of numbers in thousandths; mixtures in hundredths."""
+    """Store long lists of numbers in thousandths and mixtures in hundredths."""
     if isinstance(value, dict):
         return {
             key: [[round(100 * share) for share in part] for part in item] if key == "mixture" else _compact(item)
@@ -92,18 +92,19 @@ def _compact(value: Any) -> Any:
 
 
 def _frame(labs: Laboratories) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(what is drawn of a moment, the whole scene)."""
+    """Return the parts of the current frame and the whole scene."""
     scene = laboratory_scene(labs).as_dict(_DIGITS)
     frame = {key: value for key, value in scene.items() if key not in _STATIC}
     rows, chem = labs.shelf.vessels[0], labs.shelf.chem()
-    # Spectra are drawn from the amounts; per litre of liquid, which the amounts alone do not tell.
+    # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not determine
+    # it.
     frame["liquid_l"] = [float(f"{liquid_volume(row, chem):.4g}") for row in rows]
     return _compact(frame), scene
 
 
 def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str:
-    """What came of a turn, in words."""
-    words = ["not possible now: the turn is lost"] if turn.get("lost") else []
+    """Describe the outcome of a turn in words."""
+    words = ["invalid action: it had no effect"] if turn.get("lost") else []
     for agent, events in turn.get("events", {}).items():
         words += [f"safety, {agent}: {_EVENT_WORDS.get(kind, kind).format(x)}" for kind, x in events.items()]
     for agent, score in turn.get("scores", {}).items():
@@ -120,7 +121,7 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str
 
 
 def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]]:
-    """The legend, and what a spectrum is made of."""
+    """Return the legend and the materials' absorption spectra."""
     found = []
     for picture in scene["materials"]:
         material = labs.scenario.materials[picture["name"]]
@@ -130,14 +131,14 @@ def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]
 
 
 def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
-    """What the page shows, as JSON data: see the functions of ``replay.html`` that read it.
+    """Return the data of the replay page as JSON data; ``replay.html`` reads it.
 
     Args:
-        record: a record, finished or not.
-        trust: import benches of somebody's own that the record names.
+        record: A record, finished or not.
+        trust: Allow imports of code that the record names.
 
     Raises:
-        RecordError: the record cannot be played here.
+        RecordError: the record cannot be replayed here.
     """
     replay = Replay(record, trust)
     labs, pool = replay.laboratories, _Pool()
@@ -154,7 +155,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         except (ValueError, TypeError) as error:
             stopped = str(error)
             break
-        # Told from what happens now, not from what the file says.
+        # Taken from the replayed turn, not from the file.
         number = len(turns) + 1
         turn = _turn(labs, plays)
         shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
@@ -209,7 +210,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
 
 
 def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
-    """Rewards, costs, events and scores of the turn just played; only what there is."""
+    """Return the non-empty rewards, costs, events and scores of the turn just played."""
     found: dict[str, Any] = {}
     for key, values in (("rewards", labs.rewards[0]), ("cost", labs.cost[0]), ("scores", labs.scores[0])):
         entries = {
@@ -235,14 +236,17 @@ def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
 
 
 def replay_page(record: Record, trust: bool = False) -> str:
-    """The page, complete; arguments and errors as for :func:`replay_data`, and longer ones are refused."""
+    """Return the complete replay page as HTML.
+
+    Arguments and errors are those of :func:`replay_data`. Records with too many turns raise :class:`RecordError`.
+    """
     if len(record.turns) > _MOST_TURNS:
         raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {_MOST_TURNS}")
     data = replay_data(record, trust)
-    # In a script element only "</" and "<!--" mean anything; in JSON "<" can be written otherwise.
+    # Only "</" and "<!--" are special in a script element; JSON can escape "<".
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
     page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
-    # The browser runs our script and no other, whatever stands in the data.
+    # The content security policy restricts the browser to this page's script, whatever the data contain.
     for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
         page = page.replace(mark, _content_hash(page, element))
     head, tail = page.split("__DATA__")
@@ -250,6 +254,6 @@ def replay_page(record: Record, trust: bool = False) -> str:
 
 
 def _content_hash(page: str, element: str) -> str:
-    """What a content security policy calls the element without attributes of this name."""
+    """Return the content security policy's hash of the element with this name and no attributes."""
     content = page.split(f"<{element}>")[1].split(f"</{element}>")[0]
     return "sha256-" + base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()

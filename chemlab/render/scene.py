@@ -1,12 +1,13 @@
-"""What a picture of a laboratory shows, as plain data: read off the arrays, which stay as they are.
+"""Scenes: plain data that describe a picture of a laboratory. They are read from the state arrays without changing
+them.
 
-A :class:`Scene` is what people see, true contents included; of these, agents see what ``BenchPicture.seen`` and
-``SlotPicture.readings`` say. Pictures and pages are drawn from it alone, so ``as_dict()`` is all a replay has to keep.
+A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``.
+Pictures and pages are drawn from scenes alone, so a replay only stores ``as_dict()``.
 
-Layers are in true proportions. ``VesselPicture.layers`` lists them from the bottom up with their volumes; what is above
-them is air. Where the contents are not separated, ``VesselPicture.mixture`` has the share of every liquid in equal
-slices of the liquid, bottom first: the profile the layer camera draws from, with its air taken out to the top. So the
-fill level and every liquid's volume are true in a stirred vessel, too, where the camera itself sees air at all heights.
+Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
+vessel is air. If the contents are not separated, ``VesselPicture.mixture`` holds the share of every liquid in equal
+slices of the liquid, bottom first. It is the profile of the layer camera with the air moved to the top. Fill level and
+liquid volumes are therefore true in a stirred vessel as well, where the camera itself sees air at all heights.
 """
 
 from __future__ import annotations
@@ -51,18 +52,18 @@ __all__ = [
 
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
-"""A profile that is nowhere farther than this from the stacked layers is shown as these."""
+"""A profile within this distance of the stacked layers is drawn as stacked layers."""
 _SHOWN_MOL = 5e-6
-"""Below this a material does not count as contents."""
+"""Amount in mol below which a material is not drawn."""
 
 
 @dataclass(frozen=True)
 class MaterialPicture:
-    """A line of the legend: colours are the materials' own (for colour-blind eyes, too), tags are unique."""
+    """One line of the legend. Colours are the materials' own and colour-blind safe; tags are unique."""
 
     name: str
     tag: str
-    """at most 4 letters that stand for it in a picture"""
+    """at most 4 letters that represent the material in a picture"""
     color: str
     """#rrggbb"""
     role: str
@@ -73,11 +74,11 @@ class LayerPicture:
     """One layer of a vessel."""
 
     material: str
-    """the solvent, or what the layer consists of"""
+    """the solvent, or the material of the layer"""
     phase: str
     """``solid`` (at the bottom) or ``liquid``"""
     volume_l: float
-    """with what is dissolved in it"""
+    """volume in litres, solutes included"""
     color: str
 
 
@@ -86,56 +87,57 @@ class VesselPicture:
     """A vessel and its contents."""
 
     position: str
-    """``slot 3`` on the shelf, the position's name (``main``, ``EV``, ``B1``) on a bench"""
+    """``slot 3`` on the shelf; the position's name (``main``, ``EV``, ``B1``) on a bench"""
     capacity_l: float
     volume_l: float
-    """of the contents without air"""
+    """volume in litres of the contents without air"""
     temperature_k: float
     settling: float
     """0 when fully mixed, 1 when separated"""
     layers: tuple[LayerPicture, ...]
     """bottom first: solids, then liquids, densest first"""
     mixture: tuple[tuple[float, ...], ...]
-    """[MIXTURE_SLICES][liquid layers] shares, bottom first; empty where the layers stand as they are listed"""
+    """[MIXTURE_SLICES][liquid layers] shares, bottom first; empty if the layers are stacked as listed"""
     contents: tuple[tuple[str, float], ...]
-    """(material, mol) of everything in it: hidden from agents"""
+    """(material, mol) of all contents, which agents do not observe"""
     camera: tuple[float, ...]
-    """grey values the bench's camera saw last, bottom first; empty without a camera"""
+    """latest grey values of the bench's camera, bottom first; empty without a camera"""
 
 
 @dataclass(frozen=True)
 class ReadingPicture:
-    """The last reading of an instrument on a vessel of the shelf."""
+    """The latest reading of an instrument on a vessel of the shelf."""
 
     instrument: str
     kind: str
     age: int
-    """ticks ago"""
+    """age in ticks"""
     unit: str
     low: float
     high: float
     values: tuple[float, ...]
-    """in [0, 1], which stand for [low, high]"""
+    """values in [0, 1], scaled from [low, high]"""
     labels: tuple[str, ...]
-    """what each value is about: a chromatograph's materials and the rest; empty for other instruments"""
+    """labels of the values: a chromatograph's materials and the remainder; empty for other instruments"""
 
 
 @dataclass(frozen=True)
 class SlotPicture:
-    """A place on the shelf: a vessel, a reservation for a bench's vessels, or neither."""
+    """A slot of the shelf: with a vessel, reserved for a bench's vessel, or empty."""
 
     slot: int
     vessel: VesselPicture | None
     reserved_for: str | None
-    """bench agent"""
+    """bench agent for whose vessel the slot is reserved, or None"""
     origin: str
-    """where the vessel has been, ``ext EV`` (or just ``rxn``, of one vessel); empty if nowhere"""
+    """last bench of the vessel and its position there: ``ext EV``, or ``rxn`` for benches of one vessel; empty if none
+    """
     readings: tuple[ReadingPicture, ...]
 
 
 @dataclass(frozen=True)
 class ChannelPicture:
-    """A part of what a bench's agent sees: ``values`` in [0, 1], which stand for [low, high] ``unit``."""
+    """One observation channel of a bench: ``values`` in [0, 1], scaled from [low, high] ``unit``."""
 
     name: str
     unit: str
@@ -146,30 +148,30 @@ class ChannelPicture:
 
 @dataclass(frozen=True)
 class BenchPicture:
-    """A bench: what runs on it, its vessels, what its agent sees."""
+    """A bench: its experiment, its vessels and its agent's observation."""
 
     agent: str
     key: str
     kind: str
     busy: bool
     turn: bool
-    """whether its agent has the turn"""
+    """True if the bench's agent has the turn"""
     goal: str
-    """of the experiment; empty where none runs"""
+    """goal of the experiment; empty if the bench is idle"""
     step: int
     step_limit: int
     positions: tuple[str, ...]
     vessels: tuple[VesselPicture, ...]
-    """those that stand there"""
+    """vessels at the bench"""
     seen: tuple[ChannelPicture, ...]
-    """the observation by channels, without the goal; empty where no experiment runs"""
+    """observation channels without the goal; empty if the bench is idle"""
     events: tuple[tuple[str, float], ...]
-    """safety events of its last action, by kind"""
+    """safety events of the last action, by kind"""
 
 
 @dataclass(frozen=True)
 class OrderPicture:
-    """What the laboratory is to make."""
+    """One order of the laboratory."""
 
     goal: str
     filled: bool
@@ -179,7 +181,7 @@ class OrderPicture:
 
 @dataclass(frozen=True)
 class BottlePicture:
-    """What is left of a material in stock."""
+    """The remaining stock of one material."""
 
     material: str
     mol: float
@@ -188,43 +190,44 @@ class BottlePicture:
 
 @dataclass(frozen=True)
 class Scene:
-    """A laboratory, or a single bench (``kind``), at one moment; see the module's documentation."""
+    """A laboratory, a single bench or a single vessel (``kind``) at one time; see the module's documentation."""
 
     kind: str
-    """``laboratory``, ``bench`` or ``vessel``; a bench has no shelf, orders, costs or manager, a single vessel no
-    bench either"""
+    """``laboratory``, ``bench`` or ``vessel``; a bench has no shelf, orders, costs or manager, and a vessel has no
+    bench either
+    """
     scenario: str
     title: str
     status: str
-    """``running``, ``submitted`` or ``limit reached``; of a bench ``running`` or ``ended``"""
+    """``running``, ``submitted`` or ``limit reached``; for a bench ``running`` or ``ended``"""
     turn: str
-    """agent that has the turn; empty when it is over"""
+    """agent that has the turn; empty after the episode"""
     manager_actions: int
     manager_action_limit: int
     ticks: int
     tick_limit: int
     orders: tuple[OrderPicture, ...]
     result: float
-    """manager's score if it ended now: orders filled so far, minus costs"""
+    """raw score if the episode ended now: orders filled so far, minus costs"""
     costs: tuple[tuple[str, float], ...]
-    """(item, units of the score)"""
+    """(item, cost in units of the raw score)"""
     budget: float
-    """what the manager may spend on measuring"""
+    """remaining budget of the manager for measurements"""
     safety: tuple[tuple[str, float], ...]
-    """(kind, total) of the safety events that have happened"""
+    """(kind, total) of the safety events so far"""
     stock: tuple[BottlePicture, ...]
     waste_l: float
     shelf: tuple[SlotPicture, ...]
     benches: tuple[BenchPicture, ...]
     materials: tuple[MaterialPicture, ...]
-    """all that can occur in the scenario, without gases"""
+    """all materials of the scenario except gases"""
     largest_capacity_l: float
-    """no vessel of the scenario is larger, at any time: the scale of all vessels"""
+    """largest capacity of any vessel of the scenario, in litres: the scale of all vessels"""
     temperature_range_k: tuple[float, float]
-    """the scale of all thermometers"""
+    """common range of all thermometers in kelvin"""
 
     def as_dict(self, digits: int = 5) -> dict[str, Any]:
-        """The fields as lists, dicts, strings and numbers (for JSON), floats rounded to significant ``digits``."""
+        """Return the fields as JSON-compatible values, with floats rounded to ``digits`` significant digits."""
         plain: dict[str, Any] = _plain(self, digits)
         return plain
 
@@ -240,7 +243,10 @@ def _plain(value: Any, digits: int) -> Any:
 
 
 def _tags(names: Iterable[str]) -> dict[str, str]:
-    """A short unique tag for every name: itself if short, else the initials of its parts, longer where taken."""
+    """Return a short unique tag for every name.
+
+    A short name is its own tag. Otherwise the tag is made of the initials of the name's parts, longer if already taken.
+    """
     tags: dict[str, str] = {}
     for name in sorted(names, key=len):
         parts = re.findall(r"\d|[A-Za-z]+", name) or [name]
@@ -254,14 +260,14 @@ def _tags(names: Iterable[str]) -> dict[str, str]:
 
 @functools.lru_cache(maxsize=32)
 def material_pictures(scenario: Scenario) -> tuple[MaterialPicture, ...]:
-    """The scenario's materials without gases, in the scenario's order."""
+    """Return the scenario's materials without gases, in the scenario's order."""
     shown = {name: material for name, material in scenario.materials.items() if material.role != "gas"}
     tags = _tags(shown)
     return tuple(MaterialPicture(name, tags[name], m.color.lower(), m.role) for name, m in shown.items())
 
 
 class _Camera:
-    """Pictures of the vessels of one shelf; holds the scratch arrays."""
+    """Makes pictures of the vessels of one shelf; holds the scratch arrays."""
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
         self.shelf, self.known = shelf, shelf.known()
@@ -274,13 +280,15 @@ class _Camera:
     def take(
         self, member: int, place: int, position: str, experiments: Experiments | None = None, role: int = 0
     ) -> VesselPicture | None:
-        """The vessel at ``place`` of a laboratory, vessel number ``role`` of ``experiments``; None if none is."""
+        """Return the picture of the vessel at ``place``, which is vessel ``role`` of ``experiments``; None if there is
+        none.
+        """
         vessel = self.shelf.vessel(member, place)
         if not vessel.present:
             return None
         image: FloatArray = np.zeros(0)
         if experiments is not None and hasattr(experiments, "image") and experiments.layers[member, role, 0] > 0:
-            # The bench's own layers: a separation model may have made them.
+            # The bench's own layers, because a separation model may have computed them.
             layers, shares, image = (
                 experiments.layers[member, role],
                 experiments.profile[member, role],
@@ -306,7 +314,7 @@ class _Camera:
     def _layered(
         self, row: FloatArray, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
     ) -> tuple[list[LayerPicture], tuple[tuple[float, ...], ...]]:
-        """Layers bottom first, and the mixture of the liquids if they are not separated."""
+        """Return the layers, bottom first, and the mixture of the liquids if they are not separated."""
         names, chem = self.shelf.layout.materials, self.known
         count = int(layers[0])
         columns = shares[:count]
@@ -318,9 +326,9 @@ class _Camera:
             solids = []
             for name, mol in amounts.items():
                 i = names.index(name)
-                # Without a solvent ions are a crust of salt.
+                # Without a solvent, ions are shown as solid salt.
                 if self.shelf.layout.most_layers and chem.dissolved_at[i] >= 0:
-                    mol = max(mol - float(self._dissolved(row)[chem.dissolved_at[i]].sum()), 0.0)  # its crystals
+                    mol = max(mol - float(self._dissolved(row)[chem.dissolved_at[i]].sum()), 0.0)  # undissolved
                 elif chem.role[i] != ROLE_SOLID and (chem.role[i] != ROLE_ION or self._wet(kinds)):
                     continue
                 if mol > _SHOWN_MOL:
@@ -330,12 +338,12 @@ class _Camera:
         return listed, _mixture(columns[liquids]) if len(liquids) > 1 else ()
 
     def _dissolved(self, row: FloatArray) -> FloatArray:
-        """[K, L] mol of what dissolves, in each solvent or phase."""
+        """Return [K, L] mol of each dissolving material in each solvent or phase."""
         layout = self.shelf.layout
         return row[AMOUNTS + len(layout.materials) :].reshape(len(layout.dissolved), -1)
 
     def _liquid(self, row: FloatArray, kind: int, volume_l: float) -> LayerPicture:
-        """A layer of one liquid; or of a phase, in the colour of what it holds, by volume."""
+        """Return the picture of one liquid layer. A phase has the volume-weighted mean colour of its components."""
         if kind > FIRST_PHASE:
             return self._layer(kind, "liquid", volume_l)
         phase = FIRST_PHASE - kind
@@ -353,8 +361,8 @@ class _Camera:
 
 
 def _mixture(shares: FloatArray) -> tuple[tuple[float, ...], ...]:
-    """Shares [liquids, pixels] of the vessel's height as shares of equal slices of the liquid, or () if separated."""
-    # Cumulative volume of each liquid over the cumulative volume of all of them, read off at the slices' bounds.
+    """Convert shares [liquids, pixels] of the vessel to shares of equal slices of the liquid; () if separated."""
+    # Interpolate each liquid's cumulative volume over the cumulative volume of all liquids at the slices' bounds.
     height = np.concatenate(([0.0], np.cumsum(shares.sum(axis=0))))
     bounds = np.linspace(0.0, height[-1], MIXTURE_SLICES + 1)
     reached = np.array([np.interp(bounds, height, np.concatenate(([0.0], np.cumsum(row)))) for row in shares])
@@ -362,7 +370,7 @@ def _mixture(shares: FloatArray) -> tuple[tuple[float, ...], ...]:
     tops = np.cumsum(shares.sum(axis=1))
     lows = np.concatenate(([0.0], tops[:-1]))
     stacked = np.clip(bounds[None, :], lows[:, None], tops[:, None]) - lows[:, None]
-    # One pixel in which two layers meet is mixed in the profile, though the layers are separated.
+    # A pixel that contains the boundary of two separated layers appears mixed in the profile.
     if np.abs(reached - stacked).max() <= 0.25 + _SEPARATED * height[-1]:
         return ()
     return tuple(tuple(column) for column in slices.T.tolist())
@@ -413,7 +421,7 @@ def _bench(
 def _ranges(
     scenario: Scenario, benches: Iterable[Bench], shelf: Shelf, member: int
 ) -> tuple[float, tuple[float, float]]:
-    """(largest capacity, temperature range): the scales of an episode's pictures, from the scenario."""
+    """Return the largest capacity in litres and the temperature range in kelvin, which scale an episode's pictures."""
     ambient = scenario.ambient_temperature_k
     capacities = [vessel.capacity_l for vessel in scenario.shelf.vessel]
     low, high = ambient - 30.0, ambient + 70.0
@@ -444,11 +452,11 @@ def _waste_l(shelf: Shelf, member: int) -> float:
 
 
 def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
-    """The scene of one laboratory.
+    """Return the scene of one laboratory.
 
     Args:
-        laboratories: the laboratories, after a reset; nothing in them changes.
-        member: which one.
+        laboratories: Laboratories after a reset; they are not changed.
+        member: Environment index.
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
     camera = _Camera(scenario, labs.shelf)
@@ -531,11 +539,11 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
 
 
 def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
-    """The scene of one experiment on a single bench (of a :class:`chemlab.envs.bench_env.BenchEnv`'s batch).
+    """Return the scene of one experiment on a single bench.
 
     Args:
-        batch: the experiments, after a reset; nothing in them changes.
-        member: which one.
+        batch: Batch of experiments of a :class:`chemlab.envs.bench_env.BenchEnv` after a reset; it is not changed.
+        member: Environment index.
     """
     scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments
     picture = _bench(
@@ -573,12 +581,12 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
 
 
 def vessel_scene(scenario: Scenario, shelf: Shelf, member: int = 0, place: int = 0) -> Scene:
-    """The scene of a single vessel (of a :class:`chemlab.sandbox.Flask`); nothing in it changes.
+    """Return the scene of a single vessel of a :class:`chemlab.sandbox.Flask`; nothing is changed.
 
     Args:
-        scenario: whose materials there are.
-        shelf: where the vessel stands.
-        member, place: laboratory and position.
+        scenario: Scenario whose materials are listed.
+        shelf: Shelf of the vessel.
+        member, place: Environment index and position.
     """
     vessel = _Camera(scenario, shelf).take(member, place, "")
     _, temperatures = _ranges(scenario, [], shelf, member)
