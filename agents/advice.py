@@ -1,8 +1,8 @@
-"""Learning with advice: an agent sees, besides its observation, what another policy would play in its place.
+"""Teacher hints: the learner observes the action that another policy would play in its place.
 
-It can follow the advice from its first turn on, and has only to learn where something else is better (residual policy
-learning: Silver et al., 2018, arXiv:1812.06298, and Johannink et al., 2018, arXiv:1812.03201, add actions of numbers;
-here, where actions are chosen, the advice is something that is seen).
+The learner can follow the hints from its first turn on and has to learn only the deviations. In residual policy
+learning (Silver et al., 2018, arXiv:1812.06298; Johannink et al., 2018, arXiv:1812.03201), continuous actions are
+added; for discrete actions, the hint is part of the observation instead.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ __all__ = ["AdvisedPolicy", "Advisor", "with_advice"]
 
 
 def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
-    """[B, size + actions] observations that end with the advice: a number for each action, 1 for what is advised."""
+    """Append hints to observations: [B, size + actions], with a one-hot code of each hinted action."""
     shown = np.zeros((len(observation), actions), dtype=np.float32)
     shown[np.arange(len(advice)), advice] = 1.0
     return np.concatenate([observation, shown], axis=1, dtype=np.float32)
 
 
 class Advisor:
-    """A policy that says what it would play, and hears what has been played.
+    """A policy that gives hints and is informed of the actions played.
 
     Args:
-        policy: it; one that keeps in mind what it has decided takes back what is not played (as scripted managers do,
-            with ``advise`` and ``played``), any other is asked as if it played.
-        actions: how many there are to choose from, for :meth:`shown`.
+        policy: the teacher. A scripted manager (with ``advise`` and ``played``) undoes decisions that were not played;
+            any other policy is queried as if it played.
+        actions: number of discrete actions, for :meth:`shown`.
     """
 
     def __init__(self, policy: Policy, actions: int = 0) -> None:
@@ -40,18 +40,18 @@ class Advisor:
     def advice(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """[B] what the policy would play; arguments as for :meth:`Policy.act`."""
+        """Return [B] the actions that the teacher would play; arguments as for :meth:`Policy.act`."""
         ask = getattr(self._policy, "advise", self._policy.act)
         return np.asarray(ask(observation, mask, step, members))
 
     def shown(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> ObservationArray:
-        """[B, size + actions] what the advised agent sees; arguments as for :meth:`Policy.act`."""
+        """Return [B, size + actions] the learner's observations with hints; arguments as for :meth:`Policy.act`."""
         return with_advice(observation, self.advice(observation, mask, step, members), self._actions)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """What has been played [B] after the advice."""
+        """Inform the teacher of the actions [B] that were played after its hints."""
         tell = getattr(self._policy, "played", None)
         if tell is not None:
             tell(actions, members)
@@ -68,11 +68,11 @@ class Advisor:
 
 
 class AdvisedPolicy:
-    """A policy that sees an advisor's advice with what it observes.
+    """A policy that observes the hints of an advisor.
 
     Args:
-        policy: that sees both.
-        advisor: its advisor.
+        policy: the policy that observes them.
+        advisor: source of the hints.
     """
 
     def __init__(self, policy: Policy, advisor: Advisor) -> None:
@@ -89,11 +89,11 @@ class AdvisedPolicy:
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """[B] what it would play; what is played instead, :meth:`played` is told. Arguments as for :meth:`act`."""
+        """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
         return self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """What has been played [B] after :meth:`advise`."""
+        """Inform the policy of the actions [B] played after :meth:`advise`."""
         self._advisor.played(actions, members)
 
     def get_memory(self) -> Any:

@@ -1,8 +1,8 @@
-"""Policies whose critic sees more than the actor: learners in whose training the whole laboratory is known (MAPPO).
+"""Actor-critic policies with a centralised critic, which observes the true state during training (MAPPO).
 
-What they are given is the agent's observation and behind it the laboratory's state
-(:class:`~chemlab.envs.global_state.GlobalState`). The actor has no connection to the state, and plays
-without: behind an observation alone zeros are put.
+Their input is the agent's observation followed by the laboratory's state
+(:class:`~chemlab.envs.global_state.GlobalState`). The actor is not connected to the state and plays without it: a bare
+observation is padded with zeros.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -24,14 +24,15 @@ except ImportError as error:
 __all__ = ["CentralisedPolicy", "MaskableCentralisedPolicy"]
 
 
-class _Sides(MlpExtractor):
-    """Hidden layers of an actor that sees the first numbers only, and of a critic that sees all. So the actor begins as
-    one that stands alone does: in a layer for all of them, orthogonal to begin with, its own would have little weight.
+class _SeparateLayers(MlpExtractor):
+    """Hidden layers of an actor on the first inputs only, and of a critic on all of them.
+
+    The actor is initialised like a separate actor. In a common orthogonal layer its inputs would have little weight.
 
     Args:
-        own: how many numbers the actor sees.
-        feature_dim: how many the critic does.
-        settings: Stable-Baselines3's.
+        own: number of the actor's inputs.
+        feature_dim: number of the critic's inputs.
+        settings: arguments of Stable-Baselines3's extractor.
     """
 
     def __init__(self, own: int, feature_dim: int, **settings: Any) -> None:
@@ -44,7 +45,7 @@ class _Sides(MlpExtractor):
 
 
 class _Centralised:
-    """What both policies add to theirs of Stable-Baselines3."""
+    """Common additions to both of Stable-Baselines3's policies."""
 
     observation_space: Any
     mlp_extractor: Any
@@ -58,10 +59,10 @@ class _Centralised:
     def _build_mlp_extractor(self) -> None:
         made: Any = self
         settings = {"net_arch": made.net_arch, "activation_fn": made.activation_fn, "device": made.device}
-        self.mlp_extractor = _Sides(self._own, made.features_dim, **settings)
+        self.mlp_extractor = _SeparateLayers(self._own, made.features_dim, **settings)
 
     def obs_to_tensor(self, observation: Any) -> tuple[torch.Tensor, bool]:
-        """Stable-Baselines3's, of an agent's observations, too: behind them nothing stands."""
+        """Convert observations as Stable-Baselines3 does; bare agent observations are padded with zeros."""
         behind = self.observation_space.shape[0] - observation.shape[-1]
         padded = np.pad(observation, [(0, 0)] * (observation.ndim - 1) + [(0, behind)])
         found: tuple[torch.Tensor, bool] = super().obs_to_tensor(padded)  # type: ignore[misc]
@@ -69,14 +70,15 @@ class _Centralised:
 
 
 class CentralisedPolicy(_Centralised, ActorCriticPolicy):
-    """PPO's policy with a critic that sees the state.
+    """PPO's policy with a centralised critic.
 
     Args:
-        observation_space, action_space, lr_schedule: as for Stable-Baselines3's policy; the space is of both.
-        own: how many numbers the agent's observation has.
-        settings: more of Stable-Baselines3's, but feature extractors.
+        observation_space, action_space, lr_schedule: as for Stable-Baselines3's policy; the space contains observation
+            and state.
+        own: size of the agent's observation.
+        settings: further arguments of Stable-Baselines3's policy, except feature extractors.
     """
 
 
 class MaskableCentralisedPolicy(_Centralised, MaskableActorCriticPolicy):
-    """The same of MaskablePPO's policy."""
+    """MaskablePPO's policy with a centralised critic."""

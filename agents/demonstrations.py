@@ -1,21 +1,21 @@
-"""Records as demonstrations: Minari datasets, one for each agent; Minari comes with the extra ``data``.
+"""Export of records as demonstrations: one Minari dataset per agent. Needs the extra ``data``.
 
-Minari has no multi-agent datasets. What an agent saw, did and earned between its own turns is a single-agent episode:
+Minari has no multi-agent datasets. The turns of each agent therefore form single-agent episodes:
 
-| Agent | An episode is | Spaces and rewards are those of |
+| Agent | Episode | Spaces and rewards |
 |---|---|---|
 | manager | the laboratory's episode | `chemlab/LabManager-v0` |
-| a bench's | one experiment, from the manager's `start` to its end | `chemlab/Bench-v0` of that bench |
+| bench agent | one experiment, from the manager's `start` to its end | `chemlab/Bench-v0` of that bench |
 
-A reward is everything the agent earned from its turn to its next one; what it earns while its bench is idle (its share
-of the result, where the scenario shares it) belongs to the last turn before that. So the rewards of all episodes add
-up to what the record says the agent earned. An experiment is `terminated` when it ends, by the agent, its step limit
-or the manager's `recall`, and `truncated` where the laboratory's episode (or the record) ends first.
+A reward is the sum of the agent's rewards until its next turn. Rewards while its bench is idle (its share
+of the result, if the scenario shares it) belong to its last turn. The rewards of all episodes therefore add
+up to the agent's return in the record. An experiment is `terminated` when it ends by the agent, its step limit
+or the manager's `recall`, and `truncated` if the laboratory's episode or the record ends first.
 
-With each of the T + 1 observations there are the infos `action_mask` (discrete actions), `elapsed_ticks` (since the
+Each of the T + 1 observations has the infos `action_mask` (discrete actions), `elapsed_ticks` (since the
 agent's previous turn in the episode: the discount of a semi-Markov step) and `cost` (weighted safety events since
-then). The last observation of an experiment is of its vessels as the last action left them. Actions are kept as the
-simulator got them, continuous ones as float64, so that they lead to the same observations again.
+then). The last observation of an experiment shows the vessels after the last action. Actions are stored as the
+simulator received them, continuous ones as float64, so that replaying them gives the same observations.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ __all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
 
 @dataclass
 class Demonstration:
-    """An agent's episode: T turns.
+    """An episode of one agent with T turns.
 
     Attributes:
-        agent: its id.
-        goal: of the experiment; empty for the manager.
-        tick: when it began.
-        observations, masks, elapsed, costs: T + 1 of each; masks are empty where actions are continuous.
+        agent: name of the agent.
+        goal: goal of the experiment; empty for the manager.
+        tick: tick at which the episode began.
+        observations, masks, elapsed, costs: T + 1 of each; masks are empty for continuous actions.
         actions, rewards: T of each.
-        terminated, truncated: how it ended.
+        terminated, truncated: the way the episode ended.
     """
 
     agent: str
@@ -70,7 +70,7 @@ class Demonstration:
     truncated: bool = False
 
     def see(self, look: Look, elapsed: int) -> None:
-        """Add what it is shown; the costs are those since it was shown something before."""
+        """Append an observation with the costs since the previous one."""
         self.observations.append(look.observation)
         if look.mask is not None:
             self.masks.append(look.mask)
@@ -78,8 +78,8 @@ class Demonstration:
         self.costs.append(0.0)
 
 
-class _Teller:
-    """Cuts one record into the agents' episodes."""
+class _Splitter:
+    """Splits one record into the agents' episodes."""
 
     def __init__(self, record: Record, trust: bool) -> None:
         self._replay = RecordReplay(record, trust)
@@ -91,7 +91,7 @@ class _Teller:
         self.found: dict[str, list[Demonstration]] = {agent: [] for agent in self._labs.agents}
 
     def tell(self) -> dict[str, list[Demonstration]]:
-        """The episodes of every agent, in order."""
+        """Return the episodes of every agent in order."""
         for move in self._replay.moves():
             self._enter(move)
         state = self._labs.state
@@ -114,7 +114,7 @@ class _Teller:
             demonstration.rewards.append(0.0)
             self._turn_at[agent] = move.tick
         for agent, demonstration in self._latest.items():
-            # What is earned after an episode's end belongs to it, until the agent's next one begins.
+            # Rewards after the end of an episode belong to it until the agent's next episode begins.
             demonstration.rewards[-1] += move.rewards[agent]
             self._pending_cost[agent] = self._pending_cost.get(agent, 0.0) + move.cost[agent]
         for agent in move.scores:
@@ -134,22 +134,23 @@ class _Teller:
     def _close(self, agent: str, look: Look) -> None:
         demonstration = self._open.pop(agent)
         elapsed = int(self._labs.state.ticks[0]) - self._turn_at[agent]
-        # An experiment's last step takes its tick, too, though that is not over while other benches have their turns.
+        # The last step of an experiment takes one tick, although the tick has not ended while other benches have their
+        # turns.
         demonstration.see(look, elapsed if agent == MANAGER_AGENT else max(elapsed, 1))
         demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)
 
 
 def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demonstration]]:
-    """The episodes of every agent in a record, finished or not.
+    """Return the episodes of every agent in a record, finished or not.
 
     Args:
-        record: the record; it is believed (see :func:`chemlab.record.verify_record`).
-        trust: import benches of somebody's own that it names.
+        record: a record; it is not verified here (see :func:`chemlab.record.verify_record`).
+        trust: allow imports of code that the record names.
 
     Raises:
-        RecordError: it cannot be played here.
+        RecordError: the record cannot be replayed here.
     """
-    return _Teller(record, trust).tell()
+    return _Splitter(record, trust).tell()
 
 
 # -- datasets ---------------------------------------------------------------------------------------------------------
@@ -157,7 +158,7 @@ def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demons
 
 @dataclass(frozen=True)
 class Dataset:
-    """A dataset that has been written."""
+    """A written dataset."""
 
     id: str
     agent: str
@@ -167,13 +168,13 @@ class Dataset:
     path: str
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as plain Python values."""
+        """Return the fields as plain Python values."""
         return asdict(self)
 
 
 def _minari() -> Any:
     try:
-        import h5py  # noqa: F401 - Minari's storage, which Minari itself does not ask for
+        import h5py  # noqa: F401 - needed by Minari's storage, which does not check for it
         import minari
     except ImportError as error:
         raise ImportError('demonstrations need Minari: pip install ".[data]"') from error
@@ -181,16 +182,16 @@ def _minari() -> Any:
 
 
 def _verified(path: Path, trust: bool, tell: Callable[[str], None]) -> Record:
-    """A record that holds what happens.
+    """Read a record and verify it.
 
     Raises:
-        RecordError: there is none.
-        ValueError: it does not, or nobody can tell.
+        RecordError: the file is not a record.
+        ValueError: the record is wrong or cannot be verified.
     """
     record = read_record(path)
     found = verify_record(record, trust=trust)
     if found.status in ("tampered", "unchecked"):
-        raise ValueError(f"{path}: {found.message}: not a demonstration of anything (see chemlab verify)")
+        raise ValueError(f"{path}: {found.message}: it cannot serve as a demonstration (see chemlab verify)")
     if found.status != "ok":
         tell(f"{path}: {found.message}")
     return record
@@ -204,21 +205,21 @@ def write_datasets(
     trust: bool = False,
     tell: Callable[[str], None] = lambda note: None,
 ) -> list[Dataset]:
-    """Write a dataset ``NAME/AGENT-v0`` for each agent, where Minari keeps its own (``MINARI_DATASETS_PATH``).
+    """Write a dataset ``NAME/AGENT-v0`` for each agent to Minari's folder (``MINARI_DATASETS_PATH``).
 
     Args:
-        paths: records of the same scenario, with the same materials, prices and all.
-        name: of the datasets.
-        agents: ids; default: all that had a turn.
-        force: replace datasets that are there already.
-        trust: import benches of somebody's own that the records name.
-        tell: told what is worth knowing besides.
+        paths: records of one scenario with equal content.
+        name: name of the datasets.
+        agents: names of agents; default: all that had a turn.
+        force: replace existing datasets.
+        trust: allow imports of code that the records name.
+        tell: receives messages for the user.
 
     Raises:
         ImportError: Minari is not installed; the message names the extra.
-        RecordError: a file is no record, or cannot be played here.
-        ValueError: a record does not hold what happens, the records do not belong together, an agent is unknown or had
-            no turn, or a dataset is there already.
+        RecordError: a file is not a record, or cannot be replayed here.
+        ValueError: a record is wrong, the records are of different scenarios, an agent is unknown or had no turn, or a
+            dataset exists already.
     """
     minari = _minari()
     twice = [path for number, path in enumerate(paths) if path.resolve() in [one.resolve() for one in paths[:number]]]
@@ -228,11 +229,11 @@ def write_datasets(
     scenarios = [recorded_scenario(record) for record in records]
     for path, scenario in zip(paths, scenarios, strict=True):
         if scenario_hash(scenario) != scenario_hash(scenarios[0]):
-            raise ValueError(f"{path}: is of another scenario than {paths[0]}; make datasets of each by itself")
+            raise ValueError(f"{path}: has another scenario than {paths[0]}; make a separate dataset of each")
     everybody: list[str] = records[0].header["agents"]
     unknown = set(agents or ()) - set(everybody)
     if unknown:
-        raise ValueError(f"agent: nobody is called {', '.join(sorted(unknown))}; agents: {', '.join(everybody)}")
+        raise ValueError(f"agent: unknown agent {', '.join(sorted(unknown))}; choose from {', '.join(everybody)}")
     told = [demonstrations(record, trust) for record in records]
     labs = Laboratories(scenarios[0])
     chosen = []
@@ -258,7 +259,7 @@ def write_datasets(
 
 
 def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec:
-    """The environment whose spaces and episodes a dataset has."""
+    """Return the spec of the environment whose spaces and episodes a dataset has."""
     manager = agent == MANAGER_AGENT
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))
     spec.kwargs["scenario"] = plain_scenario(scenario)
@@ -277,7 +278,7 @@ def _write(
     path = minari.storage.get_dataset_path(id)
     try:
         with warnings.catch_warnings():
-            # Minari asks for an author, an address and a link to code, which a record does not have.
+            # Minari warns about missing author, email and code permalink, which a record does not contain.
             warnings.filterwarnings("ignore", message=".* is set to None")
             dataset = minari.create_dataset_from_buffers(
                 id,
@@ -297,7 +298,7 @@ def _write(
         )
         dataset.storage.update_metadata({"scenario": labs.scenario.name, "scenario_hash": scenario_hash(labs.scenario)})
     except BaseException:
-        shutil.rmtree(path, ignore_errors=True)  # half a dataset would be in the way of the next attempt
+        shutil.rmtree(path, ignore_errors=True)  # an incomplete dataset would block the next attempt
         raise
     returns = [sum(demonstration.rewards) for _, demonstration in episodes]
     steps = sum(len(demonstration.rewards) for _, demonstration in episodes)
@@ -305,7 +306,7 @@ def _write(
 
 
 def _buffer(minari: Any, record: Record, demonstration: Demonstration) -> Any:
-    """An episode as Minari takes it."""
+    """Convert an episode to Minari's buffer."""
     d = demonstration
     ends = np.arange(len(d.rewards)) == len(d.rewards) - 1
     infos = {"elapsed_ticks": np.array(d.elapsed, dtype=np.int64), "cost": np.array(d.costs, dtype=np.float64)}
@@ -313,7 +314,8 @@ def _buffer(minari: Any, record: Record, demonstration: Demonstration) -> Any:
         infos["action_mask"] = np.array(d.masks)
     manager = d.agent == MANAGER_AGENT
     return minari.data_collector.EpisodeBuffer(
-        # The laboratory's seed makes the manager's episode; an experiment begins with a vessel that came to be.
+        # The laboratory's seed reproduces the manager's episode only; an experiment starts from a vessel of that
+        # episode.
         seed=record.header["seed"] if manager else None,
         options=record.header["options"] or None if manager else {"goal": d.goal},
         observations=np.array(d.observations),

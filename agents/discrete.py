@@ -1,4 +1,4 @@
-"""Policies across the two kinds of actions of a bench: numbers, or a choice among representative ones."""
+"""Adapters between policies with continuous and with discretised actions of a bench."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from chemlab.roles.discrete import Discretised
 __all__ = ["ChoosingPolicy", "NearestPolicy"]
 
 
-class _Around:
-    """A policy that plays as another does, in other words: what it remembers and draws is the other's."""
+class _Adapter:
+    """Base class of adapters; memory and random numbers are those of the wrapped policy."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
@@ -26,12 +26,12 @@ class _Around:
         return getattr(self._policy, name)
 
 
-class NearestPolicy(_Around):
-    """A policy with continuous actions on a discretised bench: the representative action most like each.
+class NearestPolicy(_Adapter):
+    """Plays a continuous policy on a discretised bench: each action is mapped to the nearest representative one.
 
     Args:
-        policy: what is played.
-        bench: where.
+        policy: the continuous policy.
+        bench: the discretised bench.
     """
 
     def __init__(self, policy: Policy, bench: Discretised) -> None:
@@ -45,12 +45,12 @@ class NearestPolicy(_Around):
         return self._bench.nearest(self._policy.act(observation, None, step, members))
 
 
-class ChoosingPolicy(_Around):
-    """A policy of a discretised bench on the bench with continuous actions: the numbers that its choice stands for.
+class ChoosingPolicy(_Adapter):
+    """Plays a discrete policy on the bench with continuous actions: each choice is mapped to the vector it represents.
 
     Args:
-        policy: what is played.
-        rows: [A, n] what every discrete action stands for.
+        policy: the discrete policy.
+        rows: [A, n] vectors of the discrete actions.
     """
 
     def __init__(self, policy: Policy, rows: FloatArray) -> None:

@@ -1,16 +1,16 @@
-"""Where jobs are played: here, in processes of this machine, on a Ray cluster, or by Slurm.
+"""Executors of jobs: in this process, in processes of this machine, on a Ray cluster, or by Slurm.
 
-Sweeps, audits, benchmarks and evaluations plan what to play and submit it to a :class:`concurrent.futures.Executor`;
-whoever has one of their own (Dask's, mpi4py's) may give that. :func:`executor` makes one:
+Sweeps, audits, benchmarks and evaluations submit their jobs to a :class:`concurrent.futures.Executor`;
+other executors (of Dask, mpi4py) work as well. :func:`executor` makes one:
 
-| address | where | at a time |
+| address | workers | concurrent jobs |
 |---|---|---|
-| none | processes of this machine; this one, if there is to be one | as many as there are cores |
-| ``auto``, ``HOST:PORT`` | a Ray cluster (extra ``ray``) | as many as it has CPUs |
-| ``slurm`` | jobs of Slurm (extra ``slurm``), asked for what ``SBATCH_`` variables of the environment say | 64 |
+| none | processes of this machine; for one job at a time, this process | number of cores |
+| ``auto``, ``HOST:PORT`` | a Ray cluster (extra ``ray``) | number of its CPUs |
+| ``slurm`` | Slurm jobs (extra ``slurm``) with resources from the environment variables ``SBATCH_...`` | 64 |
 
-A job whose worker is lost (killed, out of memory, its machine gone) is played again, :data:`ATTEMPTS` times in all.
-What a job comes to depends on its arguments alone, so it is the same wherever it is played, and however often.
+A job whose worker is lost (killed, out of memory, node failure) is retried, up to :data:`ATTEMPTS` attempts in total.
+The result of a job depends only on its arguments, not on the worker or the number of attempts.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from chemlab.config.parts import strangers_code, trust
 __all__ = ["ATTEMPTS", "Inline", "WorkerLost", "Workers", "completed", "connected", "executor", "run_chemlab"]
 
 ATTEMPTS = 3
-"""How often a job is begun, at most."""
+"""Maximum number of attempts per job."""
 _SLURM_AT_A_TIME = 64
 _SLURM_MINUTES = 60
 _OBJECT_STORE_BYTES = 512 * 1024 * 1024
-"""Of a Ray of our own: a batch of turns is some ten megabytes."""
+"""Object store of a Ray instance started here; a batch of turns takes some ten megabytes."""
 
 P = ParamSpec("P")
 Value = TypeVar("Value")
@@ -50,7 +50,7 @@ J = TypeVar("J")
 
 
 class WorkerLost(OSError):
-    """A job has lost its worker, or the process that it had started; a future's: as often as it may."""
+    """A job has lost its worker or its child process; as the error of a future, in every allowed attempt."""
 
 
 # -- executors --------------------------------------------------------------------------------------------------------
@@ -58,15 +58,15 @@ class WorkerLost(OSError):
 
 @contextlib.contextmanager
 def executor(address: str | None = None, processes: int | None = None, commands: bool = False) -> Iterator[Executor]:
-    """An executor that lasts as long as the context; an error inside ends the jobs that are running, too.
+    """Yield an executor for the duration of the context; an error inside the context also ends running jobs.
 
     Args:
         address: see this module's table.
-        processes: jobs at a time; None: what the table says.
-        commands: jobs are :func:`run_chemlab`, which is a process of its own: here, threads wait for them.
+        processes: number of concurrent jobs; None: the table's default.
+        commands: True if jobs are :func:`run_chemlab`, which starts its own process, so that local threads suffice.
 
     Raises:
-        ValueError: no cluster answers there.
+        ValueError: no cluster answers at the address.
         ImportError: the extra is not installed.
     """
     jobs = _made(address, processes, commands)
@@ -91,15 +91,15 @@ def _made(address: str | None, processes: int | None, commands: bool) -> Executo
 
 
 def completed(jobs: Executor, function: Callable[[J], Value], arguments: Sequence[J]) -> Iterator[tuple[J, Value]]:
-    """Play ``function`` of each argument; yields (argument, what it came to) as soon as one is done.
+    """Call ``function`` on each argument; yield (argument, result) in the order of completion.
 
     Raises:
-        WorkerLost: see there.
+        WorkerLost: a job lost its worker in every attempt.
     """
     waiting: dict[Future[Value], J] = {}
     for argument in arguments:
         future = jobs.submit(function, argument)
-        if future.done():  # where it is played while it is submitted, it is kept before the next one is
+        if future.done():  # an inline job is finished on submission; yield it before the next one starts
             yield argument, future.result()
         else:
             waiting[future] = argument
@@ -108,7 +108,7 @@ def completed(jobs: Executor, function: Callable[[J], Value], arguments: Sequenc
 
 
 class Inline(Executor):
-    """Plays each job in this process while it is submitted."""
+    """Executes each job in this process on submission."""
 
     def submit(self, fn: Callable[P, Value], /, *args: P.args, **kwargs: P.kwargs) -> Future[Value]:
         """See :meth:`concurrent.futures.Executor.submit`."""
@@ -122,12 +122,12 @@ class Inline(Executor):
 
 @dataclass(frozen=True)
 class _Call:
-    """A job as it is sent to a worker.
+    """A job in the form that is sent to a worker.
 
     Attributes:
-        function, arguments, keywords: what is called.
-        trusted: what :func:`~chemlab.config.parts.trust` was where it was submitted.
-        folder: the working folder there, which paths may start from.
+        function, arguments, keywords: the call.
+        trusted: value of :func:`~chemlab.config.parts.trust` at submission.
+        folder: working directory at submission, to which relative paths refer.
     """
 
     function: Callable[..., Any]
@@ -137,7 +137,7 @@ class _Call:
     folder: str
 
     def __call__(self) -> tuple[Any, Exception | None, str]:
-        """What it came to, or the error and where that comes from: engines would wrap it, each in its own."""
+        """Return the result, or the error and its traceback; engines would wrap errors in their own classes."""
         if Path(self.folder).is_dir():
             os.chdir(self.folder)
         with contextlib.nullcontext() if self.trusted is None else strangers_code(self.trusted):
@@ -148,27 +148,27 @@ class _Call:
 
 
 class _Place(Protocol):
-    """Where calls are played.
+    """A set of workers that execute calls.
 
     Attributes:
-        lost: errors of :meth:`play` that say that the worker was lost.
+        lost: exception types of :meth:`play` that indicate a lost worker.
     """
 
     lost: tuple[type[BaseException], ...]
 
     def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """What a call comes to, when it has."""
+        """Execute a call and return its result when finished."""
 
     def close(self) -> None:
-        """Let the workers go, and end what they are at."""
+        """Stop the workers and their running calls."""
 
 
 class Workers(ThreadPoolExecutor):
-    """Has jobs played by the workers of a place, each watched by a thread that begins it again if its worker is lost.
+    """Executor whose threads each watch one job of a place and restart it if its worker is lost.
 
     Args:
-        place: where.
-        count: jobs at a time.
+        place: the workers.
+        count: number of concurrent jobs.
     """
 
     def __init__(self, place: _Place, count: int) -> None:
@@ -176,10 +176,7 @@ class Workers(ThreadPoolExecutor):
         self._place, self._closing = place, False
 
     def submit(self, fn: Callable[P, Value], /, *args: P.args, **kwargs: P.kwargs) -> Future[Value]:
-        """See :meth:`concurrent.futures.Executor.submit`.
-
-        The future's result may also be :class:`WorkerLost`.
-        """
+        """See :meth:`concurrent.futures.Executor.submit`. The future's exception may also be :class:`WorkerLost`."""
         return super().submit(self._played, _Call(fn, args, kwargs, trust(), os.getcwd()))
 
     def _played(self, call: _Call) -> Any:
@@ -199,12 +196,12 @@ class Workers(ThreadPoolExecutor):
                 raise error from RuntimeError(f"in a worker:\n{where}")
             return value
         raise WorkerLost(
-            f"a job's worker was lost {ATTEMPTS} times: killed, or out of memory (fewer --processes take less)? "
-            "What is finished is kept where there is a folder for it: the same command goes on"
+            f"a job's worker was lost {ATTEMPTS} times: it was killed or ran out of memory (use fewer --processes). "
+            "Finished jobs are kept if there is an output folder: the same command resumes"
         ) from reason
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let the workers go; with ``cancel_futures`` also those that are at a job, which comes to nothing."""
+        """Stop the workers; with ``cancel_futures`` also running jobs, whose results are discarded."""
         super().shutdown(wait=False, cancel_futures=cancel_futures)
         if cancel_futures:
             self._closing = True
@@ -214,11 +211,11 @@ class Workers(ThreadPoolExecutor):
             self._place.close()
 
 
-# -- places -----------------------------------------------------------------------------------------------------------
+# -- workers ----------------------------------------------------------------------------------------------------------
 
 
 class _Commands:
-    """This process, whose threads wait for the commands that jobs are."""
+    """Executes commands: jobs start child processes, and threads of this process wait for them."""
 
     lost: tuple[type[BaseException], ...] = ()
 
@@ -233,7 +230,7 @@ class _Commands:
 
 
 class _Processes:
-    """Processes of this machine; together they are made anew when one of them was lost."""
+    """Processes of this machine; all are restarted when one of them is lost."""
 
     lost: tuple[type[BaseException], ...] = (BrokenExecutor,)
 
@@ -274,8 +271,8 @@ class _Processes:
 
 
 def _end_with(leash: Connection) -> None:
-    """Let this process end when nobody holds the other end: its executor was closed, or whoever had it has died."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who waits for the result
+    """End this process when the other end of the pipe closes: the executor was closed, or its process has died."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
 
     def watch() -> None:
         with contextlib.suppress(EOFError, OSError):
@@ -286,7 +283,7 @@ def _end_with(leash: Connection) -> None:
 
 
 def _ray() -> Any:
-    """Ray's module."""
+    """Import and return Ray."""
     try:
         import ray
     except ImportError as error:
@@ -295,7 +292,7 @@ def _ray() -> Any:
 
 
 class _Ray:
-    """A Ray cluster's workers, a CPU each."""
+    """Workers of a Ray cluster, one CPU each."""
 
     def __init__(self, address: str) -> None:
         self._ray, self._at_work, self._left = _ray(), set[Any](), contextlib.ExitStack()
@@ -323,11 +320,11 @@ class _Ray:
 
 
 class _Slurm:
-    """Jobs of Slurm, by submitit; ``cluster="local"`` has it start processes here.
+    """Slurm jobs, submitted by submitit; ``cluster="local"`` starts local processes instead.
 
     Args:
         cluster: submitit's name of the engine.
-        folder: seen by every machine; what jobs are given, come to and say stays there.
+        folder: directory visible to every node; holds the jobs' arguments, results and logs.
     """
 
     def __init__(self, cluster: str = "slurm", folder: Path = Path("slurm")) -> None:
@@ -338,7 +335,7 @@ class _Slurm:
         try:
             self._engine = submitit.AutoExecutor(folder, cluster)
         except RuntimeError as error:
-            raise ValueError(f"address: no Slurm to submit to ({error}); run this where there is an sbatch") from error
+            raise ValueError(f"address: no Slurm found ({error}); run this on a machine with sbatch") from error
         self._engine.update_parameters(name="chemlab", cpus_per_task=1, timeout_min=_SLURM_MINUTES)
         self._lock, self._at_work = threading.Lock(), set[Any]()
         self.lost: tuple[type[BaseException], ...] = (submitit.core.utils.UncompletedJobError,)
@@ -362,20 +359,20 @@ class _Slurm:
 
 @contextlib.contextmanager
 def connected(address: str | None, runners: int) -> Iterator[None]:
-    """Ray, for as long as the context lasts; one that this process is connected to already is used and left alone.
+    """Connect to Ray for the duration of the context; an existing connection is reused and kept.
 
     Args:
-        address: of a cluster (``auto``: the one this machine belongs to); None starts a Ray of our own, here.
-        runners: env runners that are to find a CPU there.
+        address: address of a cluster (``auto``: the cluster of this machine); None starts a local Ray instance.
+        runners: number of env runners, each of which needs a CPU.
 
     Raises:
-        ValueError: no cluster answers there, or it has fewer CPUs.
+        ValueError: no cluster answers at the address, or it has too few CPUs.
     """
     ray = _ray()
-    logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level RLlib sets once it is running
+    logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level that RLlib sets later
     ours = not ray.is_initialized()
     if ours:
-        # Unless told otherwise Ray reports its use to its makers.
+        # Disable Ray's usage reports unless the user has configured them.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
         if address is None:
@@ -383,18 +380,18 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             ray.init("local", num_cpus=count, include_dashboard=False, object_store_memory=_OBJECT_STORE_BYTES, **quiet)
         else:
             try:
-                _knock(address)
+                _check_reachable(address)
                 ray.init(address, **quiet)
             except (OSError, RuntimeError, ValueError) as error:  # a ConnectionError is an OSError
                 raise ValueError(
-                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head (one "
-                    "that asks for a token needs RAY_AUTH_MODE=token here, too)"
+                    f"address: no Ray cluster to join at {address!r} ({error}); start one with ray start --head (with "
+                    "token authentication, set RAY_AUTH_MODE=token here as well)"
                 ) from error
     try:
         cpus = int(ray.cluster_resources().get("CPU", 0))
         if cpus < runners:
             raise ValueError(
-                f"runners: each takes a CPU, and Ray has {cpus}; given {runners}: ask for fewer or add nodes"
+                f"runners: must be at most {cpus}, the number of Ray's CPUs; given {runners}: use fewer or add nodes"
             )
         yield
     finally:
@@ -402,8 +399,8 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             ray.shutdown()
 
 
-def _knock(address: str) -> None:
-    """OSError where nobody listens at HOST:PORT: Ray itself would try for minutes."""
+def _check_reachable(address: str) -> None:
+    """Raise OSError if nothing listens at HOST:PORT; Ray itself would retry for minutes."""
     host, _, port = address.rpartition(":")
     if host and port.isdigit() and "/" not in host:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
@@ -417,26 +414,28 @@ threading.Thread(target=lambda: os._exit(len(os.read(0, 1)) or 1), daemon=True).
 from chemlab.cli import main
 main()
 """
-"""What a child runs: chemlab as it is here. Nothing is imported from the folder that it is started in, which Python
-would look through first (``-P`` would keep it from that, from 3.11 on). It ends when its standard input does, which
-whoever started it holds."""
+"""Program of a child process: this installation of chemlab.
+
+Nothing is imported from the working directory, which Python would search first (``-P`` prevents this from Python 3.11
+on). The child exits when its standard input, held by the parent, is closed.
+"""
 
 
 _running: set[subprocess.Popen[bytes]] = set()
-"""Commands that this process has started and waits for."""
+"""Running child processes of this process."""
 
 
 def run_chemlab(words: Sequence[str], log: Path) -> int:
-    """Run a command in a process of its own, on one core, which ends with this one; returns its exit code.
+    """Run a command in a child process on one core, which ends with this process; return its exit code.
 
     Args:
-        words: as they would follow ``chemlab``.
-        log: file to which is added what it says.
+        words: arguments of ``chemlab``.
+        log: file to which the output is appended.
 
     Raises:
-        WorkerLost: it was killed, or there was no memory for it.
+        WorkerLost: the child was killed or ran out of memory.
     """
-    # Libraries that start threads of their own would share the core with other jobs.
+    # Threads of numerical libraries would compete with other jobs for the core.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with log.open("ab") as said:
         streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": said, "stderr": subprocess.STDOUT}

@@ -1,8 +1,8 @@
-"""Blind managers: a fixed plan for everything an agent is told at once, played whatever is seen.
+"""Open-loop managers: fixed action sequences, one for each public context, independent of later observations.
 
-What a plan may depend on is the *public context*: the goals of the orders. Plans that a search has found
-(:mod:`chemlab.agents.evaluate.plans`) are stored as data, ``models/plans/SCENARIO.BENCHES.json``, with the command
-that made them.
+The *public context* is the goals of the orders, which are revealed at the start. Plans found by a search
+(:mod:`chemlab.agents.evaluate.plans`) are stored in ``models/plans/SCENARIO.BENCHES.json`` with the command that found
+them.
 """
 
 from __future__ import annotations
@@ -43,28 +43,28 @@ __all__ = [
 ]
 
 Context = tuple[str, ...]
-"""The goal of every order: what a plan may depend on."""
+"""The goal of every order, on which a plan may depend."""
 
 Plan = tuple[int, ...]
-"""Manager actions in order, by number."""
+"""Indices of manager actions in order."""
 
 _END = -1
 
 
 def all_contexts(scenario: Scenario) -> list[Context]:
-    """Every public context a scenario may draw."""
+    """Return every public context that a scenario may draw."""
     return list(itertools.product(scenario.lab_goals, repeat=scenario.orders))
 
 
 class Playback:
-    """Plays fixed sequences of manager actions, one for each member of a batch.
+    """Plays fixed sequences of manager actions, one for each environment index.
 
-    The next action is played as soon as it is legal. Until then the manager waits for the benches; where there is
-    nothing to wait for, the action is left out. After the last one it waits while benches are busy, and then submits
-    the vessel on the lowest slot for the first open order.
+    The next action is played as soon as it is legal. Until then the manager waits for the benches; if no bench is busy,
+    the action is skipped. After the last action the manager waits while benches are busy, and then submits the vessel
+    in the lowest slot for the first open order.
 
     Args:
-        actions: the manager's.
+        actions: the manager's actions.
         plans: the sequences.
     """
 
@@ -79,7 +79,7 @@ class Playback:
         self._next: IntArray = np.zeros(0, dtype=np.int64)
 
     def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
-        """[B] which sequence each member that begins an episode gets: here, the one with its number."""
+        """Return [B] the sequence of each starting episode; here, the one at its environment index."""
         return members
 
     def act(
@@ -120,14 +120,13 @@ class Playback:
 
 
 class ConstantPlan(Playback):
-    """A manager with a plan for every public context, which it plays whatever it sees; see :class:`Playback` for
-    actions that are not legal.
+    """Open-loop manager with one plan for every public context; see :class:`Playback` for actions that are not legal.
 
     Args:
         scenario: the public scenario.
-        channels: the manager's observation channels: of all it sees, the goals at the beginning alone are used.
+        channels: the manager's observation channels; only the initial goals are used.
         actions: the manager's actions.
-        plans: by context.
+        plans: plans by context.
 
     Raises:
         ValueError: a context that the scenario may draw has no plan.
@@ -140,8 +139,8 @@ class ConstantPlan(Playback):
         lacking = [context for context in contexts if context not in plans]
         if lacking:
             raise ValueError(
-                f"plan: {scenario.name} may ask for {', '.join(lacking[0])}, for which there is no plan; "
-                f"make them: chemlab plan {scenario.name}"
+                f"plan: {scenario.name} may draw the goals {', '.join(lacking[0])}, which have no plan; "
+                f"search for plans: chemlab plan {scenario.name}"
             )
         super().__init__(actions, [plans[context] for context in contexts])
         slices = channel_slices(channels)
@@ -151,8 +150,10 @@ class ConstantPlan(Playback):
         self._asked = [scenario.goals.index(goal) for goal in scenario.lab_goals]
 
     def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
-        """[B] number of the context that each observation [B, size] shows; of orders that have not come, the first goal
-        that they may be for."""
+        """Return [B] the index of the context in each observation [B, size].
+
+        For orders that have not arrived, the first possible goal is assumed.
+        """
         goals = np.stack([observation[:, part][:, self._asked].argmax(axis=1) for part in self._goals], axis=1)
         return np.array([self._known[tuple(self._names[g] for g in row)] for row in goals], dtype=np.int64)
 
@@ -162,16 +163,16 @@ class ConstantPlan(Playback):
 
 @dataclass(frozen=True)
 class PlanFile:
-    """Plans as a file has them.
+    """Content of a plan file.
 
     Attributes:
-        scenario: its name.
-        benches: who operated the benches while plans were tried, as ``--policy`` has it.
-        command: what finds them again.
-        versions: of chemlab, numpy and Python.
-        tried: number of plans that were tried.
+        scenario: name of the scenario.
+        benches: policy of the benches during the search, as in ``--policy``.
+        command: command that repeats the search.
+        versions: versions of chemlab, numpy and Python.
+        tried: number of evaluated plans.
         evaluation: ``episodes``, ``seed`` and the score's ``value``, ``low`` and ``high``.
-        plans: of each context its ``goals``, ``score`` and ``steps``, actions in the words of
+        plans: by context, ``goals``, ``score`` and ``steps``; actions as in
             :meth:`~chemlab.roles.manager_actions.ManagerActions.decode`.
     """
 
@@ -184,18 +185,18 @@ class PlanFile:
     plans: list[dict[str, Any]]
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as the file has them."""
+        """Return the fields in the format of the file."""
         return {"kind": "plan", "format": 1, **asdict(self)}
 
     def save(self, path: Path) -> None:
-        """Write the file, whole or not at all."""
+        """Write the file atomically."""
         write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
 
     def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
-        """The plans in a laboratory's actions.
+        """Return the plans as action indices of a laboratory.
 
         Raises:
-            ValueError: it has no such action; the message names what there is.
+            ValueError: the laboratory has no such action; the message lists the alternatives.
         """
         try:
             return {tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans}
@@ -204,7 +205,7 @@ class PlanFile:
 
 
 class _Plan(BaseModel):
-    """A plan as a file has it."""
+    """Schema of one plan in a file."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -214,7 +215,7 @@ class _Plan(BaseModel):
 
 
 class _Content(BaseModel):
-    """A file of plans."""
+    """Schema of a plan file."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -234,20 +235,20 @@ def _folder() -> Path:
 
 
 def plan_file(scenario: str, benches: str) -> Path:
-    """Where the plan that comes with chemlab for a scenario and benches is, or would be."""
+    """Return the path of the bundled plan file for a scenario and benches, which need not exist."""
     return _folder() / f"{scenario}.{benches}.json"
 
 
 def stored_plans() -> list[Path]:
-    """Files of the plans that come with chemlab."""
+    """Return the bundled plan files."""
     return sorted(_folder().glob("*.json"))
 
 
 def load_plans(path: Path) -> PlanFile:
-    """Read a file of plans.
+    """Read a plan file.
 
     Raises:
-        ValueError: it is not there, or not such a file.
+        ValueError: the file does not exist or is not a plan file.
     """
     try:
         content: _Content = validated(_Content, read_json(path), str(path))
@@ -258,14 +259,14 @@ def load_plans(path: Path) -> PlanFile:
 
 
 def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> ConstantPlan:
-    """The best constant plan that is stored for a laboratory's manager.
+    """Return the best stored open-loop policy for a laboratory's manager.
 
     Args:
-        laboratories: whose manager it is for.
-        benches: who operates the benches; or the path of a file that ``chemlab plan --out`` has written.
+        laboratories: the laboratories of the manager.
+        benches: policy of the benches, or the path of a file written by ``chemlab plan --out``.
 
     Raises:
-        ValueError: there is none for this scenario, or it does not fit.
+        ValueError: no plan is stored for this scenario, or it does not fit.
     """
     labs, path = laboratories, Path(benches)
     if path.suffix != ".json":
@@ -273,8 +274,8 @@ def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> Constant
         if not path.exists():
             known = ", ".join(file.stem for file in stored_plans()) or "none"
             raise ValueError(
-                f"plan: none is stored for {labs.scenario.name} with benches {benches!r} (stored: {known}); find one: "
-                f"chemlab plan {labs.scenario.name} --benches {benches} --out FILE.json, and play it: "
+                f"plan: none is stored for {labs.scenario.name} with benches {benches!r} (stored: {known}); "
+                f"search for one: chemlab plan {labs.scenario.name} --benches {benches} --out FILE.json, and play it: "
                 f"--policy {benches},manager=plan:FILE.json"
             )
     plans = load_plans(path)

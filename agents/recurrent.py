@@ -1,7 +1,7 @@
-"""A recurrent policy that chooses among legal actions, for sb3-contrib's ``RecurrentPPO``, which has no masks.
+"""A recurrent policy with action masks for sb3-contrib's ``RecurrentPPO``, which has none.
 
-What it sees ends with the mask, one number an action (:class:`~chemlab.agents.sb3.ChemlabVecEnv`, ``show_masks``), so
-that the learner's buffers keep it with the observation. Its LSTM does not see the mask.
+Observations end with the mask, one number per action (:class:`~chemlab.agents.sb3.ChemlabVecEnv`, ``show_masks``), so
+that the learner's buffers store both. The mask is not an input of the LSTM.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -23,13 +23,13 @@ except ImportError as error:
 __all__ = ["MaskedLstmPolicy"]
 
 _NEVER = -1e8
-"""Logit of what is illegal; finite, because padding has no legal action at all."""
+"""Logit of illegal actions; finite, because padding has no legal action."""
 _WIDE = 1_000
-"""Numbers seen, from which on torch's own LSTM is faster than oneDNN's."""
+"""Input size above which torch's own LSTM is faster than oneDNN's."""
 
 
-class _Apart(BaseFeaturesExtractor):
-    """Takes the mask off the observations' end, and keeps it for who chooses the actions."""
+class _MaskSplitter(BaseFeaturesExtractor):
+    """Splits the mask off the observations and keeps it for the action distribution."""
 
     def __init__(self, observation_space: gymnasium.spaces.Box, actions: int) -> None:
         super().__init__(observation_space, observation_space.shape[0] - actions)
@@ -45,7 +45,7 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
     """sb3-contrib's LSTM policy for observations that end with the mask of discrete actions.
 
     Args:
-        observation_space: of observation and mask together.
+        observation_space: space of observation and mask together.
         action_space: discrete.
         lr_schedule, settings: as for sb3-contrib's policy, without ``features_extractor_class`` and ``_kwargs``.
     """
@@ -57,7 +57,7 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
         lr_schedule: Any,
         **settings: Any,
     ) -> None:
-        own = {"features_extractor_class": _Apart, "features_extractor_kwargs": {"actions": int(action_space.n)}}
+        own = {"features_extractor_class": _MaskSplitter, "features_extractor_kwargs": {"actions": int(action_space.n)}}
         super().__init__(observation_space, action_space, lr_schedule, **{**settings, **own})
 
     @staticmethod
@@ -66,16 +66,16 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
         lstm_states: tuple[torch.Tensor, torch.Tensor],
         episode_starts: torch.Tensor,
         lstm: torch.nn.LSTM,
-    ) -> tuple[torch.Tensor, torch.Tensor]:  # of which the second is two, in truth
-        # sb3-contrib's goes through a sequence turn by turn wherever one begins an episode. Its buffer cuts sequences
-        # where episodes begin, so that only a sequence's first turn does: then what is remembered before it is nothing.
+    ) -> tuple[torch.Tensor, torch.Tensor]:  # the second is in fact a pair
+        # sb3-contrib processes a sequence turn by turn if an episode begins inside it. Its buffer cuts sequences where
+        # episodes begin, so only the first turn of a sequence begins one, and resetting the initial state suffices.
         count = lstm_states[0].shape[1]
         starts = episode_starts.reshape(count, -1)
         if not starts[:, 1:].any():
             kept = (1.0 - starts[:, 0]).view(1, count, 1)
             lstm_states = (kept * lstm_states[0], kept * lstm_states[1])
             episode_starts = torch.zeros_like(episode_starts)
-        # oneDNN's LSTM works out the gradient of its inputs, too, which nobody asks for: the wider, the longer.
+        # oneDNN's LSTM also computes the gradient of its inputs, which is not used and expensive for wide inputs.
         backend: Any = torch.backends.mkldnn
         one_dnn = backend.enabled
         backend.enabled = one_dnn and lstm.input_size < _WIDE
@@ -85,7 +85,7 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
             backend.enabled = one_dnn
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
-        # Whatever leads here has extracted the features of the same observations just before.
-        assert isinstance(self.features_extractor, _Apart), "as it was made"
+        # Every caller has just extracted the features of the same observations.
+        assert isinstance(self.features_extractor, _MaskSplitter), "the extractor set in __init__"
         logits = self.action_net(latent_pi).masked_fill(~self.features_extractor.legal, _NEVER)
         return self.action_dist.proba_distribution(logits)

@@ -1,4 +1,4 @@
-"""Roles of a laboratory's agents: agents of one role see and do the same, so that one policy can play them all."""
+"""Roles: agents of one role have equal spaces, so that one policy can play all of them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ MANAGER_ROLE = "manager"
 
 
 def role_of(agent: str) -> str:
-    """The role of an agent's id (``rxn_0``): ``manager``, or its bench's key. A role's own name stays."""
+    """Return the role of an agent's name (``rxn_0``): ``manager``, or its bench's key. The name of a role is its own
+    role.
+    """
     role, _, number = agent.rpartition("_")
     return role if role and number.isdigit() else agent
 
 
 def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> list[str]:
-    """Roles by name, in the laboratory's order; None: all it has.
+    """Return the chosen roles in the laboratory's order; None selects all.
 
     Raises:
-        ValueError: a role that the scenario does not have, or none at all.
+        ValueError: a role is unknown, or none is given.
     """
     known = list(dict.fromkeys(role_of(agent) for agent in laboratories.agents))
     wanted = known if roles is None else list(roles)
     if not wanted or set(wanted) - set(known):
         name = laboratories.scenario.name
-        raise ValueError(f"roles: {name} has {', '.join(known)}; given {', '.join(wanted) or 'none'}")
+        raise ValueError(f"roles: {name} choose from {', '.join(known)}; given {', '.join(wanted) or 'none'}")
     return [role for role in known if role in wanted]

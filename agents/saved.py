@@ -1,4 +1,4 @@
-"""Policies that training has left in files, by the role they are for: runs, checkpoints, exported weights."""
+"""Trained policies stored in files, by role: training runs, checkpoints and exported weights."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["Saved", "find_saved", "is_saved"]
 
 @dataclass(frozen=True)
 class Saved:
-    """What a path holds.
+    """Stored policies of one path.
 
     Attributes:
-        load: by role (a bench's key, or ``manager``): makes its policy for what it is to operate; ValueError if it does
-            not fit.
-        background: who played the roles that did not learn.
+        load: by role (a bench's key, or ``manager``): a function that makes the policy of a workplace, or raises
+            ValueError if it does not fit.
+        background: policies of the roles that did not learn.
     """
 
     load: dict[str, Callable[[Workplace], Policy]]
@@ -38,7 +38,7 @@ def _exported(name_or_path: str | Path) -> Callable[[Workplace], Policy]:
 
 
 def _learner(folder: Path, algo: str, path: Path) -> Callable[[Workplace], Policy]:
-    """One of Stable-Baselines3's learners: not masked unless it learned with masks."""
+    """Return a loader of a Stable-Baselines3 learner; it is masked only if trained with masks."""
 
     def load(workplace: Workplace) -> Policy:
         from .learners import load_learner  # Stable-Baselines3 is optional
@@ -49,7 +49,7 @@ def _learner(folder: Path, algo: str, path: Path) -> Callable[[Workplace], Polic
 
 
 def _member(folder: Path, role: str, path: Path) -> Callable[[Workplace], Policy]:
-    """One role of a joint run's checkpoint."""
+    """Return a loader of one role of a joint run's checkpoint."""
 
     def load(workplace: Workplace) -> Policy:
         from .learners import load_team
@@ -60,7 +60,11 @@ def _member(folder: Path, role: str, path: Path) -> Callable[[Workplace], Policy
 
 
 def _fitting(model: Any, path: Path, workplace: Workplace) -> Policy:
-    """A learner as a policy, or a ValueError where it was trained for other spaces."""
+    """Return a learner as a policy.
+
+    Raises:
+        ValueError: the learner was trained for other spaces.
+    """
     trained, needed = ((having.observation_space, having.action_space) for having in (model, workplace))
     if trained != needed:
         raise ValueError(
@@ -71,7 +75,7 @@ def _fitting(model: Any, path: Path, workplace: Workplace) -> Policy:
 
 
 def _cards(folder: Path) -> dict[str, Callable[[Workplace], Policy]]:
-    """Exported policies of a folder, by role."""
+    """Return loaders of a folder's exported policies by role."""
     return {
         load_pretrained(file).card.bench: _exported(file)
         for file in sorted(folder.glob("*.safetensors"))
@@ -80,7 +84,7 @@ def _cards(folder: Path) -> dict[str, Callable[[Workplace], Policy]]:
 
 
 def is_saved(name: str) -> bool:
-    """Whether a policy's name is a path, or that of one which comes with chemlab."""
+    """Return True if a policy's name is a path or the name of a bundled policy."""
     path = Path(name)
     return (
         name in pretrained_names()
@@ -91,15 +95,17 @@ def is_saved(name: str) -> bool:
 
 
 def find_saved(name: str) -> Saved:
-    """What a path holds: a training run (its best checkpoint), a checkpoint (folder or ``model.zip``), exported weights
-    (``.safetensors``, with or without the suffix) or a folder of them; or a policy that comes with chemlab, by name.
+    """Find the policies of a path or a bundled policy's name.
+
+    The path is a training run (its best checkpoint is used), a checkpoint (folder or ``model.zip``), exported weights
+    (``.safetensors``, with or without the suffix) or a folder of these.
 
     Raises:
-        ValueError: nothing that plays.
+        ValueError: the path holds no policy.
     """
     if name in pretrained_names():
         return Saved({load_pretrained(name).card.bench: _exported(name)})
-    path = Path(name).resolve()  # a checkpoint is known by the folders it stands in, and '.' has no name
+    path = Path(name).resolve()  # a checkpoint is identified by its parent folders, and '.' has no name
     if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
         return Saved({load_pretrained(path).card.bench: _exported(path)})
     folder: Path | None = path.parent if path.suffix == ".zip" else path

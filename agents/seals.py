@@ -1,11 +1,11 @@
-"""Seals: pickles are loaded if this user wrote them.
+"""Signatures of pickle files: a pickle is loaded only if this user wrote it.
 
-Loading a pickle runs what is in it. Training leaves some (``state.pkl``, Stable-Baselines3's ``model.zip``), and run
-folders are passed around, so each gets a seal beside it: a keyed hash of its content, ``FILE.seal``. The key is random,
-made when it is first needed, and lies in a folder of the user's that no run folder has: ``CHEMLAB_STATE_DIR``, else
-``XDG_STATE_HOME/chemlab``, else ``~/.local/state/chemlab`` (``LOCALAPPDATA/chemlab`` on Windows). A file that was
-changed, that somebody else's key sealed or that nobody sealed is loaded only inside ``strangers_code(True)``
-(:mod:`chemlab.config.parts`), which ``--trust`` is for.
+Unpickling executes code. Training writes pickles (``state.pkl``, Stable-Baselines3's ``model.zip``), and run folders
+are exchanged between users. Each pickle therefore has a signature beside it, ``FILE.seal``, a keyed hash of its
+content. The random key is made on first use and stored in a folder of the user outside run folders:
+``CHEMLAB_STATE_DIR``, else ``XDG_STATE_HOME/chemlab``, else ``~/.local/state/chemlab`` (``LOCALAPPDATA/chemlab`` on
+Windows). A file that was changed, has another user's signature or has none is loaded only inside
+``strangers_code(True)`` (:mod:`chemlab.config.parts`), which ``--trust`` sets.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ __all__ = ["read_sealed", "seal_file", "state_folder"]
 _KEY_BYTES = 32
 _SEAL_BYTES = 1_000
 _MOST_BYTES = 2_000_000_000
-"""Of a sealed file: a learner with all that it needs to go on."""
+"""Maximum size of a signed file: a learner with its complete training state."""
 
 
 def state_folder() -> Path:
-    """Where this user's key lies."""
+    """Return the folder of this user's key."""
     for name, below in (("CHEMLAB_STATE_DIR", ""), ("XDG_STATE_HOME", "chemlab"), ("LOCALAPPDATA", "chemlab")):
         if os.environ.get(name):
             return Path(os.environ[name], below)
@@ -42,7 +42,7 @@ def state_folder() -> Path:
 
 @functools.cache
 def _key(folder: Path) -> bytes:
-    """The key in a folder, made where there is none."""
+    """Return the key of a folder; create it if there is none."""
     file = folder / "seal.key"
     try:
         if not file.exists():
@@ -52,7 +52,7 @@ def _key(folder: Path) -> bytes:
                 handle.write(secrets.token_bytes(_KEY_BYTES))
                 os.fsync(handle.fileno())
             try:
-                # Of several processes that make one at once, all have the first one's.
+                # If several processes create the key concurrently, all use the first one's.
                 with contextlib.suppress(FileExistsError):
                     os.link(draft, file)
             finally:
@@ -60,13 +60,13 @@ def _key(folder: Path) -> bytes:
         key = read_bytes(file, _SEAL_BYTES)
     except OSError as error:
         warnings.warn(
-            f"{file}: no key for seals ({error.strerror}): another process loads what this one leaves only with "
-            "--trust; CHEMLAB_STATE_DIR names another folder",
+            f"{file}: no key for seals ({error.strerror}): other processes load this one's files only with "
+            "--trust; set CHEMLAB_STATE_DIR to a writable folder",
             stacklevel=3,
         )
         return secrets.token_bytes(_KEY_BYTES)
     if len(key) != _KEY_BYTES:
-        raise ValueError(f"{file}: must have {_KEY_BYTES} bytes, has {len(key)}; delete it, and a new one is made")
+        raise ValueError(f"{file}: must have {_KEY_BYTES} bytes, has {len(key)}; delete it to have a new one made")
     return key
 
 
@@ -79,16 +79,16 @@ def _seal_beside(path: Path) -> Path:
 
 
 def seal_file(path: Path) -> None:
-    """Say of a file that is finished that this user wrote it."""
+    """Sign a finished file as written by this user."""
     write_text(_seal_beside(path), _seal_of(read_bytes(path, _MOST_BYTES)) + "\n")
 
 
 def read_sealed(path: Path) -> bytes:
-    """A file's content, if this user wrote it or trusts it.
+    """Return the content of a file if its signature is valid or the user allows untrusted code.
 
     Raises:
-        DataError: neither; the message names the flag.
-        FileNotFoundError: no such file.
+        DataError: the signature is missing or invalid; the message names the flag.
+        FileNotFoundError: the file does not exist.
         OSError: it is not a regular file, or too large.
     """
     content = read_bytes(path, _MOST_BYTES)
@@ -96,12 +96,12 @@ def read_sealed(path: Path) -> bytes:
         found = read_bytes(_seal_beside(path), _SEAL_BYTES).decode("utf-8", errors="replace").strip()
     except FileNotFoundError:
         found = ""
-    # Not ASCII is an error to compare_digest, and no seal.
+    # compare_digest rejects non-ASCII text, which is never a signature.
     sealed = found.isascii() and hmac.compare_digest(found, _seal_of(content))
     if not sealed and not may_run(otherwise=False):
-        what = "has been changed, or was written by somebody else" if found else "has no seal of yours"
+        what = "was changed, or was written by another user" if found else "has no signature of this user"
         raise DataError(
-            f"{shlex.quote(str(path))}: {what}: loading such a file runs what is in it; if you trust whoever made it, "
-            "say --trust (in Python: with chemlab.config.parts.strangers_code(True))"
+            f"{shlex.quote(str(path))}: {what}: loading this file can run any code; if you trust its author, "
+            "give --trust (in Python: with chemlab.config.parts.strangers_code(True))"
         )
     return content

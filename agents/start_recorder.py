@@ -1,4 +1,4 @@
-"""Record what reaches each bench in laboratory runs, as starting states for pretraining."""
+"""Record the vessels that reach each bench in laboratory episodes, as initial-state distribution for pretraining."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST_MOL = 1e-6
 
 
 class _Recording:
-    """A manager's policy whose vessels are kept as they are when it starts an experiment on them or submits them."""
+    """A manager policy that stores every vessel when an experiment starts on it or it is submitted."""
 
     def __init__(self, policy: Policy, labs: Laboratories, found: dict[str, list[Start]]) -> None:
         self._policy, self._labs, self._found = policy, labs, found
@@ -55,19 +55,19 @@ class _Recording:
 def record_starts(
     scenario: Scenario, episodes: int, seed: int, progress: Callable[[], None] | None = None
 ) -> dict[str, list[Start]]:
-    """Play the scripted laboratory and keep every vessel that is put on a bench or submitted.
+    """Play the scripted laboratory and store every vessel that is put on a bench or submitted.
 
-    One action in ten of the reaction bench is random, so that what arrives is not always the same; and the manager goes
-    more than one way: in one episode of three it does without extraction, in one it does not decant metal.
+    For variety, one in ten actions of the reaction bench is random, one episode in three skips extraction, and one in
+    three does not decant metal.
 
     Args:
-        scenario: the laboratory; every goal its benches know is played, whether or not it is a laboratory goal.
+        scenario: the laboratory; every goal of its benches is played, including goals that are not laboratory goals.
         episodes: episodes for each goal.
         seed: first seed.
         progress: called after each episode.
 
     Returns:
-        {bench key, or ``submit``: starting states}.
+        {bench key, or ``submit``: initial states}.
     """
     every_goal = scenario.model_copy(
         update={

@@ -1,1 +1,1 @@
-"""Scripted policies: what an undergraduate chemist would do, from observations, masks and the public scenario alone."""
+"""Scripted policies: hand-written policies that use observations, masks and the public scenario only."""

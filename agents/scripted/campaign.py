@@ -1,4 +1,4 @@
-"""Scripted manager of several batches in one world: learns how fast the reaction is, and uses it on the next ones."""
+"""Scripted manager of several batches in one world: infers the reaction rate and applies it to later batches."""
 
 from __future__ import annotations
 
@@ -20,17 +20,19 @@ from .script import ScriptedManager, Setting, cheapest, likelihood
 __all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
 
 _GRID = 48
-"""Rates that are told apart: the middle of each part of the prior, all as likely."""
+"""Number of rate candidates: midpoints of equally likely parts of the prior."""
 _MOST_RUNS = 40
 _SAMPLES = 32
-"""Readings that are thought of before one is paid for."""
+"""Readings sampled to estimate the value of one measurement."""
 _MODEL_ERROR = 0.004
-"""Standard deviation of readings besides their noise: rates lie between those of the grid."""
+"""Standard deviation of readings besides their noise: true rates lie between the grid's."""
 _SURPRISE = 1e-12
 
 
 def has_unknown_rate(scenario: Scenario) -> str | None:
-    """Name of the draw of one rate constant, where that is all that is hidden and there is nothing but reacting."""
+    """Return the name of the drawn rate constant if it is the only hidden parameter and only reactions exist; else
+    None.
+    """
     draws = scenario.world.draws
     rates = [name for name, draw in draws.items() if draw.what == "pre_exponential" and draw.variables == 1]
     reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
@@ -39,14 +41,14 @@ def has_unknown_rate(scenario: Scenario) -> str | None:
 
 @dataclass
 class _Belief:
-    """What the manager knows in an episode.
+    """The manager's belief in one episode.
 
     Attributes:
         weights: [T] probability of each rate.
-        slots: of the vessels that are left; it works on the first.
-        orders: those that are open; the first is filled next.
-        runs: experiments that a slot's vessel has had.
-        asked: whether the last action was a measurement of the first.
+        slots: slots of the remaining vessels; the manager works on the first.
+        orders: open orders; the first is filled next.
+        runs: number of experiments of each slot's vessel.
+        asked: True if the last action measured the first vessel.
     """
 
     weights: FloatArray
@@ -57,15 +59,15 @@ class _Belief:
 
 
 class CampaignManager(ScriptedManager[_Belief]):
-    """Runs the reaction bench on one batch after the other, each until going on is not worth it.
+    """Runs the reaction bench on one batch after another, each until the expected gain of continuing is not positive.
 
-    How a batch goes at each possible rate it has worked out on the public scenario beforehand. It keeps the probability
-    of every rate, brings it up to date with each reading (Bayes), and carries it on to the next batch. It measures
-    where the gain that is to be expected of knowing more, for this batch and those to come, is above the price.
+    The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
+    every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
+    expected gain of the information, for this and the later batches, exceeds the price.
 
     Args:
-        setting: what it is told; not careful, it never measures.
-        remember: False forgets what it knew when a batch is over.
+        setting: the manager's laboratory; if not careful, it never measures.
+        remember: False resets the belief after each batch.
     """
 
     def __init__(self, setting: Setting, remember: bool = True) -> None:
@@ -76,13 +78,13 @@ class CampaignManager(ScriptedManager[_Belief]):
         self._rxn = f"{kinds['reaction']}_0" if "reaction" in kinds else None
         self._instrument = cheapest(scenario, ("gas_chromatograph", "uv_vis")) if careful else None
         drawn = has_unknown_rate(scenario)
-        assert drawn is not None, "whoever makes this has asked"
+        assert drawn is not None, "has_unknown_rate(scenario) holds"
         self._numbers = quantiles(scenario.world.draws[drawn], (np.arange(_GRID) + 0.5) / _GRID)
         self._expected, self._worth = _foreseen(scenario, drawn, self._numbers, self._instrument, self._rxn)
         spec = scenario.instruments.get(str(self._instrument))
         self._noise = float(np.hypot(spec.noise, _MODEL_ERROR)) if spec is not None else 1.0
         self._price = spec.price if spec is not None else 0.0
-        # The same thoughts every time: which rates, spread over all that are likely, and which noise.
+        # Fixed random numbers for every decision: rates, spread over all likely ones, and noise.
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, self._expected.shape[2]))
 
@@ -95,7 +97,7 @@ class CampaignManager(ScriptedManager[_Belief]):
             reading = observation[self._slices[f"slot_{belief.slots[0]}_{self._instrument}"]].astype(np.float64)
             belief.weights = self._updated(belief.weights, reading, self._runs(belief))
         if not belief.slots or not belief.orders:
-            # And yet it is not over: somebody else has acted in its place.
+            # The episode continues although the manager submitted: another policy has acted in its place.
             self._kept[member] = self._begin(observation, belief.weights)
 
     def _begin(self, observation: ObservationArray, weights: FloatArray) -> _Belief:
@@ -109,7 +111,7 @@ class CampaignManager(ScriptedManager[_Belief]):
         kind, slot, more = self._taken_apart(action)
         if slot not in belief.slots:
             return
-        # The vessel that somebody else turns to is the one that is worked on.
+        # Work on the vessel that another policy turned to.
         belief.slots.remove(slot)
         if kind in ("start", "measure"):
             belief.slots.insert(0, slot)
@@ -150,17 +152,17 @@ class CampaignManager(ScriptedManager[_Belief]):
         return np.full(_GRID, 1.0 / _GRID)
 
     def _updated(self, weights: FloatArray, readings: FloatArray, runs: int) -> FloatArray:
-        """[..., T] probabilities after readings [..., size] of a vessel that has had so many runs."""
+        """Return [..., T] probabilities after readings [..., size] of a vessel with a number of runs."""
         found = weights * likelihood(readings, self._expected[:, runs], self._noise, _SURPRISE)
         return np.asarray(found / found.sum(axis=-1, keepdims=True))
 
     def _prospect(self, weights: FloatArray, runs: int, left: int) -> FloatArray:
-        """[...] what this batch and ``left`` others after it are expected to come to, without another look."""
+        """Return the expected value [...] of this batch and ``left`` later ones, without another measurement."""
         here = (weights @ self._worth[:, runs:]).max(axis=-1)
         return np.asarray(here + left * (weights @ self._worth).max(axis=-1))
 
     def _measures(self, belief: _Belief, mask: MaskArray, slot: int) -> bool:
-        """Whether another look is worth its price."""
+        """Return True if another measurement is worth its price."""
         runs = self._runs(belief)
         if self._instrument is None or runs == 0 or not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False
@@ -174,8 +176,11 @@ class CampaignManager(ScriptedManager[_Belief]):
 def _foreseen(
     scenario: Scenario, drawn: str, numbers: FloatArray, instrument: str | None, agent: str | None
 ) -> tuple[FloatArray, FloatArray]:
-    """What a batch comes to at each possible rate: readings [T, runs, size] without noise, and worth [T, runs] to the
-    score, less the time it takes; played on the public scenario."""
+    """Simulate a batch at each candidate rate in the public scenario.
+
+    Returns:
+        Readings [T, runs, size] without noise, and the batch's value [T, runs] in raw score less the cost of time.
+    """
     readings, worth, ticks = foreseen(
         scenario, [{drawn: number} for number in numbers.tolist()], instrument, agent, _MOST_RUNS
     )
@@ -189,18 +194,19 @@ def foreseen(
     agent: str | None,
     runs: int,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """What the first vessel comes to in some worlds of the public scenario, one experiment after the other.
+    """Simulate the first vessel through successive experiments in given worlds of the public scenario.
 
     Args:
         scenario: the public scenario.
-        worlds: what is given of each; None: nothing is drawn.
-        instrument: that looks at it; None: none does.
-        agent: bench that works on it; None: none does.
-        runs: how many experiments.
+        worlds: hidden parameters of each world; None: nothing is drawn.
+        instrument: instrument that measures the vessel; None: no readings.
+        agent: bench that processes the vessel; None: no experiments.
+        runs: number of experiments.
 
     Returns:
-        Readings [T, runs + 1, size] without noise; what it would be worth to the score as one of the orders
-        [T, runs + 1]; ticks passed by then [runs + 1].
+        Readings [T, runs + 1, size] without noise; raw score [T, runs + 1] that the vessel would add if submitted for
+            one
+        of the orders; elapsed ticks [runs + 1].
     """
     exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
     labs = Laboratories(scenario.model_copy(update={"instruments": exact}), len(worlds))
@@ -230,7 +236,7 @@ def foreseen(
 
 
 def run_once(labs: Laboratories, agent: str, goal: str, slot: int = 0) -> int:
-    """One experiment of the scripted bench on a slot of every laboratory; its ticks."""
+    """Run one experiment of the scripted bench on a slot of every laboratory; return its duration in ticks."""
     number, members, ticks = labs.agents.index(agent), labs.members, 0
     bench = labs.benches[number - 1]
     assert isinstance(bench, ReactionBench), "the manager starts reactions only"

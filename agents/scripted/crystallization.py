@@ -21,26 +21,29 @@ __all__ = ["CrystallizationHeuristic", "solubility"]
 
 _PATIENCE = 30
 _FULLEST = 0.85
-"""Share of the vessel that is filled at most."""
+"""Maximum fill level as a share of the vessel."""
 _SPARE = 1.1
-"""Solvent taken, by what would dissolve the crude product if it were all goal."""
+"""Solvent volume relative to the volume that would dissolve the crude product if it were pure goal."""
 _HOT_K = 3.0
-"""Kept below the hottest, and above the coolest, that the bath can be."""
+"""Margin in K to the bath's highest and lowest temperature."""
 _COLD_K = 283.15
-"""Colder, and impurities come down, too."""
+"""Lowest cooling temperature in K; below it impurities precipitate as well."""
 _SEED_AT = 0.8
-"""Seeded where the solubility is this share of what is in solution: past saturation, before crystals come by
-themselves."""
+"""Ratio of solubility to dissolved amount at which crystals are seeded: past saturation, before spontaneous
+nucleation.
+"""
 _STILL = 0.01
-"""Relative change of the solids' volume in a step, below which nothing dissolves or grows any more."""
+"""Relative change of the solids' volume per step below which dissolution and growth count as finished."""
 _LEAST_SOLIDS = 5e-4
-"""Of the volume: solids worth a filter."""
+"""Share of the vessel's volume above which solids are worth filtering."""
 _MOSTLY_SOLID = 0.8
-"""Solids' share of the volume below which crystals stand in their liquor: they are collected, not dissolved anew."""
+"""Solids' share of the contents below which crystals count as suspended in liquor and are collected, not
+redissolved.
+"""
 _THINNED = 2.0
-"""Litres of a bad solvent to each of a solution from which it is to bring crystals down."""
+"""Litres of antisolvent per litre of solution."""
 _DRY = 0.9999
-"""Solids' share of the volume of what counts as dry."""
+"""Solids' share of the contents above which they count as dry."""
 _WASHES = 2
 _WASH_L = 0.05
 _SEED_G = 0.05
@@ -50,24 +53,24 @@ ADD, DISSOLVE, STRAIN, ASIDE, BACK, COOL, COLLECT, WASH, DRAIN, DRY = range(10)
 
 
 def solubility(scenario: Scenario, solute: str, solvent: str, temperature_k: float) -> float:
-    """mol of a solid that a litre of solvent dissolves, by its heat of fusion and the activity in the solution.
+    """Return the solubility of a solid in mol per litre of solvent, from its heat of fusion and activity coefficient.
 
     Args:
-        scenario: whose materials and pairs; physics ``real``.
-        solute, solvent: materials; the solute has a heat of fusion.
-        temperature_k: below its melting point.
+        scenario: source of materials and pairs; physics ``real``.
+        solute, solvent: names of materials; the solute has a heat of fusion.
+        temperature_k: temperature below the solute's melting point.
 
     Raises:
         ValueError: the solute does not crystallize.
     """
     material, liquid = scenario.materials[solute], scenario.materials[solvent]
     if material.real is None or material.real.fusion_enthalpy_j_mol is None or material.melting_point_k is None:
-        raise ValueError(f"{solute!r} has no heat of fusion, and so does not crystallize")
+        raise ValueError(f"{solute!r} has no heat of fusion, so it does not crystallize")
     ideal = material.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / material.melting_point_k - 1.0 / temperature_k)
     table = pair_table((solute, solvent), scenario.pairs)
     tau: FloatArray = table.a + table.b / temperature_k + table.c * math.log(temperature_k / REFERENCE_K)
     low, high = -50.0, 0.0
-    for _ in range(60):  # the largest ln x below which the activity is less than that of the crystals
+    for _ in range(60):  # Bisect for the largest ln x at which the activity is below that of the crystals.
         middle = 0.5 * (low + high)
         x = math.exp(middle)
         gamma = log_activity_coefficients(np.array([x, 1.0 - x]), tau, table.alpha)
@@ -78,11 +81,11 @@ def solubility(scenario: Scenario, solute: str, solvent: str, temperature_k: flo
 
 @dataclass
 class _Batch:
-    """What the script remembers of an experiment."""
+    """State of the script in one experiment."""
 
     phase: int = ADD
     solvent_l: float = 0.0
-    """still to be added"""
+    """litres still to be added"""
     seed_k: float = 0.0
     solids_l: float = math.inf
     seeded: bool = False
@@ -90,17 +93,19 @@ class _Batch:
     solvent: str = "water"
     hot_k: float = math.inf
     patience: int = _PATIENCE
-    """steps that are still waited for everything to dissolve"""
+    """remaining steps to wait for complete dissolution"""
 
 
 class CrystallizationHeuristic:
-    """Collects, washes and dries crystals that come in their liquor. Of a crude product takes as much hot water as it
-    needs, by the goal's solubility; filters off what is left; cools, seeds just past saturation and waits until no more
-    comes down; filters, washes twice with a little, dries.
+    """Collects, washes and dries crystals; recrystallizes a crude product first.
+
+    Crystals in liquor are collected, washed and dried. A crude product is dissolved in as much hot solvent as the
+    goal's solubility requires, the rest is filtered off, and the solution is cooled, seeded just past saturation and
+    left until precipitation stops. Then it is filtered, washed twice with little solvent, and dried.
 
     Args:
-        bench: the bench it is for.
-        careful: False neither filters the hot solution nor seeds.
+        bench: the bench.
+        careful: False skips hot filtration and seeding.
     """
 
     def __init__(self, bench: CrystallizationBench, careful: bool = True) -> None:
@@ -119,8 +124,11 @@ class CrystallizationHeuristic:
         self._memory: dict[int, _Batch] = {}
 
     def _solvent_for(self, goal: str, mol: float, room_l: float) -> tuple[str, float, float]:
-        """The solvent at the bench that gives most of a solid back when it cools, how hot it can be, and litres of it:
-        of those that dissolve all in what the vessel has room for, if there are any."""
+        """Choose the bench's solvent with the highest yield on cooling, with its hot temperature (K) and volume
+        (litres).
+
+        Solvents that dissolve everything within the vessel's free volume are preferred.
+        """
         scenario = self._bench.scenario
         found: list[tuple[bool, float, str, float, float]] = []
         for process in self._bench.options.process:
@@ -131,7 +139,7 @@ class CrystallizationHeuristic:
             litres = _SPARE * mol / hot
             found.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
         if not found:
-            raise ValueError(f"benches.{self._bench.key}: its script needs a process that adds a solvent")
+            raise ValueError(f"benches.{self._bench.key}: its scripted policy needs a process that adds a solvent")
         _, _, liquid, hot_k, litres = max(found)
         return liquid, hot_k, min(litres, max(room_l, 0.0))
 
@@ -163,8 +171,11 @@ class CrystallizationHeuristic:
         return gauge.low + float(observation[self._slices[name]][0]) * (gauge.high - gauge.low)
 
     def _wet(self, litres: float, solids: float, goal: int) -> _Batch:
-        """What is to be done with what comes: dissolve it anew if it is mostly solid; of a slurry collect the crystals;
-        of a solution bring them down with the liquid at the bench that dissolves the least."""
+        """Choose the procedure for the vessel's contents.
+
+        Mostly solid contents are redissolved; crystals of a slurry are collected; a solution is precipitated with the
+        bench's poorest solvent.
+        """
         if solids >= _MOSTLY_SOLID:
             return self._begin(litres, goal)
         if solids > _LEAST_SOLIDS:
@@ -176,7 +187,7 @@ class CrystallizationHeuristic:
         return _Batch(solvent_l=min(_THINNED * litres, room), solvent=str(worst), hot_k=0.0, seed_k=math.inf)
 
     def _begin(self, crude_l: float, goal: int) -> _Batch:
-        """How much solvent, and where to seed, for that much crude product."""
+        """Return the solvent volume and the seeding point for a volume of crude product."""
         scenario, name = self._bench.scenario, self._bench.goals.names[goal]
         material = scenario.materials[name]
         mol = max(crude_l, 1e-6) * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
@@ -185,24 +196,24 @@ class CrystallizationHeuristic:
         low, high = self._cold_k, hot_k
         for _ in range(30):
             middle = 0.5 * (low + high)
-            wanted = _SEED_AT * mol / max(solvent, 1e-9)  # a vessel may have come full
+            wanted = _SEED_AT * mol / max(solvent, 1e-9)  # the vessel may arrive full
             low, high = (middle, high) if solubility(scenario, name, liquid, middle) < wanted else (low, middle)
         return _Batch(solvent_l=solvent, seed_k=low, solvent=liquid, hot_k=hot_k)
 
     def _most(self, key: tuple[str | None, ...], wanted: float) -> int:
-        """The largest magnitude of at most ``wanted``, or else the smallest."""
+        """Return the largest magnitude of at most ``wanted``, or else the smallest."""
         found = self._actions[key]
         return next((action for magnitude, action in reversed(found) if magnitude <= wanted), found[0][1])
 
     def _warm(self, kelvin: float, litres: float, wanted_k: float) -> int:
-        """Heat or cool towards a temperature; wait where that is close."""
+        """Heat or cool towards a temperature; wait if it is close."""
         joules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
         heats = self._actions["heat", None, None]
         fitting = [(abs(q), a) for q, a in heats if q * joules > 0.0 and abs(q) <= abs(joules)]
         return max(fitting)[1] if fitting else self._wait
 
     def _still(self, batch: _Batch, solids_l: float) -> bool:
-        """Whether the solids have stayed what they were."""
+        """Return True if the volume of the solids has stayed constant."""
         before, batch.solids_l = batch.solids_l, solids_l
         return abs(solids_l - before) <= _STILL * max(solids_l, 1e-9)
 
@@ -219,7 +230,7 @@ class CrystallizationHeuristic:
             still = self._still(batch, solids * litres)
             action = self._warm(kelvin, litres, batch.hot_k)
             batch.patience -= 1
-            # Where the smallest step of heat is too much, or it boils before, it is as hot as it gets.
+            # If the smallest heating step is too large, or the solvent boils first, this is the highest temperature.
             if batch.patience and (not still or (kelvin < batch.hot_k - _HOT_K and action != self._wait)):
                 return action
             batch.phase = STRAIN if self._careful and solids > _LEAST_SOLIDS else COOL
@@ -252,8 +263,8 @@ class CrystallizationHeuristic:
         return dry if solids < _DRY and mask[dry] else self._bench.end_action
 
     def _pour_back(self) -> int:
-        """Pour F -> CV."""
+        """Return the action that pours F -> CV."""
         for action, meaning in enumerate(self._bench.action_meanings):
             if meaning.startswith("pour F -> CV"):
                 return action
-        raise ValueError(f"benches.{self._bench.key}: its script needs a process that pours F -> CV")
+        raise ValueError(f"benches.{self._bench.key}: its scripted policy needs a process that pours F -> CV")

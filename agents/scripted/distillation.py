@@ -1,5 +1,8 @@
-"""Scripted policy of the distillation bench: boil off what boils below the goal; if more than the goal is left,
-or nothing was there to boil off, swap the receiver and distil the goal over."""
+"""Scripted policy of the distillation bench.
+
+It boils off the materials with boiling points below the goal's. If materials other than the goal remain, or none had to
+be boiled off, it swaps the receiver and distils the goal over.
+"""
 
 from __future__ import annotations
 
@@ -20,34 +23,36 @@ from .script import SAME_SHADE, count_pixels
 __all__ = ["DistillationHeuristic"]
 
 _KJ_PER_L_K = 1.7
-"""Rough heat capacity of an organic liquid, and below its rough heat of vaporization: enough to choose a step by."""
+"""Rough heat capacity of an organic liquid in kJ/(L K); with the heat of vaporization below it selects heating
+steps.
+"""
 _KJ_PER_L = 200.0
 _CAUTION = 0.7
 _MARGIN_K = 4.0
 _HEEL_PIXELS = 1
-"""Of the goal, left in a vessel that must not boil dry."""
+"""Pixels of the goal left in a vessel that must not boil to dryness."""
 
 STRIP, SWAP, COLLECT, DONE = range(4)
 
 
 class _Seen(NamedTuple):
-    """What is seen of one bench."""
+    """Observed quantities of one bench."""
 
     picture: ObservationArray
-    """[pixels] of DV"""
+    """[pixels] camera picture of DV"""
     goal: int
     kelvin: float
     litres: float
 
 
 class DistillationHeuristic:
-    """Heats in steps that cannot overshoot, by the thermometer and the level; looks at the layers once the lighter
-    materials are gone.
+    """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
+    materials left.
 
     Args:
-        bench: the bench it is for.
-        careful: True stops short of boiling the vessel dry where the scenario prices accidents; False heats with all
-            there is.
+        bench: the bench.
+        careful: True stops before the vessel boils to dryness if the scenario prices accidents; False heats with full
+            power.
     """
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
@@ -98,7 +103,7 @@ class DistillationHeuristic:
         return np.array([self._decide(*row) for row in rows], dtype=np.int64)
 
     def _gauge(self, observation: ObservationArray, channel: Channel) -> list[float]:
-        """[B] what a gauge shows, in its unit."""
+        """Return the value [B] of a gauge in its unit."""
         shown = observation[:, self._slices[channel.name]][:, 0].astype(np.float64)
         numbers: list[float] = (channel.low + shown * (channel.high - channel.low)).tolist()
         return numbers
@@ -112,31 +117,32 @@ class DistillationHeuristic:
         self._phase, self._memory = copy.deepcopy(memory)
 
     def _heat(self, kilojoules: float) -> int:
-        """The largest heating step of at most ``kilojoules`` (the smallest there is, if none)."""
+        """Return the largest heating step of at most ``kilojoules``, or else the smallest."""
         if not self._careful:
             return self._heats[-1]
         return self._heats[max(bisect_right(self._kilojoules, kilojoules) - 1, 0)]
 
     def _others(self, goal: int) -> list[float]:
-        """Grey values of the liquids that do not look like the goal."""
+        """Return the grey values of liquids that differ from the goal's."""
         return [shade for shade in self._liquids if abs(shade - self._shade[goal]) > SAME_SHADE]
 
     def _strip_step(self, goal: int, kelvin: float, litres: float, member: int) -> float:
-        """kJ that bring the contents nearer to the stripping temperature without boiling the goal."""
-        # While something boils the thermometer stands still, and steps may grow; once it moves they start small again.
+        """Return the heat in kJ that brings the contents towards the stripping temperature without boiling the goal."""
+        # While a component boils, the temperature is constant and steps may grow; when it rises again, steps restart
+        # small.
         last, trust = self._memory.get(member, (0.0, 1.0))
         trust = min(2.0 * trust, 64.0) if abs(kelvin - last) < 0.5 else 1.0
         self._memory[member] = (kelvin, trust)
         warming = _CAUTION * _KJ_PER_L_K * litres * (self._strip_to[goal] - kelvin)
         if not math.isfinite(self._boils_at[goal]):
             return max(warming, 2.0 * trust)
-        # However much boils meanwhile, the last of it must not take the goal along: a goal that is left alone
-        # in little volume is warmed by little heat.
+        # The step is limited so that the last of the light materials does not carry the goal over: a small volume of
+        # goal that is left alone needs little heat.
         spare = _CAUTION * _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin)
         return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
 
     def _collect_step(self, seen: _Seen) -> float:
-        """kJ that boil the goal over, but not what is left of heavier liquids once the goal is gone."""
+        """Return the heat in kJ that boils the goal over, but not the heavier liquids that remain after it."""
         picture, goal, kelvin, litres = seen
         boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
         if self._heel:
@@ -153,7 +159,7 @@ class DistillationHeuristic:
         picture, goal, kelvin, litres = seen
         if step == 0:
             self._memory.pop(member, None)
-            # A vessel that shows the goal and nothing to boil off was brought here to be distilled over.
+            # A vessel that contains the goal and nothing to boil off is distilled over.
             alone = math.isfinite(self._boils_at[goal]) and count_pixels(picture, [self._shade[goal]]) > 0
             alone = alone and not count_pixels(picture, self._others(goal))
             self._phase[member] = SWAP if alone else STRIP

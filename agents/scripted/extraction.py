@@ -1,4 +1,4 @@
-"""Scripted policy of the extraction bench: decant off metal, or wash, settle, drain, repeat."""
+"""Scripted policy of the extraction bench: decant off metal, or wash, settle and drain repeatedly."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
 
 class ExtractionHeuristic:
-    """If metal lies at the bottom, drains the solids off and ends: water must not meet it, and it now stands in B1.
-    Else
-    washes with the first solvent: add, mix, settle, drain the lower layer into B1, several times: little and often
-    takes out more than much at once.
+    """Drains solids off if metal lies at the bottom; otherwise washes.
+
+    Metal must not meet water, so after draining the experiment ends with the product in B1. Washing adds the first
+    solvent, mixes, settles and drains the lower layer into B1 several times. Several small washes extract more than a
+    large one.
 
     Args:
-        bench: the bench it is for.
-        careful: False washes whatever lies at the bottom.
+        bench: the bench.
+        careful: False washes in any case.
     """
 
     wash_l = 0.05
-    """Litres that a wash should have."""
+    """Volume of one wash in litres."""
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         materials = bench.scenario.materials
@@ -47,11 +48,11 @@ class ExtractionHeuristic:
             for i, process in enumerate(processes):
                 if process.kind == kind and all(getattr(process, key) == value for key, value in wanted.items()):
                     return i
-            raise ValueError(f"benches.{bench.key}: its script needs a process {kind!r}")
+            raise ValueError(f"benches.{bench.key}: its scripted policy needs a process {kind!r}")
 
         drain, add, mix, settle = find("drain", vessel="EV", target="B1"), find("add"), find("mix"), find("settle")
         self._wash_shade = materials[str(processes[add].material)].shade
-        # (magnitude, action), largest first: what fits of it is taken.
+        # (magnitude, action), largest first; the first that fits is used
         self._drains = sorted(
             ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
         )
@@ -91,7 +92,7 @@ class ExtractionHeuristic:
             solid = count_pixels(picture, self._solids)
             if solid:
                 return self._drain(solid)
-            # What is less than a pixel may hide: one pixel of liquid more takes it along.
+            # A remainder below one pixel may be invisible; draining one more pixel of liquid removes it.
             self._phase[member] = DONE
             return self._drains[-1][1]
         if phase == ADD and (self._washes[member] >= _WASHES or not mask[self._add]):

@@ -1,10 +1,10 @@
-"""Scripted manager that foresees: plays recipes on worlds drawn from the prior, and weighs these by what it reads.
+"""Scripted manager that plans by simulation: plays recipes on worlds drawn from the prior, weighted by its readings.
 
-A *recipe* is a sequence of experiments of the scripted benches on one vessel. Before an episode the manager plays every
-recipe that may be worth it in laboratories of the public scenario whose worlds it draws itself, and keeps what the
-instrument would read and what a submission would be worth after each experiment. In an episode it keeps the
-probability of each of those worlds for every vessel, brings it up to date with every reading (Bayes), goes on with the
-best recipe, and looks where the expected gain of knowing more is above the price.
+A *recipe* is a sequence of experiments of the scripted benches on one vessel. Before an episode, every candidate recipe
+is simulated in laboratories of the public scenario with worlds drawn from the prior. For each experiment, the expected
+reading and the value of a submission are stored. In an episode, the probability of each world is kept for every vessel
+and updated with every reading (Bayes). The manager continues with the best recipe, and measures when the expected gain
+of the information exceeds the price.
 """
 
 from __future__ import annotations
@@ -30,20 +30,22 @@ from .script import ScriptedManager, Setting, cheapest, likelihood
 __all__ = ["ForeseeingManager", "foresees", "run_experiment"]
 
 _COMMON, _OWN = 12, 512
-"""Worlds that are played: numbers that vessels share, and those that a vessel has for itself; where there are both,
-fewer of these."""
+"""Number of simulated worlds: draws of shared parameters, and draws of parameters of single vessels.
+
+If a scenario has both kinds, fewer draws of the second kind are used.
+"""
 _OWN_OF_COMMON = 32
 _MOST_RUNS = 12
-"""Experiments of a reaction bench that one vessel may have."""
+"""Maximum number of experiments of a reaction bench on one vessel."""
 _SAMPLES = 32
-"""Readings that are thought of before one is paid for."""
+"""Readings sampled to estimate the value of one measurement."""
 _MODEL_ERROR = 0.006
-"""Standard deviation of readings besides their noise: a world lies between those that were played."""
+"""Standard deviation of readings besides their noise: true worlds lie between the simulated ones."""
 _SURPRISE = 1e-9
-"""Likelihood that is left to what a reading speaks against."""
+"""Lower bound of a likelihood relative to the best one."""
 _MOST_LOOKS = 3
 _SEED = 7_000_000
-"""Of the worlds that are thought of."""
+"""Seed of the simulated worlds."""
 
 Step = tuple[str, str]
 """An experiment: the bench's agent, and the goal."""
@@ -55,11 +57,11 @@ def run_experiment(
     """Run one experiment on a slot of every laboratory, up to the manager's next turn.
 
     Args:
-        laboratories: where.
-        policies: of every agent, in order; None for the manager.
+        laboratories: the laboratories.
+        policies: policies of all agents in order; None for the manager.
         step: the bench's agent, and the goal.
-        members: [B] laboratories in which it may be begun.
-        slot: of the vessel.
+        members: [B] environment indices in which the experiment may be started.
+        slot: the vessel's slot.
     """
     actions = laboratories.actions
     for action in (actions.encode("start", step[0], slot, step[1]), actions.encode("wait")):
@@ -68,8 +70,10 @@ def run_experiment(
 
 
 def foresees(scenario: Scenario) -> bool:
-    """Whether worlds differ in numbers, and vessels that are alike in the file may be told apart by nothing else: what
-    this module's manager can think through."""
+    """Return True if :class:`ForeseeingManager` can play a scenario.
+
+    Its hidden parameters have to be numbers, and vessels that are identical in the file may differ only by these.
+    """
     draws = scenario.world.draws.values()
     slots = [f"slot_{i}" for i in range(len(scenario.shelf.vessel))]
     alike = all(vessel == scenario.shelf.vessel[0] for vessel in scenario.shelf.vessel)
@@ -83,15 +87,15 @@ def foresees(scenario: Scenario) -> bool:
 
 @dataclass(frozen=True)
 class _Foresight:
-    """What becomes of a vessel: S worlds of what vessels share, O of what each has for itself, K stages of recipes.
+    """Simulated outcomes of a vessel: S draws of shared parameters, O draws of a vessel's own, K stages of recipes.
 
     Attributes:
-        stages: what has been done to a vessel, stage 0 being nothing.
-        after: by stage, the stages that it leads to, itself first.
-        readings: [S * O, K, R] what the instrument reads there without noise.
-        fills: [S * O] fill level that it comes with.
-        worth: [S * O, K] of a submission.
-        costs: [S * O, K] what has been paid by then.
+        stages: steps applied to a vessel at each stage; stage 0 is empty.
+        after: by stage, the stages reachable from it, itself first.
+        readings: [S * O, K, R] noise-free reading of the instrument.
+        fills: [S * O] initial fill level.
+        worth: [S * O, K] value of a submission in raw score.
+        costs: [S * O, K] cumulative costs.
     """
 
     stages: list[tuple[Step, ...]]
@@ -103,25 +107,25 @@ class _Foresight:
 
     @functools.cached_property
     def still(self) -> list[FloatArray]:
-        """By stage, [S * O, stages after it] what a submission is worth there, less what is to be paid until then."""
+        """Return, by stage, [S * O, reachable stages] the value of a submission less the costs until then."""
         gains = self.worth - self.costs
         return [gains[:, to] + self.costs[:, stage, None] for stage, to in enumerate(self.after)]
 
 
 @dataclass
 class _Belief:
-    """What the manager knows in an episode of V vessels.
+    """The manager's belief in one episode with V vessels.
 
     Attributes:
-        likelihood: [V, S, O] of all that has been read of each.
-        filled: [V, S, O] the same before anything has been: by how full they are.
-        slots: where they stand.
-        stage: [V] what has been done to each.
-        looks: [V] how often each has been measured at its stage.
-        gone: those that have been submitted.
-        order: the one that is to be filled next.
+        likelihood: [V, S, O] likelihood of all readings of each vessel.
+        filled: [V, S, O] likelihood of the initial fill levels.
+        slots: the vessels' slots.
+        stage: [V] stage of each vessel.
+        looks: [V] number of measurements of each vessel at its stage.
+        gone: submitted vessels.
+        order: the order to be filled next.
         asked: vessel that is being measured, or -1.
-        running: vessel and bench's agent of the experiment, or nothing.
+        running: vessel and bench agent of the running experiment, or None.
     """
 
     likelihood: FloatArray
@@ -136,12 +140,12 @@ class _Belief:
 
 
 class ForeseeingManager(ScriptedManager[_Belief]):
-    """Looks at vessels, does with the most promising what promises most, and looks again where that pays.
+    """Measures vessels, processes the most promising one, and measures again where the information is worth the price.
 
     Args:
-        setting: what it is told; not careful, it never measures.
-        script: who operates a bench in what it foresees.
-        remember: False concludes from the last look at each vessel that is left, and from nothing before it.
+        setting: the manager's laboratory; if not careful, it never measures.
+        script: makes the bench policies of the simulations.
+        remember: False uses only the latest reading of each remaining vessel.
     """
 
     def __init__(self, setting: Setting, remember: bool = True, *, script: Callable[[Bench], Policy]) -> None:
@@ -150,7 +154,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         self._remember = remember
         specs = scenario.instruments
         chosen = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis"))
-        # A budget that pays for no look is as good as no instrument.
+        # A budget below the price of one measurement is equivalent to no instrument.
         affordable = chosen is not None and specs[chosen].price <= scenario.limits.budget
         self._instrument = chosen if careful and affordable else None
         self._foresight = {
@@ -160,7 +164,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         self._noise = float(np.hypot(specs[chosen].noise, _MODEL_ERROR)) if chosen is not None else 1.0
         self._price = specs[chosen].price if chosen is not None else 0.0
         self._fill_noise = float(np.hypot(scenario.shelf.gauge / np.sqrt(12.0), _MODEL_ERROR))
-        # The same thoughts every time: which worlds, spread over all that are likely, and which noise.
+        # Fixed random numbers for every decision: worlds, spread over all likely ones, and noise.
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         size = next(iter(self._foresight.values())).readings.shape[2]
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
@@ -178,7 +182,8 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             reading = observation[self._slices[f"slot_{belief.slots[v]}_{self._instrument}"]]
             self._learn(belief, v, reading, self._goal(observation, belief))
         if belief.running is None and belief.gone and len(belief.gone) == len(belief.slots):
-            # And yet it is not over: somebody else has acted in its place. What is there now?
+            # The episode continues although the manager submitted: another policy has acted in its place. Read the
+            # shelf again.
             self._kept[member] = self._begin(observation)
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
@@ -195,7 +200,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             if wanted in stages:
                 belief.stage[v], belief.looks[v] = stages.index(wanted), 0
             else:
-                belief.gone.add(v)  # what becomes of it has not been foreseen
+                belief.gone.add(v)  # the resulting stage was not simulated
         elif kind == "measure":
             if more[0] == self._instrument:
                 belief.asked, belief.looks[v] = v, belief.looks[v] + 1
@@ -242,7 +247,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     def _go_on(
         self, observation: ObservationArray, mask: MaskArray, belief: _Belief, v: int, goal: str, stage: int
     ) -> int:
-        """The next experiment on the way to a stage; room for what comes back first."""
+        """Return the next experiment on the way to a stage; free a slot for the returned vessels first."""
         done, wanted = (self._foresight[goal].stages[k] for k in (belief.stage[v], stage))
         step = wanted[len(done)]
         start = self._actions.encode("start", step[0], belief.slots[v], step[1])
@@ -262,10 +267,10 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         self._submitted(belief)
         return submit if mask[submit] else int(mask.argmax())
 
-    # -- knowing ----------------------------------------------------------------------------------------------
+    # -- belief -----------------------------------------------------------------------------------------------
 
     def _likely(self, readings: FloatArray, goal: str, stage: int) -> FloatArray:
-        """[..., S * O] likelihood of readings [..., R] of a vessel at a stage."""
+        """Return [..., S * O] likelihoods of readings [..., R] of a vessel at a stage."""
         return likelihood(readings, self._foresight[goal].readings[:, stage], self._noise, _SURPRISE)
 
     def _learn(self, belief: _Belief, v: int, reading: ObservationArray, goal: str) -> None:
@@ -276,8 +281,10 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         belief.likelihood[v] = np.maximum(belief.likelihood[v] / belief.likelihood[v].max(), _SURPRISE)
 
     def _posterior(self, likely: FloatArray) -> FloatArray:
-        """[V, S * O] probability of every world for each vessel, from likelihoods [V, S, O]: what one vessel says of
-        what they share holds for the others, too."""
+        """Return [V, S * O] posterior probabilities of every world for each vessel, from likelihoods [V, S, O].
+
+        Evidence about shared parameters from one vessel also applies to the others.
+        """
         shared = likely.mean(axis=-1)
         others = np.exp(np.log(shared).sum(axis=-2, keepdims=True) - np.log(shared))
         weights = likely * others[..., None]
@@ -285,8 +292,10 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
     def _promises(self, belief: _Belief, goal: str) -> FloatArray:
-        """[V, K] what each vessel is expected to bring, less what is still to be paid, at each stage that it can
-        come to; what it cannot, or what is gone, -inf."""
+        """Return [V, K] expected value of each vessel at each stage, less the remaining costs.
+
+        Stages that cannot be reached and submitted vessels have -inf.
+        """
         known = self._posterior(belief.likelihood)
         rows = [self._promise(known[v], goal, stage) for v, stage in enumerate(belief.stage)]
         for v in belief.gone:
@@ -294,7 +303,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return np.stack(rows)
 
     def _promise(self, known: FloatArray, goal: str, stage: int) -> FloatArray:
-        """[..., K] the same of one vessel, from the probabilities [..., S * O] of its worlds."""
+        """Return [..., K] expected values of one vessel, from the probabilities [..., S * O] of its worlds."""
         foresight = self._foresight[goal]
         to = foresight.after[stage]
         out = np.full((*known.shape[:-1], len(foresight.stages)), -np.inf)
@@ -302,12 +311,14 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return out
 
     def _total(self, bests: FloatArray, orders: int) -> FloatArray:
-        """[...] what the best vessels bring to as many orders as are open, from what each brings [..., V]."""
+        """Return [...] total value of the best vessels for all open orders, from each vessel's value [..., V]."""
         best = np.sort(np.maximum(bests, 0.0), axis=-1)
         return np.asarray(best[..., -orders:].sum(axis=-1))
 
     def _next_look(self, belief: _Belief, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
-        """The vessel that it pays most to measure, None where it pays for none."""
+        """Return the vessel with the highest value of a measurement net of its price, or None if no value is
+        positive.
+        """
         if self._instrument is None:
             return None
         orders = max(len(self._orders) - belief.order, 1)
@@ -320,7 +331,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
                 continue
             if not mask[self._actions.encode("measure", slot, self._instrument)]:
                 continue
-            # Vessels of which nothing is known are alike: one look is worth as much as another.
+            # Vessels without readings are exchangeable, so one of them is evaluated.
             alike = belief.stage[v], belief.looks[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
             if alike in fresh:
                 continue
@@ -331,7 +342,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return best
 
     def _after_look(self, belief: _Belief, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
-        """[_SAMPLES, V] what each vessel is expected to bring after another look at one of them."""
+        """Return [_SAMPLES, V] expected values of the vessels after another measurement of one of them."""
         worlds = np.searchsorted(np.cumsum(known), self._shares).clip(0, len(known) - 1)
         readings = self._foresight[goal].readings[worlds, belief.stage[v]] + self._errors
         likely = self._likely(readings, goal, belief.stage[v])
@@ -345,8 +356,11 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         return after
 
     def _tell_others(self, belief: _Belief, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
-        """Fill in what the others are expected to bring [B, V], as one vessel's reading tells the worlds that they
-        share apart by ``shared`` [B, S]: what they bring in each of these is only weighed anew."""
+        """Fill in the other vessels' expected values [B, V] after a reading of one vessel.
+
+        The reading changes the probabilities ``shared`` [B, S] of the shared parameters; the other vessels' values
+        given these parameters stay the same and are only reweighted.
+        """
         logs = np.log(belief.likelihood.mean(axis=-1))
         foresight = self._foresight[goal]
         for w, stage in enumerate(belief.stage):
@@ -358,31 +372,31 @@ class ForeseeingManager(ScriptedManager[_Belief]):
             after[:, w] = ((weights @ worth) / (weights @ here.sum(axis=-1))[:, None]).max(axis=-1)
 
 
-# -- foreseeing -------------------------------------------------------------------------------------------------------
+# -- simulation -------------------------------------------------------------------------------------------------------
 
 
 def _sizes(scenario: Scenario) -> tuple[int, int]:
-    """(S, O): how many worlds are played of what vessels share, and of what each has for itself."""
+    """Return (S, O): numbers of simulated draws of shared parameters and of a vessel's own parameters."""
     own = any(_is_own(scenario, name) for name in scenario.world.draws)
     common = any(not _is_own(scenario, name) for name in scenario.world.draws)
     return (_COMMON if common else 1), (_OWN_OF_COMMON if common else _OWN) if own else 1
 
 
 def _is_own(scenario: Scenario, name: str) -> bool:
-    """Whether every vessel of the shelf has numbers of its own of a draw."""
+    """Return True if every vessel of the shelf has its own value of a draw."""
     draw = scenario.world.draws[name]
     return draw.what in VESSEL_QUANTITIES and draw.variables > 1 and any(of.startswith("slot_") for of in draw.of)
 
 
 def _public(scenario: Scenario) -> Scenario:
-    """The scenario as it is thought through: without noise, and with money for every look."""
+    """Return the scenario for simulations: without noise, and with a budget for every measurement."""
     exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
     limits = scenario.limits.model_copy(update={"budget": 1e6})
     return scenario.model_copy(update={"instruments": exact, "limits": limits})
 
 
 def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
-    """Every sequence in which steps follow in their order, each up to so many times; shorter ones first."""
+    """Yield every sequence of steps in their order, each up to its maximum number of times; shorter sequences first."""
     found: list[tuple[tuple[Step, ...], int, int]] = [((), 0, 0)]
     while found:
         longer = []
@@ -391,7 +405,7 @@ def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
             for other in range(at, len(steps)):
                 step, most = steps[other]
                 if other > at and stage and steps[other][0][0] == stage[-1][0] and most == 1:
-                    continue  # a bench that is used once is used for one goal
+                    continue  # a bench that is used once is used for one goal only
                 if other == at and times == most:
                     continue
                 longer.append(((*stage, step), other, times + 1 if other == at else 1))
@@ -399,7 +413,7 @@ def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
 
 
 def _steps(labs: Laboratories, goal: str, skip: Collection[str]) -> list[tuple[Step, int]]:
-    """Experiments that may be run, in the order of the benches, each with how often."""
+    """Return the candidate experiments in the order of the benches, each with its maximum number of repetitions."""
     steps: list[tuple[Step, int]] = []
     for bench in labs.benches:
         if bench.key in skip or any(agent == f"{bench.key}_0" for (agent, _), _ in steps):
@@ -419,7 +433,7 @@ def _most_runs(labs: Laboratories, bench: Bench) -> int:
 def _foreseen(
     scenario: Scenario, goal: str, instrument: str | None, skip: tuple[str, ...], script: Callable[[Bench], Policy]
 ) -> _Foresight:
-    """Play every recipe in worlds of the prior."""
+    """Simulate every recipe in worlds drawn from the prior."""
     common, own = _sizes(scenario)
     labs = Laboratories(scenario, common * own)
     members = labs.members
@@ -452,14 +466,16 @@ def _foreseen(
 
 
 def _draw(labs: Laboratories, goal: str, common: int, own: int) -> None:
-    """Give the laboratories worlds of the prior: number s * O + o has what vessels share of one of S worlds and what a
-    vessel has for itself of one of O."""
+    """Assign worlds of the prior to the laboratories.
+
+    Laboratory s * O + o has draw s of the S draws of shared parameters and draw o of the O draws of a vessel's own.
+    """
     members = labs.members.tolist()
     for member in members:
         labs.seed(member, np.random.SeedSequence(_SEED + member))
     labs.reset(labs.members, goal)
     drawn = [labs.worlds.values(member) for member in members]
-    labs.episodes.again[:] = True  # the same episodes, in other worlds
+    labs.episodes.again[:] = True  # the same episodes in other worlds
     for member in members:
         world = {
             name: drawn[member % own if _is_own(labs.scenario, name) else member // own][name]
@@ -469,7 +485,7 @@ def _draw(labs: Laboratories, goal: str, common: int, own: int) -> None:
 
 
 def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
-    """Discard what has come back besides the first slot's vessel, where nothing can be begun for it."""
+    """Discard returned vessels other than the first slot's where they block the next experiment."""
     start = labs.actions.encode("start", step[0], 0, step[1])
     for slot in reversed(range(1, labs.actions.slots)):
         mask, discard = labs.mask(0, members), labs.actions.encode("discard", slot)
@@ -480,7 +496,7 @@ def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
 
 
 def _worth(labs: Laboratories, goal: str) -> FloatArray:
-    """[N] what a submission of the first slot would add to the score."""
+    """Return [N] the raw score that a submission of the first slot would add."""
     rules, g = labs.rules.arrays, labs.scenario.goals.index(goal)
     amounts = labs.shelf.amounts[:, 0]
     made, all_there = amounts[:, rules.parts[g, 0]], amounts @ rules.counts[g]
@@ -490,7 +506,7 @@ def _worth(labs: Laboratories, goal: str) -> FloatArray:
 
 
 def _reading(labs: Laboratories, instrument: str | None) -> FloatArray:
-    """[N, R] what the instrument reads of the first slot."""
+    """Return [N, R] the instrument's reading of the first slot."""
     if instrument is None:
         return np.zeros((len(labs.members), 1))
     table, members = labs.instruments, labs.members

@@ -1,4 +1,4 @@
-"""Scripted policy of a distillation bench with a column: what boils below the goal, then the goal, then no more."""
+"""Scripted policy of a distillation bench with a column: takes forerun, goal fraction, and stops."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ from .real import RealDistillationHeuristic
 __all__ = ["FractionHeuristic"]
 
 _HEAVIER_K = 5.0
-"""What boils that much above the goal is to stay behind."""
+"""Materials that boil this many K above the goal are to stay in the pot."""
 _HEEL_L = 0.01
-"""Less is not heated any more."""
+"""Pot volume in litres below which heating stops."""
 _SMALL_KJ = 10.0
 
 _SOME = 0.02
-"""Share of the pot that has to have come over."""
+"""Share of the pot that must have distilled over."""
 _LEFT_K = 3.0
-"""Below a solvent's boiling point: next to nothing of the goal is left in it."""
+"""K below a solvent's boiling point at which hardly any goal is left in it."""
 _MORE = 1.2
-"""Times the most of the goal that there can be is taken over."""
+"""Distilled volume relative to the largest possible volume of the goal."""
 
 STRIP, COLLECT, DILUTE = range(3)
 
 
 class FractionHeuristic(RealDistillationHeuristic):
-    """Boils off what boils below the goal; where a column can part it from something heavier that may be there, changes
-    the receiver and takes the goal over, up to halfway to what boils next; where there is so little of it in a solvent
-    that the pot boils above that from the start, until it boils nearly as the solvent does, or as much has come over as
-    there can be. So it does with solids that
-    nobody washes out. What there may be, and where it boils, is public.
+    """Boils off the lighter materials; takes the goal over where a column can separate it from heavier ones.
+
+    Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal
+    is so dilute in a solvent that the pot boils above this temperature from the start, the fraction ends when the pot
+    boils nearly as the solvent does, or when the largest possible volume of the goal has distilled over. The same
+    applies to solids that no wash removes. The candidates and their boiling points are public.
 
     Args:
-        bench: the bench it is for.
-        careful: False always heats with all there is.
+        bench: the bench.
+        careful: False always heats with full power.
     """
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
@@ -71,7 +72,7 @@ class FractionHeuristic(RealDistillationHeuristic):
         self._swap = None if swap is None else int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
         self._phase: dict[int, int] = {}
         self._full: dict[int, float] = {}
-        """Litres in the pot when the receiver was changed, by member."""
+        """Litres in the pot when the receiver was changed, by environment index."""
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray

@@ -1,4 +1,6 @@
-"""Scripted manager of vessels without a label: measures until another look would not pay, then works on the best."""
+"""Scripted manager of unlabelled vessels: measures while the information is worth the price, then processes the
+best.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,18 @@ from .script import Setting, cheapest
 __all__ = ["IdentifyingManager", "has_unlabelled_vessels"]
 
 _GRID = 24
-"""Titres that are told apart."""
+"""Number of titre candidates."""
 _MODEL_ERROR = 0.005
-"""Standard deviation of readings besides their noise: titres lie between those of the grid."""
+"""Standard deviation of readings besides their noise: true titres lie between the grid's."""
 _SURPRISE = 1e-12
-"""Likelihood that is left to what a reading speaks against."""
+"""Lower bound of a likelihood relative to the best one."""
 _YIELD = 0.9
-"""Of what stands in the vessel, what the benches make of it."""
+"""Assumed yield of the benches as a share of the vessel's content."""
 _MOST_ORDERS = 20_000
 
 
 def has_unlabelled_vessels(scenario: Scenario) -> bool:
-    """Whether it is left to find out what vessels of the shelf hold."""
+    """Return True if the identity of shelf vessels is hidden."""
     return bool(_identities(scenario))
 
 
@@ -42,7 +44,7 @@ def _identities(scenario: Scenario) -> list[Draw]:
 
 
 def _arranged(options: Sequence[int], count: int) -> Iterator[tuple[int, ...]]:
-    """Every different way to put ``count`` of some options, of which several may be alike, in order."""
+    """Yield every distinct arrangement of ``count`` options, some of which may be equal."""
     if count == 0:
         yield ()
         return
@@ -54,13 +56,13 @@ def _arranged(options: Sequence[int], count: int) -> Iterator[tuple[int, ...]]:
 
 @dataclass
 class _Belief:
-    """What a manager knows of an episode's vessels.
+    """The manager's belief about the vessels of one episode.
 
     Attributes:
-        likelihood: [V, O, T] of what has been read of each vessel, by option and titre.
+        likelihood: [V, O, T] likelihood of the readings of each vessel, by option and titre.
         looked: vessels that have been measured.
-        asked: the vessel that is being measured, or None.
-        chosen: slots to work on, by order, once it has been decided.
+        asked: vessel that is being measured, or None.
+        chosen: chosen slots by order; empty before the decision.
     """
 
     likelihood: FloatArray
@@ -70,14 +72,14 @@ class _Belief:
 
 
 class IdentifyingManager(ManagerHeuristic):
-    """Looks for what an order needs among vessels that look alike, then does what the scripted manager does with it.
+    """Identifies the vessel that an order needs among unlabelled ones, then follows the scripted manager.
 
-    It keeps the probability of everything that each vessel may hold, as the scenario's world declares it (the prior),
-    and brings it up to date with each reading (Bayes). It measures the vessel of which a look would be worth most, as
-    long as that is more than its price: the expected gain of choosing after it over choosing now.
+    The prior is the scenario's declaration of each vessel's possible contents; it is updated with each reading (Bayes).
+    The vessel with the highest value of information is measured as long as this value, the expected gain of choosing
+    after the reading instead of now, exceeds the price.
 
     Args:
-        setting: what it is told; not careful, it never measures.
+        setting: the manager's laboratory; if not careful, it never measures.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -92,7 +94,7 @@ class IdentifyingManager(ManagerHeuristic):
             if draw.what == "titre" and draw.material == identity.material and set(identity.of) <= set(draw.of)
         ]
         self._titre = titres[0] if titres else None
-        # The middle of each part of the prior: all as likely.
+        # Midpoints of equally likely parts of the prior.
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(self._titre, shares) if self._titre is not None else np.ones(1)
         self._arrangements, self._prior = self._possible(identity)
@@ -102,7 +104,7 @@ class IdentifyingManager(ManagerHeuristic):
         self._memories.append(self._beliefs)
 
     def _possible(self, identity: Draw) -> tuple[IntArray, FloatArray]:
-        """[P, V] every way in which the options may stand in the vessels, and how likely each is."""
+        """Return [P, V] all arrangements of the options in the vessels, and the probability of each."""
         drawn, count = identity.distribution, len(self._vessels)
         options = [self._options.index(str(option)) for option in getattr(drawn, "options", ())]
         if isinstance(drawn, Permutation):
@@ -116,7 +118,7 @@ class IdentifyingManager(ManagerHeuristic):
         return arrangements, np.asarray(weights[arrangements].prod(axis=1), dtype=np.float64)
 
     def _readings(self, identity: Draw) -> FloatArray:
-        """[V, O, T, size] what the instrument shows of each vessel for each option and titre, without noise."""
+        """Return [V, O, T, size] noise-free readings of each vessel for each option and titre."""
         spec, count = self._scenario, len(self._options) * len(self._titres)
         exact = {name: one.model_copy(update={"noise": 0.0}) for name, one in spec.instruments.items()}
         known = spec.model_copy(update={"instruments": exact})
@@ -178,12 +180,12 @@ class IdentifyingManager(ManagerHeuristic):
         return super()._decide(observation, mask, 1, member)
 
     def _ordered(self, observation: ObservationArray) -> FloatArray:
-        """[orders, O, T] score of a vessel for each order, by what is in it."""
+        """Return [orders, O, T] score of a vessel for each order, by content."""
         goals = [self._scenario.goals[int(observation[self._slices[name]].argmax())] for name in self._orders]
         return np.array([self._worth(goal) for goal in goals])
 
     def _choose(self, belief: _Belief, observation: ObservationArray, member: int) -> None:
-        """Choose a vessel for every order that has none yet, and begin with them."""
+        """Choose a vessel for every order without one, and start these lines."""
         for own in self._ordered(observation)[len(belief.chosen) :]:
             expected = (self._posterior(belief) * own).sum(axis=(1, 2))
             free = [v for v, slot in enumerate(self._vessels) if slot not in belief.chosen]
@@ -194,7 +196,7 @@ class IdentifyingManager(ManagerHeuristic):
             line.slot = slot
 
     def _worth(self, goal: str) -> FloatArray:
-        """[O, T] score of a vessel for a goal, by what is in it."""
+        """Return [O, T] score of a vessel for a goal, by content."""
         most = self._scenario.theoretical_maximum_mol[goal]
         stocked = set(self._scenario.stock)
         made = np.zeros(len(self._options))
@@ -206,18 +208,18 @@ class IdentifyingManager(ManagerHeuristic):
         return np.asarray(_YIELD * made[:, None] * self._titres / most)
 
     def _learn(self, belief: _Belief, observation: ObservationArray) -> None:
-        """Take in the reading that has been asked for."""
+        """Update the belief with the requested reading."""
         v, belief.asked = belief.asked, None
-        assert v is not None, "something has been asked for"
+        assert v is not None, "a measurement has been requested"
         belief.looked.add(v)
         name = f"slot_{self._vessels[v]}_{self._instrument}"
         noise = np.hypot(self._scenario.instruments[str(self._instrument)].noise, _MODEL_ERROR)
-        # Not `base.likelihood`, which sums in another order: among bottles that look alike a last digit decides.
+        # Not `base.likelihood`, which sums in another order: among identical bottles the last digit decides.
         apart = ((observation[self._slices[name]] - self._expected[v]) ** 2).sum(axis=-1) / noise**2
         belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
 
     def _posterior(self, belief: _Belief) -> FloatArray:
-        """[V, O, T] probability of what each vessel may hold."""
+        """Return [V, O, T] posterior probability of each vessel's content."""
         evidence = belief.likelihood.mean(axis=2)
         vessels = np.arange(len(self._vessels))
         weights = self._prior * evidence[vessels, self._arrangements].prod(axis=1)
@@ -229,7 +231,9 @@ class IdentifyingManager(ManagerHeuristic):
         return np.asarray(held[:, :, None] * titre)
 
     def _next_look(self, belief: _Belief, worth: FloatArray, mask: MaskArray) -> int | None:
-        """The vessel that it pays most to measure, None where it pays for none."""
+        """Return the vessel with the highest value of a measurement net of its price, or None if no value is
+        positive.
+        """
         if self._instrument is None:
             return None
         posterior = self._posterior(belief)

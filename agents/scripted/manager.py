@@ -1,4 +1,4 @@
-"""Scripted manager: routes one vessel through the benches, measures what comes out, submits the best vessel."""
+"""Scripted manager: routes one vessel per order through the benches, measures the products, submits the best vessel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_DISTILLATIONS = 2
 
 @dataclass
 class _Line:
-    """What the manager remembers of one order and the vessels that are worked on for it."""
+    """State of one order and the vessels that are processed for it."""
 
     order: int
     goal: str
@@ -31,7 +31,7 @@ class _Line:
     mine: set[int]
     """Slots whose vessels belong to this order."""
     kept: set[int] = field(default_factory=set)
-    """Slots the laboratory keeps for what is at the bench."""
+    """Slots reserved for the vessels at the bench."""
     stage: int = 0
     running: str = ""
     distillations: int = 0
@@ -40,16 +40,16 @@ class _Line:
 
 
 class ManagerHeuristic(ScriptedManager[list[_Line]]):
-    """For each order: react; decant the leftover metal and throw it away; wash; distil; crystallize; analyse what comes
-    out until something is pure enough; submit the best.
+    """Processes each order through a fixed sequence of benches and submits the purest vessel.
 
-    Uses only the benches the scenario has, one of each kind for every order, and works on as many orders at once as
-    there are benches. It knows the recipe and the public scenario, and of the vessels what the manager observes: where
-    they were last, how full they are, and readings once it has paid for them.
+    The sequence is: react; decant leftover metal and discard it; wash; distil; crystallize. Products are analysed until
+    one is pure enough. Only benches of the scenario are used, one of each kind per order, and as many orders are
+    processed at once as there are benches. The manager uses the recipe, the public scenario and its observation of the
+    vessels: their last bench, fill levels, and readings that it has paid for.
 
     Args:
-        setting: what it is told; not careful, it skips what only safety and measuring are for: metal is not decanted,
-            nothing is analysed.
+        setting: the manager's laboratory; if not careful, steps for safety and measurement only are skipped: metal is
+            not decanted, and nothing is analysed.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -62,7 +62,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         self._rxn, self._ext, self._dit, self._cry = (
             kinds.get(kind) for kind in ("reaction", "extraction", "distillation", "crystallization")
         )
-        # In order: that of a set of names is another in every process.
+        # Sorted, because the order of a set of names differs between processes.
         self._salts = tuple(salt.solid for salt in scenario.family.salt)
         self._balance = cheapest(scenario, ("balance",))
         self._gc = cheapest(scenario, ("gas_chromatograph",))
@@ -73,40 +73,40 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         return f"{bench}_{line.order % self._scenario.benches[bench].count}"
 
     def _plan(self, goal: str) -> list[str]:
-        """Benches in order; ``ext`` twice where metal has to be decanted before washing."""
+        """Return the benches in order; ``ext`` occurs twice if metal has to be decanted before washing."""
         metal = {name for step in self._scenario.family.violent for name in step.reactants}
         plan = [self._rxn] if self._rxn else []
         if self._ext:
-            # With real physics the reaction bench's script quenches it.
+            # With the physics backend `real`, the reaction bench's scripted policy quenches the metal.
             metals = self._scenario.physics == "paper" and bool(metal & set(self._scenario.stock))
             decant = self._careful and self._rxn is not None and metals
-            # Washing takes a salt away: where it is the goal, only the metal has to go.
+            # Washing removes a salt: if the salt is the goal, only the metal is decanted.
             plan += [self._ext] * (2 if decant and goal not in self._salts else 1)
         if self._distils_first(goal):
             plan.insert(len(plan) - 1, str(self._dit))
         return [*plan, *(bench for bench in (self._dit, self._cry) if bench)]
 
     def _distils_first(self, goal: str) -> bool:
-        """Whether the goal is taken over before it is washed, too: with what it stands in, water would be one layer."""
+        """Return True if the goal is also distilled before it is washed, because its liquor is miscible with water."""
         spec = self._scenario
         if spec.physics == "paper" or not (self._ext and self._dit) or not keeps_apart(spec, goal):
             return False
         return not any(keeps_apart(spec, name) for vessel in spec.shelf.vessel for name in vessel.contents)
 
     def _history(self, observation: ObservationArray, slot: int) -> tuple[str | None, int]:
-        """(bench the vessel was at last, its role there)."""
+        """Return the last bench of a vessel and the vessel's position there."""
         last = int(observation[self._slices[f"slot_{slot}_last_bench"]].argmax())
         role = int(observation[self._slices[f"slot_{slot}_last_position"]].argmax())
         return (self._keys[last - 1] if last > 0 else None), role
 
     def _begin(self, observation: ObservationArray) -> list[_Line]:
-        """One line for every order; the vessels that stand there are dealt out."""
+        """Return one line for every order, with the shelf's vessels assigned to the lines."""
         fresh = self._occupied(observation)
         lines = []
         for order, channel in enumerate(self._orders):
             goal = self._scenario.goals[int(observation[self._slices[channel]].argmax())]
             slot = fresh[order % len(fresh)] if fresh else 0
-            # With one order every vessel is its own; with several, each has the one it began with.
+            # With one order, all vessels belong to it; with several, each line has the vessel it began with.
             mine = set(fresh) if len(self._orders) == 1 else {slot}
             lines.append(_Line(order, goal, self._plan(goal), slot, mine))
         return lines
@@ -144,7 +144,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         return wait if mask[wait] else int(mask.argmax())
 
     def _advance(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
-        """The line's next action; None while it has to wait for a bench."""
+        """Return the line's next action; None while it waits for a bench."""
         if line.running:
             ended, line.running = role_of(line.running), ""
             if ended == self._ext:
@@ -154,7 +154,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
                     if s in line.mine and self._history(observation, s) == (self._ext, 1)
                 ]
                 if line.goal in self._salts and self._rxn is None and beakers:
-                    line.slot = beakers[0]  # the salt went into the washing water
+                    line.slot = beakers[0]  # the salt is in the washing water
                 elif beakers and mask[self._actions.encode("discard", beakers[0])]:
                     return self._actions.encode("discard", beakers[0])
             elif ended == self._dit and self._ext in line.plan[line.stage :]:
@@ -178,11 +178,11 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         return action
 
     def _begun(self, observation: ObservationArray, line: _Line, lines: list[_Line], agent: str) -> None:
-        """Take down that a line's vessel goes to a bench."""
-        # The laboratory keeps the first free slots for what comes back.
+        """Update the lines after a vessel of one of them has been sent to a bench."""
+        # The laboratory reserves the first free slots for returning vessels.
         taken = set(self._occupied(observation))
         for other in lines:
-            # A line that has not been looked at since its experiment ended keeps nothing any more.
+            # A line whose experiment ended without being processed yet has no reservations any more.
             if other.running and self._value(observation, f"{other.running}_busy") > 0.5:
                 taken |= other.kept
         free = [s for s in range(self._actions.slots) if s not in taken]
@@ -193,11 +193,11 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         line.kept = kept | {line.slot}
         line.running = agent
         line.distillations += role_of(agent) == self._dit
-        # The vessel goes to a bench and will come back as another; readings of the others stay good.
+        # The processed vessel's reading becomes invalid; readings of the other vessels stay valid.
         line.measured = {(slot, instrument) for slot, instrument in line.measured if slot != line.slot}
 
     def _fallback(self, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
-        """Make room by discarding what is not being worked on; without any, submit what there is."""
+        """Free a slot by discarding an unused vessel; if there is none, submit an available vessel."""
         wanted = {other.slot for other in lines if not other.submitted}
         for slot in reversed(range(self._actions.slots)):
             if slot not in wanted and mask[self._actions.encode("discard", slot)]:
@@ -222,7 +222,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         ]
         if not candidates:
             return self._fallback(mask, line, lines)
-        # What has been distilled over stands in B1, what was only stripped is still where it was.
+        # A distillate is in B1; a stripped residue is in its original vessel.
         over = line.distillations > 1
         candidates.sort(key=lambda s: self._history(observation, s)[1] != 1 if over else s != line.slot)
         if not self._careful:
@@ -240,7 +240,7 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         estimates = [self._estimate(observation, slot, line.goal) for slot in candidates]
         best = int(np.argmax([amount * purity for amount, purity in estimates]))
         slot = candidates[best]
-        # What has crystallized is not distilled once more.
+        # A crystallized product is not distilled again.
         if (
             self._dit
             and last == self._dit
@@ -254,12 +254,14 @@ class ManagerHeuristic(ScriptedManager[list[_Line]]):
         return self._submit(line, slot)
 
     def _good(self, amount: float, purity: float, goal: str) -> bool:
-        """Whether nothing else needs to be analysed; where fractions are taken, a pure heel is not the product."""
+        """Return True if no further vessel needs to be analysed. With fractions, a pure residue does not count as
+        the product.
+        """
         most = self._scenario.theoretical_maximum_mol[goal] / len(self._orders)
         return purity >= _PURE_ENOUGH and (self._scenario.physics == "paper" or amount >= _MOST_OF_IT * most)
 
     def _estimate(self, observation: ObservationArray, slot: int, goal: str) -> tuple[float, float]:
-        """(mol of the goal, its purity) from the readings; the fill level stands in for a balance that is not there."""
+        """Estimate (mol of the goal, purity) from the readings; without a balance, from the fill level."""
         if self._gc is None:
             return self._value(observation, f"slot_{slot}_fill"), 1.0
         fractions = observation[self._slices[f"slot_{slot}_{self._gc}"]].astype(np.float64)

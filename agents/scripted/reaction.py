@@ -1,4 +1,4 @@
-"""Scripted policy of the reaction bench: warm up, add what the goal needs and nothing else."""
+"""Scripted policy of the reaction bench: heats and adds exactly the reagents that the goal needs."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ from chemlab.roles.reaction_bench import ReactionBench
 __all__ = ["ReactionHeuristic"]
 
 _SAFE_PRESSURE = 0.68
-"""Of the gauge (the valve opens at 0.8): above this the piston moves out."""
+"""Reading of the pressure gauge above which the piston moves out; the valve opens at 0.8."""
 _SAFEST_PRESSURE = 0.45
-"""The same where accidents are priced: one more step of heating must not open the valve."""
+"""The same bound if accidents are priced: one more heating step must not open the valve."""
 _HOLD_BACK = 0.4
-"""Share of the experiment for which one reagent of an unwanted side reaction is held back."""
+"""Share of the experiment during which one reagent of an unwanted side reaction is withheld."""
 
 _LOSS = 0.1
-"""Of a product that is lost again where it is too hot, what may be in a run."""
+"""Accepted loss of a product per run by thermal decomposition, as a share."""
 
 
 def _hottest(bench: ReactionBench) -> tuple[FloatArray, FloatArray] | None:
-    """How hot a bench may be, K, at shares of the prior: where a reaction whose pre-exponential factor it is told takes
-    no more than ``_LOSS`` time constants in a run. None where it is told none."""
+    """Return the maximum temperature (K) of the bench at quantiles of the prior, or None if no rate is revealed.
+
+    At the maximum, a reaction whose pre-exponential factor is revealed to the bench proceeds for ``_LOSS`` time
+    constants in one run.
+    """
     draws = [bench.scenario.world.draws[name] for name in bench.told]
     rates = [draw for draw in draws if draw.what == "pre_exponential" and draw.variables == 1]
     if not rates or rates[0] is not draws[0]:
@@ -42,15 +45,15 @@ def _hottest(bench: ReactionBench) -> tuple[FloatArray, FloatArray] | None:
 
 
 class ReactionHeuristic:
-    """Adds at once all of every reagent on the way to the goal, hot, and in excess where one is (sodium).
+    """Adds all reagents on the way to the goal at once, hot; a reagent with excess (sodium) is added in excess.
 
-    Where the goal's own reagents would also make a penalized by-product, one of them waits until the others have
-    become intermediates (goal I of the fictitious reactions: C waits). A bench that is told how fast a product is lost
-    again is kept as hot as that allows.
+    If the goal's reagents would also form a penalized by-product, one of them is withheld until the others have become
+    intermediates (goal I of the fictitious reactions: C is withheld). A bench to which the rate of decomposition is
+    revealed uses the highest temperature that it allows.
 
     Args:
-        bench: the bench it is for.
-        careful: False heats on whatever the pressure gauge shows.
+        bench: the bench.
+        careful: False heats regardless of the pressure gauge.
     """
 
     def __init__(self, bench: ReactionBench, careful: bool = True) -> None:

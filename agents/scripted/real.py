@@ -1,4 +1,4 @@
-"""Scripted policies of benches with real physics: what a careful preparative chemist would do."""
+"""Scripted policies of benches with the physics backend ``real``."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ from .extraction import ADD, DRAIN, MIX, SETTLE, ExtractionHeuristic
 __all__ = ["RealDistillationHeuristic", "RealExtractionHeuristic", "RealReactionHeuristic"]
 
 _FEED, _QUENCH = 0.6, 0.88
-"""Shares of a reaction: until the first, the liquid reagents are fed in; from the second on, what is left is
-quenched."""
+"""Shares of a reaction: liquid reagents are fed until the first; the quench begins at the second."""
 _QUENCH_SHARE = 0.3
-"""Of what is left of the quenching reagent, at each step."""
+"""Share of the remaining quenching reagent that is added per step."""
 _BELOW_BOILING_K = 8.0
-"""The contents are kept this far below the boiling point of what boils first."""
+"""Margin in K between the contents and the lowest boiling point."""
 _GAIN = 2.0
-"""K that the jacket goes below the wanted temperature for each that the contents are above it."""
+"""Controller gain: K of jacket setpoint below the target per K that the contents are above it."""
 
 
 class RealReactionHeuristic:
-    """Lays the solids on the way to the goal before, feeds the liquids in while the jacket carries off the heat, waits,
-    and at the end quenches what must not meet water.
+    """Charges the solids first, feeds the liquids while the jacket removes heat, waits, and quenches water-sensitive
+    reagents.
 
     Args:
-        bench: the bench it is for.
-        careful: False puts everything in at once and does not quench.
+        bench: the bench.
+        careful: False adds everything at once and does not quench.
     """
 
     def __init__(self, bench: ReactionBench, careful: bool = True) -> None:
@@ -75,7 +74,7 @@ class RealReactionHeuristic:
         excess = kelvin - self._wanted_k
         target = np.clip(self._wanted_k - _GAIN * (excess + _BELOW_BOILING_K), low, low + span)
         turn = np.clip(0.5 + (target - jacket) / (2.0 * self._step_k), 0.0, 1.0)
-        # Of what is left, the part that empties the bottle when feeding is over.
+        # The share of the remainder that empties the bottle at the end of feeding.
         share = 1.0 / np.maximum(self._feed_until - step, 1)
         calm = np.clip(1.0 - excess / _BELOW_BOILING_K, 0.0, 1.0)
         adding = np.where(self._solid, 1.0, (calm * share)[:, None]) * needed
@@ -86,14 +85,14 @@ class RealReactionHeuristic:
 
 _WASHES = 3
 _LOWER = 0.12
-"""Grey values this close to water's are the aqueous layer's."""
+"""Grey values within this distance of water's belong to the aqueous layer."""
 
 
 class RealExtractionHeuristic(ExtractionHeuristic):
-    """Washes with water: add, shake, let settle, drain what looks like water at the bottom; some times over.
+    """Washes with water several times: add, shake, settle, drain the aqueous layer at the bottom.
 
     Args:
-        bench: the bench it is for.
+        bench: the bench.
         careful: False washes once.
     """
 
@@ -104,7 +103,7 @@ class RealExtractionHeuristic(ExtractionHeuristic):
         self._washes_wanted = _WASHES if careful else 1
 
     def _boundary(self, picture: ObservationArray) -> int:
-        """Pixels from the bottom up to the last one that looks like water."""
+        """Return the number of pixels from the bottom up to the last aqueous one."""
         wet = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
         return int(wet[-1]) + 1 if len(wet) else 0
 
@@ -134,17 +133,17 @@ class RealExtractionHeuristic(ExtractionHeuristic):
 
 _KJ_PER_L_K = 1.8
 _KJ_PER_L = 250.0
-"""Rough heat capacity and heat of vaporization of an organic liquid."""
+"""Rough heat of vaporization of an organic liquid in kJ/L, with the heat capacity below."""
 _SHORT_OF_K = 6.0
 _LEAST_KJ = 2.0
 
 
 class RealDistillationHeuristic:
-    """Boils off what boils below the goal, by the thermometer: the pot's boiling point says what is left in it.
+    """Boils off materials with boiling points below the goal's, judged by the boiling temperature of the pot.
 
     Args:
-        bench: the bench it is for.
-        careful: False always heats with all there is.
+        bench: the bench.
+        careful: False always heats with full power.
     """
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
@@ -179,9 +178,9 @@ class RealDistillationHeuristic:
         gap = self._stop_k[goal] - kelvin
         if gap <= 0.0:
             return self._end
-        # Far below the end most of the pot is still to go; close to it only its warmth.
+        # Far below the end point most of the pot remains to be evaporated; close to it, only sensible heat is needed.
         wanted = _KJ_PER_L_K * litres * gap + 0.1 * _KJ_PER_L * litres * min(gap / 100.0, 1.0)
         if not self._careful:
             return self._heats[-1][1]
-        # Less than the least would only make up for what the room takes.
+        # Less than the smallest step would only replace heat losses.
         return next((action for q, action in reversed(self._heats) if q <= max(wanted, _LEAST_KJ)), self._heats[-1][1])

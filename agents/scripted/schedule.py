@@ -1,4 +1,4 @@
-"""Scripted manager of orders that come over time: which of them to take, from which vessel, and when to let go."""
+"""Scripted manager of orders that arrive over time: order acceptance, vessel assignment and cancellation."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ from .script import ScriptedManager, Setting, cheapest
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
 
 _GRID = 33
-"""Titres that are told apart."""
+"""Number of titre candidates."""
 _SURE = 0.9
-"""Probability from which another look is not thought of."""
+"""Probability above which no further measurement is considered."""
 _LIKELY = 0.5
-"""Probability of meeting an order from which reagent is spent on it."""
+"""Minimum probability of meeting an order for which reagent is used."""
 _MOST_TICKS = 1_000_000
 _SPREAD = 0.04
-"""Standard deviation of what comes of a vessel, as a share, besides what its reading leaves open: rates are hidden."""
+"""Relative standard deviation of a vessel's yield besides the uncertainty of its reading; rates are hidden."""
 
 
 def has_orders_to_schedule(scenario: Scenario) -> bool:
-    """Whether orders come over time, and are met by reacting what stands in vessels of unknown titre, on one kind of
-    bench after the other."""
+    """Return True if :class:`SchedulingManager` can play a scenario.
+
+    Orders have to arrive over time and to be made by reacting vessels of unknown titre on one kind of bench after
+    another.
+    """
     reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
     return bool(scenario.demand.order) and reacting and _titre(scenario) is not None
 
@@ -45,7 +48,7 @@ def _titre(scenario: Scenario) -> Draw | None:
 
 @dataclass(frozen=True)
 class _Order:
-    """An order that the manager knows of: its number, and its terms."""
+    """A known order: its index and its order terms."""
 
     number: int
     goal: str
@@ -57,17 +60,17 @@ class _Order:
 
 @dataclass
 class _Shop:
-    """What the manager remembers of an episode.
+    """The manager's memory of one episode.
 
     Attributes:
-        titre: by slot, what has been measured.
-        stage: by slot, how many benches the vessel has been at.
-        serves: by slot, the order that it was begun for.
-        running: by bench agent, the slot whose vessel it has.
-        reported: by slot, the amount that a bench has reported of its last run.
-        factor: what has come of vessels, over what was foreseen.
-        ended: how many that has been told of.
-        seen: orders that have come, in that order.
+        titre: by slot, the measured titre.
+        stage: by slot, the number of benches that the vessel has been at.
+        serves: by slot, the order for which the vessel was started.
+        running: by bench agent, the slot of its vessel.
+        reported: by slot, the amount that the bench reported for its last run.
+        factor: ratio of actual to predicted yields.
+        ended: number of runs behind ``factor``.
+        seen: orders in the order of their arrival.
         asked: the slot that is being measured.
     """
 
@@ -83,15 +86,17 @@ class _Shop:
 
 
 class SchedulingManager(ScriptedManager[_Shop]):
-    """Takes the orders that pay best while reagent and time last, and lets the others go.
+    """Accepts the best paying orders that reagent and time allow, and ignores the others.
 
-    An order is taken when its price is among as many as there is reagent for, of those known and those that the prior
-    lets expect; from the vessel that most probably yields enough, of which it knows what it has measured. A look is
-    paid for where it is worth more than its price. Orders are met with what is ready, the best paying first.
+    An order is accepted if its price is among the highest ones for which there is reagent, counting known orders and
+    those expected under the prior. It is made from the vessel with the highest probability of a sufficient yield, given
+    its readings. A measurement is paid for if its value exceeds its price. Finished vessels fill the best paying orders
+    first.
 
     Args:
-        setting: what it is told; not careful, it never measures.
-        schedule: False takes one order at a time, as they come, and lets none go but what cannot be met any more.
+        setting: the manager's laboratory; if not careful, it never measures.
+        schedule: False processes one order at a time in order of arrival and drops only orders that cannot be met any
+            more.
     """
 
     def __init__(self, setting: Setting, schedule: bool = True) -> None:
@@ -102,14 +107,14 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._stages = list(scenario.benches)
         self._idle = bool(set(self._stages) & set(skip))
         self._agents = {key: [f"{key}_{i}" for i in range(scenario.benches[key].count)] for key in self._stages}
-        # A grade for every stage, the quickest first; without any, the step limits.
+        # Quality requirements of every stage, the fastest first; without any, the step limits.
         ticks = {name: grade.ticks for name, grade in scenario.grades.items()} or {"": None}
         self._names = sorted(ticks, key=lambda name: ticks[name] or _MOST_TICKS)
         limits = {key: scenario.benches[key].step_limit for key in self._stages}
         self._grades = {key: [min(ticks[n] or most, most) for n in self._names] for key, most in limits.items()}
         self._ticks = sum(own[0] for own in self._grades.values())
         titre = _titre(scenario)
-        assert titre is not None, "whoever makes this has asked"
+        assert titre is not None, "has_orders_to_schedule(scenario) holds"
         self._draw = titre
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(titre, shares)
@@ -123,13 +128,13 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._noise = scenario.instruments[chosen].noise if chosen else 0.0
         self._price = scenario.instruments[chosen].price if chosen else 0.0
 
-    # -- what it sees -----------------------------------------------------------------------------------------
+    # -- observation ------------------------------------------------------------------------------------------
 
     def _value(self, observation: ObservationArray, name: str) -> float:
         return super()._value(observation, name) * self._high[name]
 
     def _known(self, observation: ObservationArray) -> list[_Order]:
-        """The orders that are open."""
+        """Return the open orders."""
         found = []
         for number, name in enumerate(self._orders):
             goal = observation[self._slices[name]]
@@ -139,7 +144,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return found
 
     def _learn(self, shop: _Shop, observation: ObservationArray) -> None:
-        """Take in a reading that has been asked for, and what benches have ended with."""
+        """Update the memory with a requested reading and with reports of benches."""
         if shop.asked is not None:
             reading = observation[self._slices[f"slot_{shop.asked}_{self._instrument}"]].astype(np.float64)
             materials, volumes = self._scenario.materials, []
@@ -163,7 +168,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
                         shop.ended += 1
 
     def _chance(self, shop: _Shop, slot: int, order: _Order) -> float:
-        """Probability that what comes of a vessel meets an order's amount."""
+        """Return the probability that the yield of a vessel meets an order's amount."""
         made, stage = self._made[-1], shop.stage.get(slot, 0)
         if slot in shop.reported:
             own = self._made[stage - 1]
@@ -204,7 +209,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
     def _part_with(self, shop: _Shop, slot: int) -> None:
         for memory in (shop.stage, shop.serves, shop.titre, shop.reported):
             memory.pop(slot, None)
-        shop.stage[slot] = len(self._stages) + 1  # the vessel is gone
+        shop.stage[slot] = len(self._stages) + 1  # the vessel was removed
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         shop, orders = self._kept[member], self._known(observation)
@@ -216,7 +221,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return wait if mask[wait] else int(mask.argmax())
 
     def _submit(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:
-        """Meet an order with what is ready."""
+        """Fill an order with a finished vessel."""
         best, worth = None, 0.0
         for slot in [s for s, stage in shop.stage.items() if stage == len(self._stages)]:
             own = [order for order in orders if order.number == shop.serves.get(slot)]
@@ -231,7 +236,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return best[1]
 
     def _go_on(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:
-        """Bring a vessel that is on its way to its next bench."""
+        """Send a vessel in process to its next bench."""
         left = {order.number: order.left for order in orders}
         for slot, stage in shop.stage.items():
             if 0 < stage < len(self._stages) and slot not in shop.running.values():
@@ -241,7 +246,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return None
 
     def _start(self, shop: _Shop, slot: int, stage: int, left: float, mask: MaskArray) -> int | None:
-        """Begin a run on a bench that is free, of the longest grade that leaves time for those after it."""
+        """Start a run on a free bench with the longest requirement that leaves time for the later stages."""
         steps = [self._grades[key] for key in self._stages[stage:]]
         in_time = [grade for grade, own in zip(self._names, zip(*steps, strict=True), strict=True) if sum(own) <= left]
         grade = [in_time[-1] if in_time else self._names[0]] if self._scenario.grades else []
@@ -254,7 +259,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return None
 
     def _batches(self, observation: ObservationArray) -> int:
-        """How many runs there is reagent for."""
+        """Return the number of runs for which there is reagent."""
         left = observation[self._slices["stock"]] if "stock" in self._slices else np.ones(0)
         stock, runs = dict(zip(self._scenario.stock, left.tolist(), strict=True)), [len(self._orders)]
         for key in self._stages:
@@ -263,14 +268,14 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return min(runs)
 
     def _take(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:
-        """Begin with an order that is worth it, after a look where that is worth it."""
+        """Start a profitable order, after a measurement if that is profitable."""
         batches = self._batches(observation)
         served = set(shop.serves.values())
         waiting = [order for order in orders if order.left >= self._ticks and order.number not in served]
         if batches < 1 or not waiting or all(agent in shop.running for agent in self._agents[self._stages[0]]):
             return None
         if self._schedule:
-            # A batch for each of the best that are known or still to come.
+            # One batch for each of the best orders, known or expected.
             to_come = len(self._orders) - len(shop.seen)
             share = 1.0 - batches / (to_come + 1)
             least = float(np.quantile(self._prices, share)) if share > 0.0 else 0.0
@@ -299,7 +304,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         return bool(mask[self._actions.table[:, 0] == MEASURE].any())
 
     def _look(self, shop: _Shop, fresh: list[int], order: _Order, chance: float, mask: MaskArray) -> int | None:
-        """Measure a vessel that is not known yet, where finding a better one is worth the price."""
+        """Measure a vessel without a reading if the expected gain of finding a better one exceeds the price."""
         if self._instrument is None or chance >= _SURE:
             return None
         good = float((shop.factor * self._made[-1] >= order.amount).mean())
@@ -314,13 +319,15 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
 
 def _goal(scenario: Scenario, stage: int) -> str:
-    """What a stage is run for: goals stand in the order in which they are made, the last is what is ordered."""
+    """Return the goal of a stage: goals are listed in production order, and the last is the ordered product."""
     return scenario.goals[max(len(scenario.goals) - len(scenario.benches) + stage, 0)]
 
 
 def _foreseen(scenario: Scenario, titre: Draw, titres: FloatArray, stages: Sequence[str]) -> FloatArray:
-    """[stages, T] mol of each stage's goal that come of the first vessel at each titre; played on the public scenario
-    with everything else in the middle of its prior."""
+    """Simulate the yields [stages, T] in mol of each stage's goal from the first vessel at each titre.
+
+    The public scenario is used; all other hidden parameters have their prior's median.
+    """
     slot = next(name for name in titre.of if name.startswith("slot_"))
     own = titre.model_copy(update={"of": (slot,), "test": ()})
     others = {

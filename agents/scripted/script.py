@@ -1,4 +1,4 @@
-"""What scripted policies have in common."""
+"""Common parts of scripted policies."""
 
 from __future__ import annotations
 
@@ -23,29 +23,28 @@ __all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "apart", "cheapest", "cou
 M = TypeVar("M")
 
 SAME_SHADE = 1e-3
-"""Grey values closer than this are the same material."""
+"""Grey values closer than this belong to the same material."""
 
 
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
-    """Of a scenario's instruments of some kinds, whose readings the manager sees, the one whose reading costs least;
-    none if there is none."""
+    """Return the cheapest instrument of some kinds whose readings the manager observes, or None."""
     specs = scenario.seen_instruments
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
 
 
 def apart(readings: FloatArray, expected: FloatArray, variance: FloatArray | None = None) -> FloatArray:
-    """How far readings are from what is expected.
+    """Return the squared distance of readings from expected values.
 
     Args:
-        readings: [..., size].
-        expected: [K, size].
-        variance: [size] of each number; default: 1.
+        readings: [..., size] readings.
+        expected: [K, size] expected values.
+        variance: [size] variance of each number; default: 1.
 
     Returns:
         [..., K] sums of squares.
     """
     found = np.zeros((*readings.shape[:-1], len(expected)))
-    for number in range(readings.shape[-1]):  # a sum over a last axis of so few takes several times as long
+    for number in range(readings.shape[-1]):  # a sum over such a short last axis takes several times as long
         square = readings[..., number, None] - expected[:, number]
         square *= square
         if variance is not None:
@@ -55,12 +54,12 @@ def apart(readings: FloatArray, expected: FloatArray, variance: FloatArray | Non
 
 
 def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: float) -> FloatArray:
-    """[..., K] how likely readings are, beside the likeliest of what is expected (see :func:`apart`).
+    """Return [..., K] likelihoods of readings relative to the best expected value (see :func:`apart`).
 
     Args:
         readings, expected: as for :func:`apart`.
         noise: standard deviation of each number.
-        least: likelihood that is left to what a reading speaks against.
+        least: lower bound of a relative likelihood.
     """
     rows = np.ascontiguousarray(readings.reshape(-1, readings.shape[-1]), dtype=np.float64)
     found = np.zeros((len(rows), len(expected)))
@@ -69,12 +68,12 @@ def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: 
 
 
 _VANISHES = 38.0
-"""Beside 1, e to the power of minus this is less than half of a last digit."""
+"""exp(-x) at this x is below half of the last digit of 1."""
 
 
 @kernel
 def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, least: float, out: FloatArray) -> None:
-    """Fill ``out`` [B, K] for readings [B, R] and what is expected [R, K]."""
+    """Fill ``out`` [B, K] with likelihoods of readings [B, R] given expected values [R, K]."""
     count = out.shape[1]
     vanishes = np.log(least) - _VANISHES
     for b in range(out.shape[0]):
@@ -92,21 +91,21 @@ def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, lea
 
 
 def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
-    """How many pixels of a picture [pixels] show one of some materials, by their grey values."""
+    """Count the pixels of a picture [pixels] whose grey value is one of ``shades``."""
     return sum(int(np.count_nonzero(np.abs(picture - shade) < SAME_SHADE)) for shade in shades)
 
 
 class Setting(NamedTuple):
-    """What a scripted manager is told of its laboratory, and what it is to do without.
+    """A scripted manager's laboratory and options.
 
     Attributes:
         scenario: the public scenario.
         channels: the manager's observation channels.
         actions: the manager's actions.
         instruments: the scenario's instruments.
-        positions: how many vessels each bench works on.
-        careful: False leaves out what only safety and measuring are for.
-        skip: benches it does without.
+        positions: number of vessel positions of each bench.
+        careful: False omits steps that serve only safety and measurement.
+        skip: benches that are not used.
     """
 
     scenario: Scenario
@@ -119,8 +118,14 @@ class Setting(NamedTuple):
 
 
 class _Advice(NamedTuple):
-    """Attributes: decided: an action; before: the memories that decision was made from, pickled, which takes a fraction
-    of a copy, and most are not asked for; seen: the observation."""
+    """A decision that has been advised but not yet confirmed.
+
+    Attributes:
+        decided: the action.
+        before: pickled memory before the decision. Pickling takes a fraction of the time of a copy, and few are
+            restored.
+        seen: the observation.
+    """
 
     decided: int
     before: bytes
@@ -128,10 +133,10 @@ class _Advice(NamedTuple):
 
 
 class ScriptedManager(Generic[M]):
-    """A manager that decides for one laboratory at a time, by what it keeps of it.
+    """Base class of scripted managers, which decide for one laboratory at a time from their memory of its episode.
 
     Args:
-        setting: what it is told.
+        setting: the manager's laboratory.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -158,11 +163,11 @@ class ScriptedManager(Generic[M]):
         members: IntArray,
         copied: bool = True,
     ) -> npt.NDArray[Any]:
-        """What it would play; it has not decided that until :meth:`played` says so.
+        """Return the actions the manager would play; they become decisions when :meth:`played` confirms them.
 
         Args:
             observation, mask, step, members: as for :meth:`act`.
-            copied: False keeps nothing to take a decision back with.
+            copied: False keeps no copy of the memory, so that the decision cannot be undone.
         """
         assert mask is not None, "the manager has discrete actions"
         decided = np.zeros(len(members), dtype=np.int64)
@@ -171,7 +176,7 @@ class ScriptedManager(Generic[M]):
                 for memory in self._memories:
                     memory.pop(i, None)
             elif all(memory.get(i) is None for memory in self._memories):
-                s = 0  # what it decided first was not played
+                s = 0  # the first decision was not played
             self._see(o, s, i)
             before = pickle.dumps([memory.get(i) for memory in self._memories], -1) if copied else b""
             decided[n] = self._decide(o, m, s, i)
@@ -179,10 +184,10 @@ class ScriptedManager(Generic[M]):
         return decided
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """What has been played after its advice: where that is something else, it takes its decision back.
+        """Confirm the played actions; a decision that differs from the played action is undone.
 
         Args:
-            actions, members: [B].
+            actions, members: [B] actions and environment indices.
         """
         for action, i in zip(actions.tolist(), members.tolist(), strict=True):
             advice = self._advised.pop(i)
@@ -192,7 +197,7 @@ class ScriptedManager(Generic[M]):
                 self._take_note(advice.seen, action, i)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`; what is advised and not yet played is not decided."""
+        """See :class:`chemlab.envs.players.Policy`; unconfirmed advice is not part of the memory."""
         before = {i: pickle.loads(advice.before) for i, advice in self._advised.items()}
         return copy.deepcopy(
             [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
@@ -206,29 +211,31 @@ class ScriptedManager(Generic[M]):
             own.update(kept)
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        """Take in what it sees before it decides."""
+        """Update the memory with an observation before the decision."""
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         raise NotImplementedError
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
-        """Take in that an action has been played that it has not decided."""
+        """Update the memory with an action that was played instead of the manager's decision."""
 
     def _taken_apart(self, action: int) -> tuple[str, int, list[Any]]:
-        """(kind, slot of the vessel it is about or -1, other arguments) of an action; of a submission, its order."""
+        """Return (kind, slot of the vessel concerned or -1, other arguments) of an action; a submission's argument
+        is its order.
+        """
         kind, *arguments = self._actions.decode(action)
         place = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
         slot = -1 if place is None else int(arguments.pop(place))
         return str(kind), slot, [0] if kind == "submit" and not arguments else list(arguments)
 
     def _encode_submit(self, slot: int, order: int) -> int:
-        """The action that submits a slot's vessel for an order."""
+        """Return the action that submits a slot's vessel for an order."""
         return self._actions.encode("submit", slot, *([order] if len(self._orders) > 1 else []))
 
     def _occupied(self, observation: ObservationArray) -> list[int]:
-        """Slots where a vessel stands."""
+        """Return the occupied slots."""
         return [s for s in range(self._actions.slots) if self._value(observation, f"slot_{s}_occupied") > 0.5]
 
     def _value(self, observation: ObservationArray, name: str) -> float:
-        """The first number of a channel."""
+        """Return the first number of a channel."""
         return float(observation[self._slices[name]][0])

@@ -1,4 +1,4 @@
-"""Scripted manager of lines that drift and break, and of an instrument that goes astray."""
+"""Scripted manager of production lines that degrade and break down, and of an instrument that drifts."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from .script import ScriptedManager, Setting, apart, cheapest
 __all__ = ["UpkeepManager", "has_wearing_lines"]
 
 _PARTICLES = 128
-"""Possible conditions of a line and of the vessel on it."""
+"""Particles per line: hypotheses about the line and the vessel on it."""
 _SAMPLES = 16
-"""Readings that are thought of before one is paid for."""
+"""Readings sampled to estimate the value of one measurement."""
 _SLOW = 0.2
-"""Gain at which a batch is played beforehand, so that its course is known in steps of a fifth of a run."""
+"""Gain of the simulated batch, which resolves its course in fifths of a run."""
 _COURSE = 60
-"""Runs at that gain."""
+"""Simulated runs at that gain."""
 _MOST_RUNS = 24
 _WAITS = (0, 1, 2)
-"""Runs after which a look is thought of."""
+"""Delays in runs at which a measurement is considered."""
 _NEAR = 0.02
-"""Share of a perfect batch that one is expected to be worth before a look is thought of at all."""
+"""Share of a perfect batch's value that a batch has to reach before a measurement is considered."""
 _MOST_LOOKS = 3
-"""At a vessel as it is."""
+"""Maximum number of measurements of an unchanged vessel."""
 _LOST_SHARE = 0.3
-"""Of a batch at each line: what is begun and not brought to its end."""
+"""Expected loss per line, as a share of a batch, by batches that are not finished."""
 _MODEL_ERROR = 0.004
-"""Standard deviation of readings besides their noise: courses are interpolated."""
+"""Standard deviation of readings besides their noise, because the simulated course is interpolated."""
 
 
 def has_wearing_lines(scenario: Scenario) -> bool:
-    """Whether there is nothing but reaction benches of one kind that wear, and nothing hidden besides."""
+    """Return True if the scenario has only reaction benches of one kind, with degradation as the only hidden state."""
     benches = list(scenario.benches.values())
     alike = {bench.model_copy(update={"wear": None, "count": 1}).model_dump_json() for bench in benches}
     drawn = {draw.what for draw in scenario.world.draws.values()}
@@ -47,16 +47,16 @@ def has_wearing_lines(scenario: Scenario) -> bool:
 
 @dataclass
 class _Line:
-    """What the manager knows of a line.
+    """The manager's belief about one line.
 
     Attributes:
-        agent: its bench.
-        wear: how it wears.
-        speed: [K] possible natural logarithms of its gain, each with the ``age`` of the same place.
-        slot: where its vessel stands, or None.
-        age: [K] how far the vessel's batch may have come, in runs at a gain of 1.
+        agent: the line's bench agent.
+        wear: parameters of its degradation.
+        speed: [K] particles: natural logarithm of the gain, paired with ``age``.
+        slot: slot of its vessel, or None.
+        age: [K] particles: progress of the batch, in runs at a gain of 1.
         begun: tick at which its experiment began, or None.
-        looked: measurements of the vessel as it is.
+        looked: number of measurements of the unchanged vessel.
     """
 
     agent: str
@@ -70,16 +70,16 @@ class _Line:
 
 @dataclass
 class _Belief:
-    """What the manager knows in an episode.
+    """The manager's belief in one episode.
 
     Attributes:
-        lines: in the order of their benches.
-        fresh: slots of vessels that nobody has worked on.
-        left: (slot, age [K]) of vessels that were taken off a line that broke.
-        rng: what it thinks of is drawn from it, the same in every episode.
-        bias, doubt: [size] mean and variance of what the instrument's values are off by.
-        known: tick at which that was so.
-        orders: those that are open.
+        lines: belief of each line, in the order of the benches.
+        fresh: slots of unused vessels.
+        left: (slot, age [K]) of vessels removed from a broken line.
+        rng: generator of the sampled readings; the same in every episode.
+        bias, doubt: [size] mean and variance of the instrument's bias.
+        known: tick at which these were valid.
+        orders: open orders.
         asked: line whose vessel is being measured.
     """
 
@@ -95,18 +95,18 @@ class _Belief:
 
 
 class UpkeepManager(ScriptedManager[_Belief]):
-    """Works on a batch at every line, and stops each where it is expected to be worth most.
+    """Works on a batch at every line and stops each batch at its highest expected value.
 
-    How a batch goes it has worked out on the public scenario beforehand. Of each line it keeps possible gains and, with
-    them, how far its batch may have come (particles): they spread as lines drift, and are drawn anew by each reading
-    (Bayes). Of the instrument it keeps mean and variance of what every value is off by, which grow with the time since
-    the last calibration (a Kalman filter). It looks where, and when, what is to be expected of knowing more is above
-    the price; calibrates where a look would be so much better then; and has a line repaired that is broken, or so slow
-    that a repaired one would make more of the time that is left.
+    The course of a batch is simulated on the public scenario beforehand. A particle filter tracks gain and batch
+    progress of every line: particles spread as lines drift, and are resampled at each reading. A Kalman filter tracks
+    mean and variance of the instrument's bias, which grow with the time since the last calibration. The manager
+    measures when the expected gain of the information exceeds the price, and calibrates when that improves the
+    measurement by more than its own price. It repairs a line that is broken, or so slow that the repaired line gains
+    more in the remaining time than the repair costs.
 
     Args:
-        setting: what it is told; not careful, it never measures.
-        remember: False forgets what it knew when a batch is over.
+        setting: the manager's laboratory; if not careful, it never measures.
+        remember: False resets the belief after each batch.
     """
 
     def __init__(self, setting: Setting, remember: bool = True) -> None:
@@ -122,7 +122,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         self._foresee()
 
     def _foresee(self) -> None:
-        """Work out what an undisturbed batch reads, and what it is worth, by its age."""
+        """Simulate the readings and the value of an undisturbed batch as functions of its age."""
         spec, agent = self._scenario, self._actions.bench_agents[0]
         slow = {key: bench.model_copy(update={"wear": WearSpec(gain=_SLOW)}) for key, bench in spec.benches.items()}
         exact = {name: one.model_copy(update={"drift": None}) for name, one in spec.instruments.items()}
@@ -136,21 +136,21 @@ class UpkeepManager(ScriptedManager[_Belief]):
         )
         readings, worth, _ = foreseen(steady, [None], self._instrument, agent, _COURSE)
         self._ages = _SLOW * np.arange(_COURSE + 1)
-        # Where nothing is to be seen at any age a reading says nothing.
+        # If no age has a signal, readings carry no information.
         self._shown = np.flatnonzero(np.ptp(readings[0], axis=0) > _MODEL_ERROR)
         self._course, self._value_at = readings[0][:, self._shown], worth[0]
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
     def _left(self, observation: ObservationArray) -> int:
-        """Ticks that are left."""
+        """Return the number of remaining ticks."""
         return round(self._value(observation, "ticks") * self._scenario.limits.ticks)
 
     def _new_speed(self, wear: WearSpec, rng: np.random.Generator) -> FloatArray:
         return np.asarray(np.log(wear.gain) + wear.spread * rng.standard_normal(_PARTICLES))
 
     def _first_speed(self, agent: str, wear: WearSpec, rng: np.random.Generator) -> FloatArray:
-        """[K] speeds as an episode begins: what the world may have drawn besides."""
+        """Sample [K] initial speeds, including the world's hidden offset."""
         speed = self._new_speed(wear, rng)
         for draw in self._scenario.world.draws.values():
             if agent in draw.of:
@@ -196,7 +196,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
                     line.speed = self._new_speed(line.wear, belief.rng)
 
     def _put_on(self, belief: _Belief, line: _Line, slot: int) -> None:
-        """Somebody else has put a vessel on a line."""
+        """Update the belief after another policy has put a vessel on a line."""
         if line.slot == slot:
             return
         age = self._take_away(belief, slot)
@@ -205,7 +205,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         line.slot, line.age, line.looked = slot, age, 0
 
     def _take_away(self, belief: _Belief, slot: int) -> FloatArray:
-        """A vessel is no longer where it was; its age [K]."""
+        """Remove a vessel from the belief; return its age [K]."""
         age = np.zeros(_PARTICLES)
         for line in belief.lines:
             if line.slot == slot:
@@ -230,7 +230,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         wait = self._actions.encode("wait")
         if mask[wait]:
             return wait
-        # Nothing goes on any more: what stands there is submitted as it is.
+        # No line can continue: submit the vessels as they are.
         standing = [line.slot for line in belief.lines if line.slot is not None] + [slot for slot, _ in belief.left]
         for slot in [*standing, *belief.fresh]:
             submit = self._submit(belief, slot)
@@ -240,7 +240,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return int(mask.argmax())
 
     def _pass_time(self, belief: _Belief, observation: ObservationArray, left: int) -> None:
-        """Take in what has happened since the last decision: a reading, experiments that are over, time."""
+        """Update the belief with events since the last decision: a reading, finished experiments, elapsed time."""
         now = self._scenario.limits.ticks - left
         belief.bias = belief.bias + self._drift.trend * (now - belief.known)
         belief.doubt = belief.doubt + self._drift.walk**2 * (now - belief.known)
@@ -255,14 +255,14 @@ class UpkeepManager(ScriptedManager[_Belief]):
                 line.begun, line.looked = None, 0
 
     def _worked(self, line: _Line, ticks: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Speeds and ages [K] after so many ticks of work."""
+        """Return particles of speed and age [K] after a number of ticks of work."""
         change = line.wear.drift * np.sqrt(ticks) * rng.standard_normal(_PARTICLES)
         return line.speed + change, line.age + ticks / self._steps * np.exp(line.speed + 0.5 * change)
 
     def _attend(
         self, belief: _Belief, line: _Line, observation: ObservationArray, mask: MaskArray, left: int
     ) -> int | None:
-        """What to do about a line that is idle; None: nothing."""
+        """Return the action for an idle line, or None."""
         if self._value(observation, f"{line.agent}_repair") > 0.0:
             return None
         broken = self._value(observation, f"{line.agent}_broken") > 0.5
@@ -280,7 +280,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return self._work(belief, line, mask, left)
 
     def _next_batch(self, belief: _Belief, line: _Line) -> bool:
-        """Take up another vessel, one that has been begun before one that has not."""
+        """Assign the next vessel to a line, used vessels before fresh ones."""
         if belief.left:
             line.slot, line.age = belief.left.pop(0)
             return True
@@ -292,9 +292,9 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return True
 
     def _wants_repair(self, belief: _Belief, line: _Line, broken: bool, left: int) -> bool:
-        """Whether a repaired line would make more of the time that is left, by more than the price."""
+        """Return True if a repaired line would gain more in the remaining time than the repair costs."""
         best = int(self._value_at.argmax())
-        ticks = self._ages[best] * self._steps  # of a batch at a gain of 1
+        ticks = self._ages[best] * self._steps  # ticks of a batch at a gain of 1
         open_here = len(belief.orders) / len(belief.lines)
         begun = float(line.age.mean()) / self._ages[best] if line.slot is not None else 0.0
 
@@ -307,8 +307,8 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return then - now > line.wear.repair_price
 
     def _work(self, belief: _Belief, line: _Line, mask: MaskArray, left: int) -> int | None:
-        """Go on with the batch, look at it, or submit it."""
-        assert line.slot is not None, "a line that works has a vessel"
+        """Continue, measure or submit the line's batch."""
+        assert line.slot is not None, "a working line has a vessel"
         runs = min(_MOST_RUNS, max(left - 1, 0) // self._steps)
         ages = self._ahead(line, runs, belief.rng)
         worth = np.interp(ages, self._ages, self._value_at)
@@ -341,10 +341,10 @@ class UpkeepManager(ScriptedManager[_Belief]):
         line.begun = self._scenario.limits.ticks - left
         return start
 
-    # -- thinking ---------------------------------------------------------------------------------------------
+    # -- prediction -------------------------------------------------------------------------------------------
 
     def _ahead(self, line: _Line, runs: int, rng: np.random.Generator) -> FloatArray:
-        """[K, runs + 1] ages after 0, 1, ... more runs."""
+        """Return [K, runs + 1] ages after 0, 1, ... further runs."""
         changes = line.wear.drift * np.sqrt(self._steps) * rng.standard_normal((_PARTICLES, runs))
         speeds = line.speed[:, None] + np.cumsum(changes, axis=1) - 0.5 * changes
         ages = line.age[:, None] + np.concatenate(
@@ -353,12 +353,12 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return np.asarray(ages)
 
     def _shows(self, ages: FloatArray) -> FloatArray:
-        """[..., size] what the instrument would read, were it right."""
+        """Return [..., size] readings of an unbiased instrument."""
         columns = [np.interp(ages, self._ages, column) for column in self._course.T]
         return np.stack(columns, axis=-1)
 
     def _look(self, belief: _Belief, ages: FloatArray, worth: FloatArray, wait: int, doubt: FloatArray) -> float:
-        """What the batch is expected to come to with a look after ``wait`` runs, the price left out."""
+        """Return the expected value of the batch with a measurement after ``wait`` runs, before the price."""
         shown = self._shows(ages[:, wait])
         variance = self._noise**2 + doubt
         which = belief.rng.integers(_PARTICLES, size=_SAMPLES)
@@ -368,7 +368,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return float((weights @ worth[:, wait:] - costs).max(axis=1).mean())
 
     def _learn(self, belief: _Belief, line: _Line, reading: FloatArray) -> None:
-        """Take in a reading: particles that it speaks for stay, what it shows of the instrument's bias is kept."""
+        """Update with a reading: resample the particles, and update the instrument's bias."""
         shown = self._shows(line.age)
         variance = self._noise**2 + belief.doubt
         weights = _likelihood(reading, shown + belief.bias, variance)
@@ -394,7 +394,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
 
 def _likelihood(readings: FloatArray, shown: FloatArray, variance: FloatArray) -> FloatArray:
-    """[..., K] probabilities of particles that show ``shown`` [K, size] after readings [..., size]."""
+    """Return [..., K] probabilities of particles with expected readings [K, size], given readings [..., size]."""
     found = apart(readings, shown, variance)
     likely = np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True)))
     return np.asarray(likely / likely.sum(axis=-1, keepdims=True))

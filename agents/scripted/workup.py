@@ -1,4 +1,4 @@
-"""Scripted policy of an extraction bench with more than water at hand: a solvent, or a base and an acid."""
+"""Scripted policy of an extraction bench with more than water: a second solvent, or a base and an acid."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ __all__ = ["WorkupHeuristic", "keeps_apart"]
 
 _ROOM_K = 298.15
 _APART = 30.0
-"""Activity coefficient, highly dilute in water, above which a liquid does not mix with it."""
+"""Activity coefficient at infinite dilution in water above which a liquid counts as immiscible with water."""
 _SOLVENT_L = 0.3
 _AIR = 0.05
-"""Grey values this close to air's are no liquid's."""
+"""Grey values within this distance of air's are not liquid."""
 _DISSOLVING = 5
-"""Steps that crystals are given to dissolve before a base is added."""
+"""Steps allowed for dissolution of crystals before a base is added."""
 _EXCESS = 1.2
-"""Of base over the most of the goal that there can be, and of acid over that base."""
+"""Excess of base over the largest possible amount of the goal, and of acid over that base."""
 
 
 def keeps_apart(scenario: Scenario, name: str) -> bool:
-    """Whether a liquid and water are two layers; physics ``real``."""
+    """Return True if a liquid and water form two layers (physics backend ``real``)."""
     if name == WATER or scenario.materials[name].role != "solvent":
         return False
     table = pair_table((name, WATER), scenario.pairs)
@@ -40,12 +40,14 @@ def keeps_apart(scenario: Scenario, name: str) -> bool:
 
 
 class WorkupHeuristic(RealExtractionHeuristic):
-    """Washes with water. Where everything that stands there mixes with water, it adds a solvent first that does not.
-    Where the goal is an acid and the bench has a base and another acid, both solids: adds the base, so that the goal
-    goes into the water as its salt, pours off what stays behind, and gets the goal back with the acid.
+    """Washes with water; adds an immiscible solvent or uses acid-base extraction where needed.
+
+    If all contents are miscible with water, an immiscible solvent is added first. If the goal is an acid and the bench
+    has a solid base and another solid acid, the base transfers the goal into the water as its salt, the rest is poured
+    off, and the acid recovers the goal.
 
     Args:
-        bench: the bench it is for.
+        bench: the bench.
         careful: False washes once.
     """
 
@@ -55,7 +57,7 @@ class WorkupHeuristic(RealExtractionHeuristic):
         first: list[int] = np.cumsum([0, *(len(process.magnitudes) for process in processes)]).tolist()
 
         def choose(i: int, wanted: float) -> int:
-            """The smallest magnitude of a process that is enough, or else the largest."""
+            """Return the smallest sufficient magnitude of a process, or else the largest."""
             magnitudes: tuple[float, ...] = processes[i].magnitudes
             enough = [m for m in magnitudes if m >= wanted]
             return first[i] + magnitudes.index(min(enough, default=max(magnitudes)))
@@ -82,7 +84,7 @@ class WorkupHeuristic(RealExtractionHeuristic):
         elif not any(keeps_apart(scenario, name) for name in present):
             if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
                 self._organic_shade = scenario.materials[bench.goals.names[0]].shade
-                # The goal is a solvent itself, some of which every wash takes along: with little, and once less.
+                # The goal is itself a solvent, which every wash removes in part: use a small volume, and one wash less.
                 self._add, self._washes_wanted = choose(added[WATER], 0.0), self._washes_wanted - 1
             elif solvent is not None:
                 self._organic_shade = scenario.materials[solvent].shade
@@ -91,7 +93,7 @@ class WorkupHeuristic(RealExtractionHeuristic):
 
     @staticmethod
     def _base_and_acid(bench: ExtractionBench, added: list[str]) -> tuple[str | None, str | None]:
-        """Solids at the bench that take the goal into water, if it is an acid, and out of it."""
+        """Return the bench's solid base and solid acid for an acidic goal."""
         family = bench.scenario.family
         acids = {name for acid in family.acid for name in acid.species[:-1]}
         if not set(bench.goals.names) <= acids:
@@ -112,13 +114,15 @@ class WorkupHeuristic(RealExtractionHeuristic):
         self._done = copy.deepcopy(done)
 
     def _boundary(self, picture: ObservationArray) -> int:
-        """Pixels from the bottom up to the layer above the water, which may be half alcohol, and so have no shade that
-        is known."""
+        """Return the number of pixels from the bottom to the layer above the water.
+
+        The water may contain as much alcohol as water, so that its grey value is unknown.
+        """
         if self._organic_shade is None:
             return super()._boundary(picture)
         organic = np.abs(picture - self._organic_shade) < np.abs(picture - self._wash_shade)
         organic &= np.abs(picture - self._air_shade) > _AIR
-        # Without a second layer nothing is drained: it is not water alone.
+        # Without a second layer nothing is drained, because the layer is not water alone.
         return int(organic.argmax()) if organic.any() else 0
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
@@ -129,7 +133,7 @@ class WorkupHeuristic(RealExtractionHeuristic):
             self._done[member] = done + 1
             return self._before[done] if mask[self._before[done]] else self._decide(picture, mask, step + 1, member)
         if done == len(self._before):
-            # The first call for a member begins its washing.
+            # The first call for an environment index starts its washing.
             self._done[member] = done + 1
             return super()._decide(picture, mask, 0, member)
         if done == len(self._before) + 1:

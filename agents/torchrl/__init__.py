@@ -1,1 +1,1 @@
-"""Laboratories for learners of TorchRL: an environment over the batch, and a task for BenchMARL."""
+"""TorchRL environment over batched laboratories, and a BenchMARL task."""

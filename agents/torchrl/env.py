@@ -1,22 +1,22 @@
-"""N laboratories as one TorchRL environment, every role a group of agents, with the true state for a central critic.
+"""N laboratories as one TorchRL environment with one agent group per role and the true state for a central critic.
 
 >>> from chemlab.agents.torchrl.env import TorchLaboratory
 >>> env = TorchLaboratory(64, "wurtz_dodecane", actions="discrete")                # doctest: +SKIP
 >>> env.rollout(20)["rxn", "observation"].shape                                    # doctest: +SKIP
 torch.Size([64, 20, 1, 214])
 
-A step is one round of :class:`~chemlab.envs.batch.BatchedLaboratory`: the manager's action where it has the turn,
-else one tick. Entries, N laboratories, A agents of the group, n actions:
+A step is one round of :class:`~chemlab.envs.batch.BatchedLaboratory`: a manager action if the manager has the turn,
+else one tick. Entries for N laboratories, A agents of the group and n actions:
 
-| entry | shape | what |
+| entry | shape | description |
 |---|---|---|
 | `(group, "observation")` | [N, A, size] | in [0, 1] |
-| `(group, "action_mask")` | [N, A, n] | legal actions (discrete ones); without the turn one alone, which does nothing |
-| `(group, "has_turn")` | [N, A] | whether its action counts in this step |
+| `(group, "action_mask")` | [N, A, n] | legal discrete actions; without the turn only one, a no-op |
+| `(group, "has_turn")` | [N, A] | true if the agent's action is played in this step |
 | `(group, "reward")` | [N, A, 1] | |
 | `(group, "info", ...)` | [N, A] | `cost`, `score`, `experiment_over`, `illegal_action`, `elapsed_ticks` |
-| `"state"` | [N, S] | everything there is to know (:mod:`chemlab.envs.global_state`), in [0, 1] |
-| `"done"`, `"terminated"`, `"truncated"` | [N, 1] | the episode's end, for all agents |
+| `"state"` | [N, S] | true state (:mod:`chemlab.envs.global_state`), in [0, 1] |
+| `"done"`, `"terminated"`, `"truncated"` | [N, 1] | end of the episode, common to all agents |
 
 Needs TorchRL, after PyTorch: ``pip install torch``, then ``pip install ".[torchrl]"``.
 """
@@ -60,25 +60,25 @@ _INFOS: dict[str, Any] = {
 
 
 class TorchLaboratory(EnvBase):
-    """N laboratories; see this module's documentation.
+    """N laboratories as a TorchRL environment; see this module's documentation.
 
     Args:
-        num_envs: N.
+        num_envs: number of laboratories N.
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         rewards: replaces the scenario's reward mix.
         actions: replaces the scenario's kind of actions: ``discrete`` for value-based learners.
-        split: which worlds there may be.
-        groups: agents by group; agents of a group must see and do the same. Default: a group for each role that learns.
-        roles: those that learn; None: all. The others are played inside.
-        background: who plays these, by name (see :func:`~chemlab.agents.policies.make_policies`).
-        state: whether steps have the true state.
-        seed: of the first episodes; laboratory i has seed + i.
-        device: of what it returns.
+        split: split of worlds to draw from.
+        groups: agents by group; agents of a group must have equal spaces. Default: one group per learning role.
+        roles: learning roles; None: all. The environment plays the others.
+        background: policies of the other roles, by name (see :func:`~chemlab.agents.policies.make_policies`).
+        state: True adds the true state to every step.
+        seed: seed of the first episodes; laboratory i has seed + i.
+        device: device of the returned tensors.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: ``num_envs`` is not at least 1; or an unknown role or policy; or groups that are not of all agents
-            that learn, each once, or of agents with different spaces.
+        DataError: the scenario is invalid or unknown.
+        ValueError: ``num_envs`` is below 1, a role or policy is unknown, or ``groups`` do not contain every learning
+            agent exactly once or mix agents with different spaces.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class TorchLaboratory(EnvBase):
         batch = self._batch
         listed = [agent for agents in self.group_map.values() for agent in agents]
         if sorted(listed) != sorted(learners):
-            raise ValueError(f"groups: must have each of {', '.join(learners)} once; given {listed}")
+            raise ValueError(f"groups: must contain each of {', '.join(learners)} once; given {listed}")
         for group, agents in self.group_map.items():
             spaces = [(batch.observation_space(agent), batch.action_space(agent)) for agent in agents]
             if any(pair != spaces[0] for pair in spaces):
@@ -164,7 +164,7 @@ class TorchLaboratory(EnvBase):
         self._first_seed = checked_seed(seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        """Begin episodes where ``_reset`` says so, everywhere without it or after a seed."""
+        """Start new episodes where ``_reset`` is true; in all laboratories without ``_reset`` or after a seed."""
         options: dict[str, Any] = {}
         if tensordict is not None and "_reset" in tensordict and self._first_seed is None:
             options["reset_mask"] = tensordict["_reset"].reshape(-1).cpu().numpy()
@@ -175,8 +175,8 @@ class TorchLaboratory(EnvBase):
         self._first_seed = None
         begun = np.flatnonzero(options["reset_mask"]) if options else Ellipsis
         self._players.renew(self._batch.laboratories.members[begun])
-        told = {**self._told(observations, infos, begun), **self._ended()}
-        return TensorDict(told, batch_size=self.batch_size, device=self.device)
+        entries = {**self._entries(observations, infos, begun), **self._ended()}
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         given = {
@@ -186,15 +186,15 @@ class TorchLaboratory(EnvBase):
             for i, agent in enumerate(agents)
         }
         observations, rewards, terminated, truncated, infos = self._batch.step({**given, **self._played()})
-        told = self._told(observations, infos)
+        entries = self._entries(observations, infos)
         for group, agents in self.group_map.items():
             earned = np.stack([rewards[agent] for agent in agents], axis=1)[..., None]
-            told[group]["reward"] = self._tensor(earned, torch.float32)
+            entries[group]["reward"] = self._tensor(earned, torch.float32)
         ended = self._ended(terminated, truncated)
-        return TensorDict({**told, **ended}, batch_size=self.batch_size, device=self.device)
+        return TensorDict({**entries, **ended}, batch_size=self.batch_size, device=self.device)
 
     def _played(self) -> dict[str, npt.NDArray[Any]]:
-        """Actions [N, ...] of the agents in the background that have the turn anywhere."""
+        """Return the actions [N, ...] of background agents that have the turn in any laboratory."""
         labs, played = self._batch.laboratories, dict[str, npt.NDArray[Any]]()
         if not self._others:
             return played
@@ -208,11 +208,11 @@ class TorchLaboratory(EnvBase):
                 played[labs.agents[number]] = actions
         return played
 
-    def _told(
+    def _entries(
         self, observations: Mapping[str, Any], infos: Mapping[str, Mapping[str, Any]], begun: Any = Ellipsis
     ) -> dict[str, Any]:
-        """What groups and a critic see after a step or a reset (then of the laboratories that have ``begun``)."""
-        told: dict[str, Any] = {}
+        """Return the entries of groups and critic after a step, or after a reset of the laboratories in ``begun``."""
+        result: dict[str, Any] = {}
         for group, agents in self.group_map.items():
             entries: dict[str, Any] = {
                 "observation": self._stacked([observations[agent] for agent in agents], torch.float32),
@@ -228,14 +228,14 @@ class TorchLaboratory(EnvBase):
             }
             if "action_mask" in infos[agents[0]]:
                 entries["action_mask"] = self._stacked([infos[agent]["action_mask"] for agent in agents], torch.bool)
-            told[group] = TensorDict(entries, batch_size=(self._batch.num_envs, len(agents)), device=self.device)
+            result[group] = TensorDict(entries, batch_size=(self._batch.num_envs, len(agents)), device=self.device)
         if self._state is not None:
             self._state[begun] = self._batch.state(None if begun is Ellipsis else begun)
-            told["state"] = self._tensor(self._state.copy(), torch.float32)
-        return told
+            result["state"] = self._tensor(self._state.copy(), torch.float32)
+        return result
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
-        """Random actions; where ``tensordict`` has masks, legal ones."""
+        """Sample random actions; legal ones if ``tensordict`` has masks."""
         drawn: TensorDictBase = super().rand_action(tensordict)
         for group in self.group_map:
             mask = None if tensordict is None else tensordict.get((group, "action_mask"), None)
@@ -253,7 +253,7 @@ class TorchLaboratory(EnvBase):
         return {name: self._tensor(values[:, None], torch.bool) for name, values in ends.items()}
 
     def _stacked(self, arrays: Sequence[npt.NDArray[Any]], kind: Any) -> Any:
-        """[N, A, ...] of the group's arrays [N, ...], copied: the batch reuses its own."""
+        """Stack the group's arrays [N, ...] to [N, A, ...] as a copy, because the batch reuses its arrays."""
         return self._tensor(np.stack(arrays, axis=1), kind)
 
     def _tensor(self, values: npt.NDArray[Any], kind: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A laboratory as a task of BenchMARL, whose algorithms (MAPPO, IPPO, IQL, VDN, QMIX, ...) then train every role.
+"""A laboratory as a BenchMARL task, for training every role with MAPPO, IPPO, IQL, VDN, QMIX and others.
 
 >>> from benchmarl.algorithms import MappoConfig
 >>> from benchmarl.experiment import Experiment, ExperimentConfig
@@ -9,11 +9,11 @@
 ...     model_config=MlpConfig.get_from_yaml(), seed=0, config=ExperimentConfig.get_from_yaml(),
 ... ).run()
 
-All actions are discrete (the manager's always are). A centralised critic is given the true state; agents are not.
-BenchMARL makes no difference between turns that an agent has and others: without the turn it is left one legal action,
-which teaches it nothing.
+All actions are discrete (the manager's always are). Only a centralised critic observes the true state.
+BenchMARL does not distinguish steps without a turn; in these the agent has a single legal action, a no-op, which
+contributes no gradient.
 
-Needs BenchMARL, which asks for an older TorchRL than :mod:`~chemlab.agents.torchrl.env` does:
+Needs BenchMARL, which requires an older TorchRL than :mod:`~chemlab.agents.torchrl.env` does:
 ``pip install torch``, then ``pip install benchmarl .``.
 """
 
@@ -36,51 +36,54 @@ __all__ = ["ChemlabTask", "laboratory_task"]
 
 
 class ChemlabTask(TaskClass):
-    """A laboratory; ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``,
-    ``rewards``, ``split``, ``groups``, ``roles``, ``background``, and ``state`` (False: a centralised critic sees what
-    its group sees)."""
+    """A laboratory as a BenchMARL task.
+
+    ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``, ``rewards``,
+    ``split``, ``groups``, ``roles``, ``background``, and ``state`` (False: a centralised critic observes the
+    observations of its group).
+    """
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], TorchLaboratory]:
-        """A function that makes N laboratories with discrete actions."""
+        """Return a function that makes N laboratories with discrete actions."""
         return lambda: TorchLaboratory(num_envs, actions="discrete", seed=seed, device=device, **self.config)
 
     def supports_continuous_actions(self) -> bool:
-        """No: the manager has none."""
+        """Return False: the manager's actions are discrete."""
         return False
 
     def supports_discrete_actions(self) -> bool:
-        """Yes."""
+        """Return True."""
         return True
 
     def max_steps(self, env: Any) -> int:
-        """Rounds of the longest episode: every action of the manager and every tick."""
+        """Return the maximum number of rounds of an episode: manager actions plus ticks."""
         limits = load_scenario(self.config["scenario"]).limits
         return int(limits.manager_actions + limits.ticks)
 
     def has_render(self, env: Any) -> bool:
-        """No: a batch has no picture."""
+        """Return False: batches are not rendered."""
         return False
 
     def group_map(self, env: Any) -> dict[str, list[str]]:
-        """Agents by role."""
+        """Return the agents by role."""
         return dict(env.group_map)
 
     def observation_spec(self, env: Any) -> Any:
-        """What agents see."""
+        """Return the spec of the agents' observations."""
         return self._only(env, "observation")
 
     def info_spec(self, env: Any) -> Any:
-        """What they are told besides."""
+        """Return the spec of the infos."""
         return self._only(env, "info")
 
     def action_mask_spec(self, env: Any) -> Any:
-        """Legal actions."""
+        """Return the spec of the action masks."""
         return self._only(env, "action_mask")
 
     def state_spec(self, env: Any) -> Any:
-        """What a centralised critic sees, and no agent does."""
+        """Return the spec of the true state, or None."""
         spec = env.full_observation_spec_unbatched.clone()
         for key in list(spec.keys()):
             if key != "state":
@@ -88,17 +91,17 @@ class ChemlabTask(TaskClass):
         return spec if len(list(spec.keys())) else None
 
     def action_spec(self, env: Any) -> Any:
-        """What they may do."""
+        """Return the spec of the actions."""
         return env.full_action_spec_unbatched
 
     @staticmethod
     def env_name() -> str:
-        """What BenchMARL's results call it."""
+        """Return the environment's name in BenchMARL's results."""
         return "chemlab"
 
     @staticmethod
     def _only(env: Any, entry: str) -> Any:
-        """Of what each group has, one entry."""
+        """Return one entry of every group."""
         spec = env.full_observation_spec_unbatched.clone()
         for group in list(spec.keys()):
             if group not in env.group_map:
@@ -111,14 +114,14 @@ class ChemlabTask(TaskClass):
 
 
 def laboratory_task(scenario: str | Path | Scenario = "wurtz_dodecane", **config: Any) -> ChemlabTask:
-    """A task of BenchMARL.
+    """Make a BenchMARL task of a scenario.
 
     Args:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         config: more arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
+        DataError: the scenario is invalid or unknown.
     """
     spec = load_scenario(scenario)
     return ChemlabTask(spec.name, {"scenario": spec, **config})

@@ -1,30 +1,32 @@
-"""Episodes as data: written turn by turn while they are played, read back, and proved by playing them again.
+"""Records of episodes: written turn by turn, read back, and verified by replay.
 
-| Line of the file | Holds |
+| Line of the file | Content |
 |---|---|
 | first | format, versions, the whole scenario, seed, options, random streams, goals, policies |
-| one a turn | who played what on which observation (a hash), rewards, costs, readings; `hidden`: what no agent sees |
+| one per turn | agents, actions and hashes of observations, rewards, costs, readings; `hidden`: the unobserved state |
 | last | the result: score, goals, amounts and purities, rewards, costs, safety events |
 
-A record is UTF-8 text, one JSON object a line, every number as exact as the simulator had it. The same episode gives
-the same bytes. While an episode is being played its record is `FILE.part`; each line is there as soon as its turn is
-over, so after a crash everything up to the last whole line can be read. A whole record is `FILE`.
+A record is UTF-8 text with one JSON object per line; numbers have full precision. Equal episodes give equal bytes. The
+record of a running episode is `FILE.part`. Each line is written when its turn is over, so that after a crash all
+complete lines can be read. The record of a finished episode is `FILE`.
 
 ### Keys of a turn
-`turn` counts from 0; `tick` is the laboratory's before the turn; `play` maps each agent that acted to
-`[hash of observation and mask, action]`; `rewards` and `cost` have the agents' numbers that are not 0; `lost` names
-agents whose action was not possible; `events` the safety events; `scores` the experiments that ended; `reading` what
-the manager has measured (`slot`, `instrument`, `values` as the manager sees them, from 0 to 1).
-`hidden.vessels` has the vessels that changed, by position: `[temperature in K, mol of each of the header's materials]`,
-or null where no vessel stands any more; `hidden.stock` and `hidden.waste` likewise [mol of each material] when they
-changed; `hidden.state` is a hash of everything the rest of the episode depends on, with every field of each experiment
-that is running. The header's `hidden.world` has the number of the world and what follows from it (its values).
+- `turn` counts from 0; `tick` is the laboratory's tick before the turn.
+- `play` maps each acting agent to `[hash of observation and mask, action]`.
+- `rewards` and `cost` have the agents' non-zero values.
+- `lost` lists agents whose action was invalid; `events` has the safety events; `scores` the experiments that ended.
+- `reading` is the manager's new reading: `slot`, `instrument`, and `values` in [0, 1] as observed.
+- `hidden.vessels` has the changed vessels by position: `[temperature in K, mol of each of the header's materials]`, or
+  null for a removed vessel.
+- `hidden.stock` and `hidden.waste` are [mol of each material] if changed.
+- `hidden.state` is a hash of the complete simulator state, with every field of each running experiment.
 
-### What a record proves
-:func:`verify_record` plays the recorded actions on the simulator and compares every line with what a recorder would
-write there, byte by byte. So a record that is found right says what these actions lead to, and nothing else. Who chose
-them, knowing what, no record can prove: `policies` is a claim, and so are `environment`, `models` and, where `seed` is
-null, the random streams and which of all worlds of its split it is.
+The header's `hidden.world` has the number of the world and its values.
+
+### Scope of a verification :func:`verify_record` replays the recorded actions on the simulator and compares every line
+byte by byte. A verified record proves the consequences of its actions, and nothing else. It cannot prove who chose the
+actions with which information: `policies` is a claim. So are `environment`, `models` and, if `seed` is null, the random
+streams and the choice of the world within its split.
 """
 
 from .format import FORMAT, LIMITS, Record, RecordError, read_record, recorded_scenario, scenario_hash, seen_hash

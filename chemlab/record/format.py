@@ -1,4 +1,4 @@
-"""A record as a file: what may stand in one, and reading it without believing it."""
+"""File format of records, and reading of untrusted files."""
 
 from __future__ import annotations
 
@@ -37,25 +37,27 @@ __all__ = [
 ]
 
 FORMAT = {"name": "chemlab-episode", "version": 3}
-"""What the first line of every record begins with; the version counts up when a reader would have to change, or the
-same episode would have another record."""
+"""Format entry of every record's first line.
+
+The version is increased when readers have to change, or when the same episode would give another record.
+"""
 
 _HASH_BYTES = 8
 
 
 class _Limits(NamedTuple):
-    """How much a record may ask of its reader: several times what any shipped scenario needs."""
+    """Upper bounds on the size of a record: several times the size of any bundled scenario's."""
 
     file_bytes: int = 64 * 2**20
     line_bytes: int = 2**20
     turns: int = 100_000
     values: int = 5_000_000
-    """Numbers, strings, lists and objects in the whole file, counted by their commas, colons and brackets."""
+    """Numbers, strings, lists and objects in the whole file, counted by commas, colons and brackets."""
     depth: int = 16
-    """Lists and objects inside each other."""
+    """Nesting depth of lists and objects."""
     integer: int = 2**128
     materials: int = 256
-    """In the scenario; the other limits below likewise."""
+    """Materials of the scenario; the limits below are of the scenario as well."""
     reactions: int = 256
     goals: int = 64
     agents: int = 64
@@ -63,30 +65,30 @@ class _Limits(NamedTuple):
 
 
 LIMITS = _Limits()
-"""Bounds that reading and playing a record keep; what is beyond is refused by name."""
+"""Bounds enforced on reading and replaying a record; the error names the exceeded one."""
 
 
 class RecordError(ValueError):
-    """A file is no record, or cannot be played again here; the message says why."""
+    """A file is not a record or cannot be replayed here; the message states the reason."""
 
 
 class FormatError(RecordError):
-    """A record is of another format than the one that is read here."""
+    """A record has another format version."""
 
 
 class HeaderError(RecordError):
-    """The first line of a record is one that no recorder writes."""
+    """The first line of a record is not a valid header."""
 
 
 def short(value: Any, most: int = 80) -> str:
-    """A value from a file for a message: printable, and no longer than ``most`` characters."""
+    """Format a value from a file for a message: printable, and no longer than ``most`` characters."""
     text = value if isinstance(value, str) else repr(value)
     text = "".join(mark if mark.isprintable() else ascii(mark)[1:-1] for mark in text[: most + 1].replace("\n", "; "))
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def digest(*parts: bytes) -> str:
-    """Hash of bytes, as text."""
+    """Return a hash of bytes as text."""
     found = hashlib.blake2b(digest_size=_HASH_BYTES)
     for part in parts:
         found.update(part)
@@ -94,7 +96,7 @@ def digest(*parts: bytes) -> str:
 
 
 def to_text(value: Any) -> str:
-    """Compact JSON; floats as the shortest text that reads back as the same number.
+    """Serialize a value as compact JSON, with floats in shortest round-trip form.
 
     Raises:
         ValueError: a number is not finite.
@@ -103,43 +105,43 @@ def to_text(value: Any) -> str:
 
 
 def scenario_hash(scenario: Scenario) -> str:
-    """Hash of everything a scenario says, with its materials and reactions."""
+    """Return a hash of a scenario's content, including materials and reactions."""
     return digest(to_text(dump_scenario(scenario)).encode())
 
 
 def seen_hash(observation: ObservationArray, mask: MaskArray | None) -> str:
-    """Hash of what an agent was shown: its observation and, where it has one, its mask."""
+    """Return a hash of an agent's observation and, if there is one, its mask."""
     shown = np.ascontiguousarray(observation, dtype="<f4").tobytes()
     return digest(shown, b"" if mask is None else np.ascontiguousarray(mask, dtype=np.int8).tobytes())
 
 
-# -- what may stand in the first line ---------------------------------------------------------------------------------
+# -- schema of the header ---------------------------------------------------------------------------------------------
 
 _Word = Annotated[str, Field(max_length=200)]
 _Text = Annotated[str, Field(max_length=4096)]
 
 
 class Header(BaseModel):
-    """The first line: what the episode began with (see :mod:`chemlab.record`)."""
+    """Schema of the first line, the state at the start of the episode (see :mod:`chemlab.record`)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     format: dict[str, Any]
     chemlab: _Word
-    """The version it was made by."""
+    """Version of chemlab that wrote the record."""
     seed: int | None = Field(ge=0, lt=LIMITS.integer)
-    """None where the random streams went on from an episode before."""
+    """Seed of the reset; None if the random streams continued from an earlier episode."""
     options: dict[str, Any]
-    """Of the reset: the ``goal`` and the ``world`` that were asked for, or nothing."""
+    """Options of the reset: the requested ``goal`` and ``world``, if any."""
     split: _Word | None = None
-    """Which worlds there may be, where the scenario draws any; ``private`` without its salt."""
+    """Split of worlds if the scenario has hidden parameters; ``private`` without its salt."""
     rounds: bool
     policies: dict[str, _Text]
-    """Who played each agent; a claim."""
+    """Policy of each agent; a claim."""
     models: dict[str, _Text]
-    """Physics of the user's own that replaced chemlab's."""
+    """User-defined physics models that replaced chemlab's."""
     environment: dict[str, _Word]
-    """What numbers could depend on besides chemlab; a claim."""
+    """Versions and platform that numbers may depend on; a claim."""
     agents: list[_Word] = Field(max_length=LIMITS.agents + 1)
     goals: list[_Word] = Field(max_length=LIMITS.goals)
     streams: dict[str, Annotated[int, Field(ge=0, lt=2**64)]] = Field(max_length=LIMITS.agents + 1)
@@ -155,15 +157,15 @@ class Header(BaseModel):
 
 @dataclass
 class Record:
-    """A record as it was found.
+    """A record as read from a file.
 
     Attributes:
         header: the first line.
-        turns: one a turn, up to the first line that is not one.
-        end: the result, or None where the file ends before it.
-        broken: (number of the first line that is none of a record, what is the matter), or None.
-        notes: how the file's line ends differ from a recorder's, where all lines are there.
-        lines: the bytes that header, turns and end were read from.
+        turns: one dictionary per turn, up to the first invalid line.
+        end: the result, or None if the file ends before it.
+        broken: (number of the first invalid line, reason), or None.
+        notes: deviations of the line ends from the format.
+        lines: the bytes of header, turns and end.
     """
 
     path: Path
@@ -176,14 +178,14 @@ class Record:
 
     @property
     def torn(self) -> bool:
-        """Whether the end is missing: the episode was not over, or the file has been cut."""
+        """True if the end is missing: the episode was not finished, or the file was truncated."""
         return self.end is None
 
     def checked_header(self) -> Header:
-        """The first line, checked key by key.
+        """Validate the first line key by key and return it.
 
         Raises:
-            FormatError: it is of another format.
+            FormatError: the record has another format version.
             HeaderError: a key is missing, unknown or out of bounds; the message names it.
         """
         form = self.header["format"]
@@ -191,8 +193,8 @@ class Record:
             made = self.header.get("chemlab")
             by = f", made by chemlab {short(made)}" if made else ""
             raise FormatError(
-                f"{self.path}: is of format {short(form.get('version'))}{by}; this chemlab reads format "
-                f"{FORMAT['version']}: read it with the chemlab that made it, or record the episode again"
+                f"{self.path}: has format {short(form.get('version'))}{by}; this version reads format "
+                f"{FORMAT['version']}: read it with the version that made it, or record the episode again"
             )
         try:
             header: Header = validated(Header, self.header, f"{self.path}: header")
@@ -202,12 +204,12 @@ class Record:
 
 
 def read_record(path: str | Path) -> Record:
-    """Read a record, or as much of one as there is.
+    """Read a complete or truncated record.
 
-    Line ends may be those of another system, as version control and editors make them, and the last may be missing.
+    Line ends may be CR LF, as version control and editors write them, and the last may be missing.
 
     Raises:
-        RecordError: there is no such file, it is no record of an episode, or it is larger than :data:`LIMITS`.
+        RecordError: the file does not exist, is not a record, or exceeds :data:`LIMITS`.
     """
     path = Path(path)
     content = _content(path)
@@ -218,9 +220,7 @@ def read_record(path: str | Path) -> Record:
     notes = []
     if whole and all(line.endswith(b"\r") for line in whole):
         whole, tail = [line[:-1] for line in whole], tail.removesuffix(b"\r")
-        notes.append(
-            "has lines that end with CR LF instead of LF, as version control or an editor may have changed them"
-        )
+        notes.append("has lines that end with CR LF instead of LF, probably changed by version control or an editor")
     if _whole(tail):
         whole, tail = [*whole, tail], b""
         notes.append("has no newline at the end of its last line")
@@ -241,7 +241,7 @@ def read_record(path: str | Path) -> Record:
                 break
             record = Record(path, line, notes=notes)
         elif record.end is not None:
-            record.broken = number, "stands after the end of the episode"
+            record.broken = number, "follows the end of the episode"
             return record
         elif "end" in line:
             record.end = line
@@ -249,14 +249,14 @@ def read_record(path: str | Path) -> Record:
             record.turns.append(line)
         record.lines.append(text)
     if record is None:
-        raise RecordError(f"{path}: is not a record of an episode (its first line is not the header of one)")
+        raise RecordError(f"{path}: is not a record of an episode (its first line is not a header)")
     if record.end is not None and tail:
-        record.broken = len(whole) + 1, "stands after the end of the episode"
+        record.broken = len(whole) + 1, "follows the end of the episode"
     return record
 
 
 def _whole(text: bytes) -> bool:
-    """Whether a line without its newline is all there: what is left of an object that was cut off is none."""
+    """Return True if a line without newline is complete; a truncated object is not valid JSON."""
     try:
         _parse(text)
     except ValueError:
@@ -267,7 +267,7 @@ def _whole(text: bytes) -> bool:
 def _content(path: Path) -> bytes:
     try:
         return read_bytes(path, LIMITS.file_bytes)
-    except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
+    except (OSError, ValueError) as error:  # a name that contains NUL raises ValueError
         hint = ""
         if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
             hint = f"; the episode was not finished: read {path}.part"
@@ -275,7 +275,11 @@ def _content(path: Path) -> bytes:
 
 
 def _parse(text: bytes) -> dict[str, Any]:
-    """A line's object; ``ValueError`` says why it is none of a record."""
+    """Parse a line.
+
+    Raises:
+        ValueError: the line is not valid in a record; the message states the reason.
+    """
     if len(text) > LIMITS.line_bytes:
         raise ValueError(f"is longer than {LIMITS.line_bytes} bytes")
     try:
@@ -283,27 +287,28 @@ def _parse(text: bytes) -> dict[str, Any]:
     except _Refused:
         raise
     except (ValueError, RecursionError) as error:
-        raise ValueError("cannot be read: it is no JSON") from error
+        raise ValueError("cannot be read: it is not JSON") from error
     if not isinstance(line, dict):
-        raise ValueError("cannot be read: it is no JSON object")
-    # Of nearly every line its text says that nothing in it can be too deep or too large.
+        raise ValueError("cannot be read: it is not a JSON object")
+    # For nearly every line the text alone shows that no value can be too deep or too large.
     if text.count(b"[") + text.count(b"{") > LIMITS.depth or _LARGE.search(text):
         _check_values(line, LIMITS.depth)
     if b"\\u" in text:
         try:
             to_text(line).encode()
         except UnicodeEncodeError as error:
-            raise ValueError("has half of a surrogate pair, which is no character") from error
+            raise ValueError("has half of a surrogate pair, which is not a character") from error
     return line
 
 
 _LARGE = re.compile(rb"[\[,:]\s*-?(?:[0-9.]+[eE]\+?[0-9]{3}|[0-9]{39})")
-"""A number that may be beyond the largest float, or have as many digits as the largest whole number of a record."""
+"""A number that may exceed the largest float, or has as many digits as a record's largest integer."""
 
 
 class _Refused(ValueError):
-    """What JSON as Python reads it allows, and a record does not: which of two values of a key would count is up to the
-    reader, and some numbers are none."""
+    """A value that Python's JSON parser accepts but a record must not contain: duplicate keys and non-finite
+    numbers.
+    """
 
 
 def _no_number(name: str) -> Any:
@@ -319,32 +324,32 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_values(values: Any, deeper: int) -> None:
-    """Refuse numbers that are not finite or too large, and more than ``deeper`` lists and objects in each other."""
+    """Check that numbers are finite and not too large, and that the nesting depth is at most ``deeper``."""
     if not deeper:
-        raise ValueError(f"has more than {LIMITS.depth} lists and objects inside each other")
+        raise ValueError(f"has more than {LIMITS.depth} nested lists and objects")
     most = LIMITS.integer
     for value in values.values() if type(values) is dict else values:
-        kind = type(value)  # of what a parser makes there are no subclasses, and every turn's every number comes by
+        kind = type(value)  # exact types: a parser makes no subclasses, and this runs for every number
         if kind is float:
             if not math.isfinite(value):
                 raise ValueError("has a number that is not finite")
         elif kind is int:
             if abs(value) >= most:
-                raise ValueError("has a whole number of 2**128 or more")
+                raise ValueError("has an integer of 2**128 or more")
         elif kind is dict or kind is list:
             _check_values(value, deeper - 1)
 
 
 def recorded_scenario(record: Record) -> Scenario:
-    """The scenario a record was made on, from the record alone, with the checks of a scenario file.
+    """Validate the scenario that a record contains, with the checks of a scenario file.
 
     Raises:
-        RecordError: it is of another format, what it says is no scenario, or one that is larger than :data:`LIMITS`.
+        RecordError: the record has another format, or its scenario is invalid or exceeds :data:`LIMITS`.
     """
     header = record.checked_header()
     try:
         scenario = restore_scenario(header.scenario, f"{record.path}: scenario")
-    except (DataError, TypeError) as error:  # a number where a table is meant
+    except (DataError, TypeError) as error:  # a number in place of a table
         raise RecordError(short(str(error), 500)) from error
     family = scenario.family
     sizes = {
@@ -357,5 +362,5 @@ def recorded_scenario(record: Record) -> Scenario:
     for key, size in sizes.items():
         most: int = getattr(LIMITS, key)
         if size > most:
-            raise RecordError(f"{record.path}: scenario: has {size} {key}; a record's may have {most}")
+            raise RecordError(f"{record.path}: scenario: has {size} {key}; must be at most {most}")
     return scenario

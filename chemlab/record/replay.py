@@ -1,4 +1,4 @@
-"""A record's actions on the simulator again."""
+"""Replay of a record's actions on the simulator."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ __all__ = ["Replay"]
 
 
 class Replay:
-    """A record's episode on the simulator again, turn by turn.
+    """Replays a record's episode on the simulator turn by turn.
 
     Args:
         record: the record.
-        trust: import benches and other parts that the record's scenario names (``module:Name``, ``file.py:Name``);
-            without it that is an error, because a file from elsewhere should not decide what Python runs.
-        reaction_model, separation_model: the user's own physics, where the record was made with such.
+        trust: allow imports of benches and other parts that the record's scenario names (``module:Name``,
+            ``file.py:Name``); without it they raise an error, because a file must not decide which code Python runs.
+        reaction_model, separation_model: the user-defined physics models of the record, if any.
         split: ``private:SALT``, for a record of a private split.
 
     Attributes:
-        laboratories: as it stands after the turns played so far.
-        split_known: whether its world follows from its seed; of a private split without the salt, it is as recorded.
+        laboratories: the laboratories after the turns played so far.
+        split_known: True if the world was derived from the seed; for a private split without its salt, the recorded
+            world is used.
 
     Raises:
-        RecordError: the episode cannot be played here; the message says what is missing.
+        RecordError: the episode cannot be replayed here; the message states what is missing.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class Replay:
         given = {"reaction_model": reaction_model, "separation_model": separation_model}
         for key, name in header.models.items():
             if given.get(key) is None:
-                raise RecordError(f"{record.path}: was made with {key} {short(name)}: give it to verify_record()")
+                raise RecordError(f"{record.path}: was made with {key} {short(name)}: pass it to verify_record()")
         private = header.split == "private"
         if header.split not in (None, "private", *SPLITS):
             known = ", ".join([*SPLITS, "private"])
@@ -75,39 +76,39 @@ class Replay:
         labs, world = self.laboratories, header.options.get("world")
         if world is not None:
             labs.worlds.check(world)
-        # Where a world's number does not follow from the seed, it is the record's; its values follow from the number.
-        # A world that was asked for by its seed follows from that, if its split is known.
+        # If a world's number does not follow from the seed, the recorded number is used; its values follow from the
+        # number. A world requested by its seed follows from that seed if its split is known.
         unknown = not self.split_known or (header.seed is None and not isinstance(world, int))
         if labs.worlds.active and unknown:
             hidden: Any = header.hidden.get("world")
             if not isinstance(hidden, dict):
-                raise ValueError("hidden.world: says nothing of its number")
+                raise ValueError("hidden.world: number is missing")
             number: Any = hidden.get("number")
             world = NumberedWorld(number, None if isinstance(world, int) else world)
         labs.seed(0, header.seed or 0)
         labs.reset(labs.members, header.options.get("goal"), world)
-        if header.seed is None:  # the streams went on from an episode before: the record begins with what they were
+        if header.seed is None:  # the random streams continued from an earlier episode: use the recorded ones
             streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:
-                raise ValueError(f"streams: must be of {', '.join(labs.agents)}, given {short(list(header.streams))}")
+                raise ValueError(f"streams: keys must be {', '.join(labs.agents)}, given {short(list(header.streams))}")
             if len(header.goals) != labs.scenario.orders:
-                raise ValueError(f"goals: must be {labs.scenario.orders}, given {len(header.goals)}")
+                raise ValueError(f"goals: must have {labs.scenario.orders} entries, given {len(header.goals)}")
             goal = header.options.get("goal")
             if goal is not None and set(header.goals) != {goal}:
-                raise ValueError(f"goals: must be {goal}, which was asked for, given {short(header.goals)}")
+                raise ValueError(f"goals: must be {goal}, as requested in options, given {short(header.goals)}")
             for agent, stream in zip(labs.agents, streams, strict=True):
                 stream[0, 0] = header.streams[agent]
             labs.state.goal[0] = [labs.goal_index(name) for name in header.goals]
 
     def play(self, turn: Mapping[str, Any]) -> list[Play]:
-        """Play one recorded turn; returns what each agent was shown and did.
+        """Play one recorded turn; return each agent's observation and action.
 
         Raises:
-            ValueError: such a turn is not possible: somebody else has the turn, or there is no such action.
+            ValueError: the turn is not possible: another agent has the turn, or the action does not exist.
         """
         labs, recorded = self.laboratories, turn.get("play")
         if not isinstance(recorded, dict):
-            raise ValueError("play: says nothing of who played what")
+            raise ValueError("play: is missing or empty")
         if labs.state.status[0] != RUNNING:
             raise ValueError("play: the episode is over")
         numbers = np.flatnonzero(labs.turns(labs.members)[:, 0]).tolist() if self.rounds else [labs.turn()]
@@ -124,7 +125,7 @@ class Replay:
                 raise ValueError(f"play.{agent}.1: must be an action, given {short(entry[1])}")
             try:
                 action = labs.checked(number, np.array(entry[1]) if isinstance(entry[1], list) else entry[1])
-            except (TypeError, ValueError) as error:  # which may show all of an array
+            except (TypeError, ValueError) as error:  # may contain the text of a whole array
                 raise ValueError(short(str(error), 200)) from error
             mask = labs.mask(number, labs.members)
             seen = labs.observe(number, labs.members)[0]
@@ -132,7 +133,7 @@ class Replay:
             actions.append(action)
         try:
             self._act(numbers, actions)
-        except ArithmeticError as error:  # reactions that are too stiff
+        except ArithmeticError as error:  # the reactions are too stiff
             raise ValueError(short(str(error), 500)) from error
         return plays
 

@@ -1,4 +1,4 @@
-"""Playing a record again, and comparing all it says with what happens."""
+"""Verification of a record: replay its actions and compare every recorded value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .replay import Replay
 __all__ = ["EXIT_CODES", "Status", "Verification", "verify_record"]
 
 _ROUNDING = 1e-6
-"""Relative difference that another processor or compiler may leave in a number by the end of an episode."""
+"""Relative difference that another processor or compiler may cause in a number by the end of an episode."""
 
 Status = Literal["ok", "tampered", "torn", "other", "unchecked", "foreign", "chosen"]
 EXIT_CODES: dict[Status, int] = {
@@ -31,27 +31,28 @@ EXIT_CODES: dict[Status, int] = {
     "foreign": 6,
     "chosen": 7,
 }
-"""What ``chemlab verify`` ends with; 2 is a mistake on the command line."""
+"""Exit codes of ``chemlab verify``; 2 is a usage error."""
 assert set(EXIT_CODES) == set(get_args(Status))
 
 
 @dataclass
 class Verification:
-    """What came of playing a record again.
+    """Result of a verification.
 
     Attributes:
-        status: ``ok``; ``tampered`` (something in it is not what happens); ``torn`` (the end is missing, the rest is
-            right); ``other`` (of another version or platform, where numbers may differ: see ``message``); ``foreign``
-            (right, but on a scenario that is neither a shipped one nor the one asked for); ``chosen`` (right, but in a
-            world that was asked for and not drawn); ``unchecked`` (no record, or it cannot be played here).
+        status: ``ok``; ``tampered`` (a value differs from the replay); ``torn`` (truncated: the end is missing, the
+            rest is right); ``other`` (made by another version or platform, on which numbers may differ; see
+            ``message``); ``foreign`` (right, but on a scenario that is neither bundled nor the requested one);
+            ``chosen`` (right, but in a world that was requested instead of drawn); ``unchecked`` (not a record, or it
+            cannot be replayed here).
         message: the finding in words.
-        turns: number of turns that were played again and found right.
-        turn: the first turn that is not, None where there is none or it is the first or the last line.
+        turns: number of turns that were replayed and found right.
+        turn: the first wrong turn; None if there is none, or if the first or the last line is wrong.
         where: the first line that differs: ``header``, ``turn 12``, ``end``.
-        key: what differs there.
+        key: the key that differs.
         recorded, recomputed: its two values.
-        score: what the episode comes to when it is played, None where it was not played to its end.
-        notes: what else is worth knowing, and what the record claims that no playing can prove.
+        score: raw score of the replay; None if it was not played to the end.
+        notes: further remarks, and claims of the record that a replay cannot prove.
     """
 
     path: str
@@ -68,16 +69,16 @@ class Verification:
 
     @property
     def exit_code(self) -> int:
-        """What ``chemlab verify`` ends with."""
+        """Exit code of ``chemlab verify``."""
         return EXIT_CODES[self.status]
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as plain Python values."""
+        """Return the fields as plain Python values."""
         return dict(vars(self))
 
 
 class _Absent:
-    """Stands for a key that is not there."""
+    """Represents a missing key."""
 
     def __repr__(self) -> str:
         return "nothing"
@@ -87,7 +88,7 @@ _ABSENT = _Absent()
 
 
 def _differences(recorded: Any, recomputed: Any, key: str = "") -> Iterable[tuple[str, Any, Any]]:
-    """(key, recorded, recomputed) of everything that differs, in the order of the recomputed line."""
+    """Yield (key, recorded, recomputed) of all differences, in the order of the recomputed line."""
     if isinstance(recorded, dict) and isinstance(recomputed, dict):
         for name in [*recomputed, *(name for name in recorded if name not in recomputed)]:
             inner = f"{key}.{name}" if key else str(name)
@@ -104,13 +105,13 @@ def _is_hash(key: str, value: Any) -> bool:
 
 
 class _Check:
-    """Plays a record again and keeps the first difference, and all that another platform may have made."""
+    """Replays a record; keeps the first difference, and counts differences that another platform may cause."""
 
     def __init__(self, record: Record, header: Header, replay: Replay) -> None:
         self.record, self.header, self.replay = record, header, replay
         self.environment = environment_here()
         self.elsewhere = header.environment != self.environment
-        # Another version keeps its state otherwise; what can be asked is whether it comes to the same results.
+        # Another version represents its state differently; then only results are compared.
         self.same_version = header.chemlab == __version__
         self.rounded, self.largest, self.largest_at = 0, 0.0, ""
         self.hashes = 0
@@ -119,7 +120,7 @@ class _Check:
         self.found: tuple[str, str, Any, Any] | None = None
 
     def compare(self, number: int, where: str, recorded: dict[str, Any], recomputed: dict[str, Any]) -> bool:
-        """Whether line ``number`` is as it should be; keeps the first difference."""
+        """Compare line ``number`` with the replay; keep the first difference and return True if there is none."""
         try:
             text = to_text(recomputed)
         except ValueError:
@@ -137,14 +138,16 @@ class _Check:
             self.found = (where, key, one, other)
             return False
         if same and self.record.lines[number].endswith(b"\r"):
-            self.found = (where, "", "CR LF at the end of the line", "LF, as other lines have")
+            self.found = (where, "", "CR LF at the end of the line", "LF, as in other lines")
         elif same:
-            self.found = (where, "", "the line as it is", "the same values, but written otherwise")
+            self.found = (where, "", "the line as recorded", "the same values in another notation")
         return not same
 
     def _elsewhere(self, where: str, key: str, recorded: Any, recomputed: Any) -> bool:
-        """Whether another platform may have made a difference, which is then counted: the last digits of a number, or
-        the hash of something that has such."""
+        """Return True and count the difference if another platform may have caused it.
+
+        Such differences are in the last digits of a number, or in a hash that depends on such a number.
+        """
         if _is_hash(key, recorded) and _is_hash(key, recomputed):
             self.hashes += 1
             return True
@@ -160,10 +163,10 @@ class _Check:
         return True
 
     def run(self) -> None:
-        """Play, until something differs."""
+        """Replay the record up to the first difference."""
         record, header, labs = self.record, self.header, self.replay.laboratories
         witness = Witness(labs, 0)
-        # What a header claims stands there as it claims it: the verdict says so.
+        # The header's claims are compared with themselves; the verdict reports them.
         claims = header.policies, header.models, header.environment, header.chemlab
         opening = witness.opening(header.seed, header.options, header.rounds, *claims)
         if not self.compare(0, "header", record.header, opening):
@@ -200,17 +203,17 @@ def verify_record(
     separation_model: SeparationModel | None = None,
     split: str | None = None,
 ) -> Verification:
-    """Play a record's actions on the simulator and compare all it says with what happens.
+    """Replay a record's actions on the simulator and compare all recorded values.
 
     Args:
         path: the record.
-        scenario: what it must have been made on; default: the shipped scenario of the same name.
-        trust: import benches of somebody's own that the record names.
-        reaction_model, separation_model: the physics it was made with, where that was not chemlab's.
-        split: ``private:SALT``, for a record of a private split: proves that its world is the seed's.
+        scenario: scenario on which it must have been made; default: the bundled scenario of the same name.
+        trust: allow imports of code that the record names.
+        reaction_model, separation_model: the physics models of the record, if they are user-defined.
+        split: ``private:SALT``, for a record of a private split: proves that its world follows from the seed.
 
     Raises:
-        DataError: ``scenario`` is none.
+        DataError: ``scenario`` is invalid.
     """
     name = str(path.path if isinstance(path, Record) else path)
     asked = None if scenario is None else load_scenario(scenario)
@@ -247,31 +250,31 @@ def _broken(record: Record) -> str:
 
 
 def _other_version(record: Record) -> str:
-    """What to say of a record that another version made."""
+    """Describe the other version that made a record."""
     made = record.header.get("chemlab")
     return "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
 
 
 def _foreign(spec: Scenario, asked: Scenario | None) -> str:
-    """What to say of a record on a scenario that nobody but the record vouches for."""
+    """Describe a scenario that is defined only by the record itself."""
     actual = scenario_hash(spec)
     if asked is None and not shipped_file(spec.name):
-        return f"scenario {spec.name} is the record's own (hash {actual}), none that chemlab ships"
+        return f"scenario {spec.name} is the record's own (hash {actual}), not a bundled one"
     expected, origin = _shipped(spec.name) if asked is None else (scenario_hash(asked), asked.origin)
     return "" if expected == actual else f"its scenario {spec.name} (hash {actual}) is not {origin}"
 
 
 @functools.cache
 def _shipped(name: str) -> tuple[str, str]:
-    """Hash and file of a scenario that comes with chemlab."""
+    """Return hash and file of a bundled scenario."""
     scenario = load_scenario(name)
     return scenario_hash(scenario), scenario.origin
 
 
 def _verdict(check: _Check, other: str, foreign: str) -> Verification:
-    """The findings as one result, the worst first."""
+    """Combine the findings into one result, the most severe first."""
     record = check.record
-    chosen = "its world was asked for (options.world), not drawn" if "world" in check.header.options else ""
+    chosen = "its world was requested (options.world), not drawn" if "world" in check.header.options else ""
     result = Verification(str(record.path), "ok", "", turns=check.good, score=check.score)
     problems = []
     if check.found is not None:
@@ -291,7 +294,7 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
         deviations.append(f"{check.rounded} numbers differ, by {check.largest:.1g} at most ({check.largest_at})")
     if check.hashes:
         deviations.append(
-            f"{check.hashes} hashes of what was seen or hidden differ, which only that platform can tell from invented"
+            f"{check.hashes} hashes of observations or hidden state differ, which only that platform can verify"
         )
     if problems and (record.broken is not None or not other):
         result.status, result.message = "tampered", "; ".join([*problems, *filter(None, (other, foreign, chosen))])
@@ -312,7 +315,7 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
 
 
 def _notes(check: _Check) -> list[str]:
-    """What a record claims, and no playing of it can prove."""
+    """Return the record's claims that a replay cannot prove."""
     header, notes = check.header, [*check.record.notes]
     if check.elsewhere:
         differing = [
@@ -322,24 +325,24 @@ def _notes(check: _Check) -> list[str]:
         ]
         unknown = sorted(header.environment.keys() - check.environment.keys())
         differing += [f"{short(key)} {short(header.environment[key])}" for key in unknown]
-        notes.append(f"says it was made with {', '.join(differing)}")
+        notes.append(f"claims to have been made with {', '.join(differing)}")
     if header.policies:
         who = ", ".join(sorted({short(name) for name in header.policies.values()}))
-        notes.append(f"says that {short(who, 200)} played, which nothing proves")
+        notes.append(f"claims that {short(who, 200)} played, which cannot be proved")
     for key, name in header.models.items():
-        notes.append(f"played with the {key} that was given, for what it calls {short(name)}")
+        notes.append(f"replayed with the given {key} in place of the recorded {short(name)}")
     if header.split == "private" and not check.replay.split_known:
-        notes.append("is of a private split: without its salt, whoever made it may have chosen its world's number")
+        notes.append("is of a private split: without its salt, its author may have chosen the world")
     if header.seed is None:
-        notes.append("has no seed: whoever made it may have chosen its random streams, goals and its world's number")
+        notes.append("has no seed: its author may have chosen the random streams, goals and world")
     elif header.options:
         asked = [f"{key} {short(value)}" for key, value in header.options.items()]
-        notes.append(f"was asked for: {', '.join(asked)}")
+        notes.append(f"was requested: {', '.join(asked)}")
     return notes
 
 
 def _shown(value: Any) -> Any:
-    """A value for a report: as it is where that is short."""
+    """Shorten a value for a report."""
     if value is _ABSENT:
         return None
     return value if isinstance(value, (int, float, bool)) or value is None else short(value)

@@ -73,7 +73,7 @@ class Balance:
                 raise ValueError(f"{group.name}: {totals[0]:.6g} mol at the start, off by {worst:.3g} mol later")
 
 
-class _Books:
+class _Account:
     """Running totals of the material that has left the vessels, by location."""
 
     def __init__(self, labs: Laboratories) -> None:
@@ -121,7 +121,7 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
     """
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
-    books = _Books(labs)
+    books = _Account(labs)
     inventories = [books.inventory("start")]
     for move in replay.moves():
         books.enter(move)

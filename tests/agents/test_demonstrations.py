@@ -314,12 +314,12 @@ def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tm
     changed = text[1].replace('"tick":0', '"tick":1')
     assert changed != text[1]
     edited.write_text("".join([text[0], changed, *text[2:]]))
-    with pytest.raises(ValueError, match="not a demonstration"):
+    with pytest.raises(ValueError, match="cannot serve as a demonstration"):
         write_datasets([edited], "tests/edited")
     other = record(tmp_path / "other.jsonl", "salt_from_oil")
     with pytest.raises(ValueError, match="another scenario"):
         write_datasets([scripted, other], "tests/both")
-    with pytest.raises(ValueError, match="nobody is called chef"):
+    with pytest.raises(ValueError, match="unknown agent chef"):
         write_datasets([scripted], "tests/chef", ["chef"])
     with pytest.raises(ValueError, match="Malformed"):
         write_datasets([scripted], "../away")

@@ -211,7 +211,7 @@ def test_an_extra_that_is_missing_is_named(
 def test_a_place_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit")
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ValueError, match="no Slurm to submit to"), executor("slurm"):
+    with pytest.raises(ValueError, match="no Slurm found"), executor("slurm"):
         pass
     pytest.importorskip("ray")
     with pytest.raises(ValueError, match=r"no Ray cluster to join at '127\.0\.0\.1:9'"), executor("127.0.0.1:9"):

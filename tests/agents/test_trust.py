@@ -155,7 +155,7 @@ def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
         without_weights(bait / name)
     code, said = chemlab(*PICKLES[way](bait))
     assert code == 2
-    assert "has been changed, or was written by somebody else" in said
+    assert "was changed, or was written by another user" in said
     assert "--trust" in said
     assert not (bait / "ran").exists()
     # It is the refusal that keeps it from running.
@@ -303,25 +303,25 @@ def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path)
 def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "state.pkl"
     file.write_bytes(b"mine")
-    with pytest.raises(DataError, match="has no seal of yours"):
+    with pytest.raises(DataError, match="has no signature of this user"):
         read_sealed(file)
     seal_file(file)
     assert read_sealed(file) == b"mine"
     assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
     file.write_bytes(b"mind")
-    with pytest.raises(DataError, match="has been changed"):
+    with pytest.raises(DataError, match="was changed"):
         read_sealed(file)
     with strangers_code(True):
         assert read_sealed(file) == b"mind"
     file.write_bytes(b"mine")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "other"))
-    with pytest.raises(DataError, match="written by somebody else"):
+    with pytest.raises(DataError, match="written by another user"):
         read_sealed(file)
     key = tmp_path / "other" / "seal.key"
     assert len(key.read_bytes()) == 32
     assert os.name != "posix" or key.stat().st_mode & 0o077 == 0, "nobody else reads it"
     (tmp_path / "state.pkl.seal").write_text("é" * 32)
-    with pytest.raises(DataError, match="written by somebody else"):
+    with pytest.raises(DataError, match="written by another user"):
         read_sealed(file)
 
 
@@ -329,7 +329,7 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, mon
     (tmp_path / "no folder").write_text("")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "no folder" / "state"))
     (tmp_path / "file").write_bytes(b"mine")
-    with pytest.warns(UserWarning, match="CHEMLAB_STATE_DIR names another folder"):
+    with pytest.warns(UserWarning, match="set CHEMLAB_STATE_DIR to a writable folder"):
         seal_file(tmp_path / "file")
     assert read_sealed(tmp_path / "file") == b"mine"
 

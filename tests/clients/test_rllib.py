@@ -538,7 +538,7 @@ def test_a_run_learns_and_its_policies_play_without_ray(cluster: None, tmp_path:
 def test_a_cluster_that_is_not_there_or_too_small_is_named(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(ValueError, match="runners: each takes a CPU, and Ray has 2; given 3"):
+    with pytest.raises(ValueError, match="runners: must be at most 2, the number of Ray's CPUs; given 3"):
         train_rllib(RllibArguments(runners=3), tmp_path)
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     with pytest.raises(ValueError, match=r"address: no Ray cluster to join at '127\.0\.0\.1:9' .*ray start --head"):
