@@ -23,7 +23,7 @@ Background = str | Mapping[str, Any]
 
 
 def focal_env(
-    scenario: Any = "wurtz_dodecane", agent: str = MANAGER_AGENT, background: Background = "heuristic", **arguments: Any
+    scenario: Any = "wurtz_dodecane", agent: str = MANAGER_AGENT, background: Background = "scripted", **arguments: Any
 ) -> FocalEnv:
     """The laboratory for one agent.
 
@@ -45,7 +45,7 @@ def focal_vector_env(
     num_envs: int = 1,
     scenario: Any = "wurtz_dodecane",
     agent: str = MANAGER_AGENT,
-    background: Background = "heuristic",
+    background: Background = "scripted",
     **arguments: Any,
 ) -> FocalVectorEnv:
     """A batch of laboratories for one agent; ``num_envs`` of them, else as :func:`focal_env`.
@@ -74,7 +74,7 @@ def background_policies(background: Background) -> Policies:
             )
         chosen = {}
         for number, (agent, role) in enumerate(roles.items()):
-            fallback = background if isinstance(background, str) else "heuristic"
+            fallback = background if isinstance(background, str) else "scripted"
             policy = given.get(agent, given.get(role, fallback))
             chosen[agent] = agent_policy(policy, laboratories, number) if isinstance(policy, str) else policy
         return chosen

@@ -29,6 +29,8 @@ from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
+from .names import current_name
+
 __all__ = [
     "ConstantPlan",
     "Context",
@@ -258,7 +260,7 @@ def load_plans(path: Path) -> PlanFile:
     return PlanFile(**content.model_dump(exclude={"kind", "format"}))
 
 
-def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> ConstantPlan:
+def plan_for(laboratories: Laboratories, benches: str = "scripted") -> ConstantPlan:
     """Return the best stored open-loop policy for a laboratory's manager.
 
     Args:
@@ -268,6 +270,7 @@ def plan_for(laboratories: Laboratories, benches: str = "heuristic") -> Constant
     Raises:
         ValueError: no plan is stored for this scenario, or it does not fit.
     """
+    benches = current_name(benches)
     labs, path = laboratories, Path(benches)
     if path.suffix != ".json":
         path = plan_file(labs.scenario.name, benches)

@@ -20,24 +20,25 @@ from chemlab.roles.discrete import Discretised
 
 from .advice import AdvisedPolicy, Advisor
 from .discrete import NearestPolicy
+from .names import current_name
 from .plans import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for
 from .roles import role_of
 from .saved import find_saved, is_saved
 from .scripted.campaign import CampaignManager, has_unknown_rate
-from .scripted.crystallization import CrystallizationHeuristic
-from .scripted.distillation import DistillationHeuristic
-from .scripted.extraction import ExtractionHeuristic
+from .scripted.crystallization import ScriptedCrystallization
+from .scripted.distillation import ScriptedDistillation
+from .scripted.extraction import ScriptedExtraction
 from .scripted.foresee import ForeseeingManager, foresees
-from .scripted.fractions import FractionHeuristic
+from .scripted.fractions import ScriptedFraction
 from .scripted.identify import IdentifyingManager, has_unlabelled_vessels
-from .scripted.manager import ManagerHeuristic
-from .scripted.reaction import ReactionHeuristic
-from .scripted.real import RealReactionHeuristic
+from .scripted.manager import SynthesisManager
+from .scripted.reaction import ScriptedReaction
+from .scripted.real import ScriptedRealReaction
 from .scripted.schedule import SchedulingManager, has_orders_to_schedule
 from .scripted.script import Setting
 from .scripted.upkeep import UpkeepManager, has_wearing_lines
-from .scripted.workup import WorkupHeuristic
+from .scripted.workup import ScriptedWorkup
 
 __all__ = [
     "LapsingPolicy",
@@ -45,25 +46,25 @@ __all__ = [
     "RandomPolicy",
     "agent_policy",
     "as_policy",
-    "bench_heuristic",
     "bench_policy",
     "is_scripted",
     "make_policies",
-    "manager_heuristic",
     "policy_names",
+    "scripted_bench",
+    "scripted_manager",
 ]
 
 _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "paper": {
-        "reaction": ReactionHeuristic,
-        "extraction": ExtractionHeuristic,
-        "distillation": DistillationHeuristic,
+        "reaction": ScriptedReaction,
+        "extraction": ScriptedExtraction,
+        "distillation": ScriptedDistillation,
     },
     "real": {
-        "reaction": RealReactionHeuristic,
-        "extraction": WorkupHeuristic,
-        "distillation": FractionHeuristic,
-        "crystallization": CrystallizationHeuristic,
+        "reaction": ScriptedRealReaction,
+        "extraction": ScriptedWorkup,
+        "distillation": ScriptedFraction,
+        "crystallization": ScriptedCrystallization,
     },
 }
 """Scripted policies by tier of physics and kind of bench."""
@@ -192,26 +193,27 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Names that :func:`make_policies` knows."""
-    scripted = ("heuristic", "hasty", "direct", "forgetful", "serial")
-    return (*scripted, "random", "pretrained", "pretrained-alone", "trained", "plan")
+    scripted = ("scripted", "scripted:unsafe", "scripted:no-extraction", "scripted:memoryless", "scripted:fifo")
+    return (*scripted, "random", "pretrained", "pretrained-isolated", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
     """One policy for each agent of a laboratory.
 
     Args:
-        name: one of :func:`policy_names`: ``heuristic`` (scripted, careful), ``hasty`` (scripted, without what only
-            safety and measuring are for), ``direct`` (scripted, but the manager does without extraction), ``forgetful``
-            (scripted, but the manager forgets what it has found out when a batch is over, or when it looks again),
-            ``serial`` (scripted, but the manager takes one order at a time, as they come), ``random``,
-            ``pretrained`` (benches by shipped policies, the manager scripted), ``pretrained-alone`` (the same with
-            benches that learned on single benches, not in running laboratories) or ``trained`` (the manager by a
-            shipped policy, too, over the benches that it learned over), ``plan`` (the manager by the best constant plan
-            that is stored for who operates the benches, or in ``plan:FILE``; benches scripted); the name of a policy
-            that comes with chemlab (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint
-            or exported weights, for the roles that learned (the others are played by its background). ``@0.1`` after
-            it: at one turn in ten a random legal action instead. Exceptions follow after commas, by role or agent:
-            ``pretrained@0.1,manager=random``.
+        name: one of :func:`policy_names` (below), the name of a bundled policy
+            (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights for
+            the roles that were trained (its background plays the others). ``@0.1`` after it is the share of random
+            legal actions. Exceptions follow after commas, by role or agent: ``pretrained@0.1,manager=random``.
+
+            * ``scripted``; with an ability removed: ``scripted:unsafe`` (no actions that serve only safety or
+              measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
+              (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
+              (the manager takes one order at a time, in the order of arrival)
+            * ``random``
+            * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
+              trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
+            * ``plan``: the manager plays the best stored constant plan for these benches, or that in ``plan:FILE``
         laboratories: whose agents they are for.
         seed: seed of random policies.
 
@@ -267,6 +269,7 @@ def agent_policy(
     """
     if deep > _DEEPEST:
         raise ValueError(f"policy: {name}: more than {_DEEPEST} runs, each in the background of the one before")
+    name = current_name(name)
     agent, role = laboratories.agents[number], laboratories.role(number)
     own = _name_for(name, agent, laboratories.agents)
     steady, at, share = own.rpartition("@")
@@ -276,8 +279,8 @@ def agent_policy(
     if own == "plan" or own.startswith("plan:"):
         if number == 0:
             operators = name.split(",")[0].partition("@")[0]
-            return plan_for(laboratories, own[5:] or ("heuristic" if operators == "plan" else operators))
-        own = "heuristic"
+            return plan_for(laboratories, own[5:] or ("scripted" if operators == "plan" else operators))
+        own = "scripted"
     if own not in policy_names():
         if not is_saved(own):
             raise ValueError(
@@ -295,15 +298,16 @@ def agent_policy(
         return RandomPolicy(_size(laboratories.action_space(number)), seed)
     if own == "trained" and number > 0:
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
-    if own == "trained" or (own in ("pretrained", "pretrained-alone") and number > 0):
-        found = pretrained_for(role, laboratory=True, alone=own == "pretrained-alone")
+    if own == "trained" or (own in ("pretrained", "pretrained-isolated") and number > 0):
+        found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
         return _as_trained(found, laboratories, number, seed, deep)
-    careful = own != "hasty"
+    careful = own != "scripted:unsafe"
     if number > 0:
-        return bench_heuristic(laboratories.benches[number - 1], careful, seed)
+        return scripted_bench(laboratories.benches[number - 1], careful, seed)
     benches = laboratories.scenario.benches
-    washing = [key for key, bench in benches.items() if bench.kind == "extraction"] if own == "direct" else []
-    return manager_heuristic(laboratories, careful, washing, own != "forgetful", own != "serial")
+    washing = [key for key, bench in benches.items() if bench.kind == "extraction"]
+    skip = washing if own == "scripted:no-extraction" else []
+    return scripted_manager(laboratories, careful, skip, own != "scripted:memoryless", own != "scripted:fifo")
 
 
 def _as_trained(
@@ -320,7 +324,7 @@ def _as_trained(
 def _partners(laboratories: Laboratories) -> str:
     """Who operated the benches when the shipped manager of a laboratory learned; without one, ``pretrained``."""
     try:
-        return pretrained_for(laboratories.role(0), laboratory=True).card.background or "heuristic"
+        return pretrained_for(laboratories.role(0), laboratory=True).card.background or "scripted"
     except ValueError:
         return "pretrained"
 
@@ -330,7 +334,7 @@ def is_scripted(bench: Bench) -> bool:
     return bench.spec.kind in _SCRIPTS.get(bench.scenario.physics, {})
 
 
-def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
+def scripted_bench(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
     """The scripted policy for a bench; random legal actions, and a warning, for a kind that has none.
 
     Args:
@@ -352,7 +356,7 @@ def bench_heuristic(bench: Bench, careful: bool = True, seed: int | np.random.Se
     return RandomPolicy(_size(bench.action_space), seed)
 
 
-def manager_heuristic(
+def scripted_manager(
     laboratories: Laboratories,
     careful: bool = True,
     skip: Collection[str] = (),
@@ -377,23 +381,23 @@ def manager_heuristic(
     if has_orders_to_schedule(labs.scenario) and remember:
         return SchedulingManager(setting, schedule=schedule)
     if not schedule:
-        raise ValueError(f"serial: the scripted manager of {labs.scenario.name} has no orders to choose from")
+        raise ValueError(f"scripted:fifo: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(setting, remember=remember)
     if foresees(labs.scenario):
-        return ForeseeingManager(setting, remember=remember, script=bench_heuristic)
+        return ForeseeingManager(setting, remember=remember, script=scripted_bench)
     if has_wearing_lines(labs.scenario):
         return UpkeepManager(setting, remember=remember)
     if not remember:
-        raise ValueError(f"forgetful: the scripted manager of {labs.scenario.name} has nothing to forget")
-    return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else ManagerHeuristic)(setting)
+        raise ValueError(f"scripted:memoryless: the scripted manager of {labs.scenario.name} has nothing to forget")
+    return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else SynthesisManager)(setting)
 
 
 def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     """A policy for a bench by name.
 
     Args:
-        name: ``heuristic``, ``random``, ``pretrained``, the name of a policy that comes with chemlab
+        name: ``scripted``, ``random``, ``pretrained``, the name of a policy that comes with chemlab
             (:func:`~chemlab.agents.pretrained.pretrained_names`), or a path: a training run's folder, a checkpoint in
             it (folder or ``model.zip``), or exported weights (``.safetensors``).
         bench: whose experiments it is to run.
@@ -402,15 +406,16 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     Raises:
         ValueError: there is no such policy for this bench.
     """
-    if name == "heuristic":
-        return bench_heuristic(bench, seed=seed)
+    name = current_name(name)
+    if name == "scripted":
+        return scripted_bench(bench, seed=seed)
     if name == "random":
         return RandomPolicy(_size(bench.action_space), seed)
     if name == "pretrained":
         return pretrained_for(bench)
     if not is_saved(name):
         raise ValueError(
-            f"policy: known: heuristic, random, pretrained, a shipped one's name, or a path that exists; given {name!r}"
+            f"policy: known: scripted, random, pretrained, a shipped one's name, or a path that exists; given {name!r}"
         )
     saved = find_saved(name).load
     # A run of one role may be tried on any bench that it fits; which of several it is has to be clear.

@@ -126,7 +126,7 @@ class Card:
         activation: of the hidden layers, ``tanh`` or ``relu``.
         output: ``argmax`` (of the legal), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
-            ``heuristic_mean``, ``heuristic_by_goal``; the policy as it is played here, with masks.
+            ``scripted_mean``, ``scripted_by_goal``; the policy as it is played here, with masks.
         background: who played the other roles, where it was trained in a laboratory.
         memory: how many numbers of each kind its LSTM, which stands before the layers, keeps; 0: it has none.
         masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be

@@ -128,8 +128,8 @@ class Evaluation:
     step: int
     mean: float
     by_goal: dict[str, float]
-    heuristic_mean: float | None
-    heuristic_by_goal: dict[str, float] | None
+    scripted_mean: float | None
+    scripted_by_goal: dict[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ class RunResult:
     episodes_per_goal: int
     mean: float
     by_goal: dict[str, float]
-    heuristic_mean: float | None
-    heuristic_by_goal: dict[str, float] | None
+    scripted_mean: float | None
+    scripted_by_goal: dict[str, float] | None
     last_mean: float
     last_by_goal: dict[str, float]
 

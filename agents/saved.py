@@ -27,7 +27,7 @@ class Saved:
     """
 
     load: dict[str, Callable[[Workplace], Policy]]
-    background: str = "heuristic"
+    background: str = "scripted"
 
 
 def _exported(name_or_path: str | Path) -> Callable[[Workplace], Policy]:
@@ -121,7 +121,7 @@ def find_saved(name: str) -> Saved:
     if config is None or folder is None:
         what = run.config_file if config is None else run.checkpoints
         raise ValueError(f"policy: {name}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
-    background = str(config.get("background") or "heuristic")
+    background = str(config.get("background") or "scripted")
     cards = _cards(folder)
     if cards:
         return Saved(cards, background)

@@ -14,7 +14,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, Start
 
 from .episodes import play_episode
-from .policies import Policy, make_policies, manager_heuristic
+from .policies import Policy, make_policies, scripted_manager
 
 __all__ = ["record_starts"]
 
@@ -79,15 +79,15 @@ def record_starts(
     labs, manager = env.laboratories, env.possible_agents[0]
     found: dict[str, list[Start]] = {key: [] for key in (*scenario.benches, SUBMIT)}
     washing = {key for key, bench in scenario.benches.items() if bench.kind == "extraction"}
-    ways = [manager_heuristic(labs), manager_heuristic(labs, skip=washing), manager_heuristic(labs, careful=False)]
+    ways = [scripted_manager(labs), scripted_manager(labs, skip=washing), scripted_manager(labs, careful=False)]
     if set(scenario.benches) == washing:
         ways = ways[::2]
     reacting = [key for key, bench in scenario.benches.items() if bench.kind == "reaction"]
-    lapses = "".join(f",{key}=heuristic@{_EXPLORE}" for key in reacting)
+    lapses = "".join(f",{key}=scripted@{_EXPLORE}" for key in reacting)
     for g, goal in enumerate(scenario.goals):
         for episode in range(episodes):
             number = seed + g * episodes + episode
-            policies = make_policies(f"heuristic{lapses}", labs, number)
+            policies = make_policies(f"scripted{lapses}", labs, number)
             policies[manager] = _Recording(ways[episode % len(ways)], labs, found)
             play_episode(env, policies, number, options={"goal": goal})
             if progress is not None:

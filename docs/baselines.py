@@ -59,7 +59,7 @@ LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
 README = ROOT / "README.md"
 _ENDS = ("random", "clairvoyant")
-_SCRIPTED = {"plan": "best plan", "heuristic": "scripted"}
+_SCRIPTED = {"plan": "best plan", "scripted": "scripted"}
 LEARNERS = {
     "manager_0/feedforward": "PPO",
     "manager_0/recurrent": "recurrent PPO",
@@ -87,7 +87,7 @@ _HIDDEN = {
     "arrives": "orders to come",
 }
 """Hidden parameters by their kind, in README's words; kinds that are drawn together with one of these have none."""
-REPLAYED = ("random", "heuristic", *_SHIPPED)
+REPLAYED = ("random", "scripted", *_SHIPPED)
 """Rows that anybody can play again without training or searching."""
 
 
@@ -161,7 +161,7 @@ def tasks() -> list[str]:
         hidden = "; ".join(words for kind, words in _HIDDEN.items() if kind in kinds)
         found = {words: lines[name, row] for row, words in learners.items() if (name, row) in lines}
         best = max(found, key=lambda words: found[words]["value"])
-        scores = [f"{line['value']:.2f}" for line in (lines[name, "plan"], lines[name, "heuristic"], found[best])]
+        scores = [f"{line['value']:.2f}" for line in (lines[name, "plan"], lines[name, "scripted"], found[best])]
         rows.append([f"`{name}`", ", ".join(scenario.benches), hidden, *scores, best])
     heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "best learned", "which"]
     words = ["---", "---", "---", "--:", "--:", "--:", "---"]
@@ -175,7 +175,7 @@ def overall() -> list[str]:
     need equally many runs in each.
     """
     runs, scenarios = _runs(), world_scenarios()
-    scripted = [runs[scenario, "heuristic"][0]["value"] for scenario in scenarios]
+    scripted = [runs[scenario, "scripted"][0]["value"] for scenario in scenarios]
     found = []
     for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **_EVERYWHERE}.items():
         cells = [runs[scenario, name] for scenario in scenarios if (scenario, name) in runs]
@@ -219,7 +219,7 @@ def shipped() -> list[str]:
     lines = _lines()
     rows = [["scenario", "scripted", *_SHIPPED, *(f"{name} / scripted" for name in _SHIPPED)]]
     for scenario in world_scenarios():
-        scripted, *others = (lines.get((scenario, name)) for name in ("heuristic", *_SHIPPED))
+        scripted, *others = (lines.get((scenario, name)) for name in ("scripted", *_SHIPPED))
         if scripted is None or not any(_cell(one) for one in others):
             continue
         above = scripted["value"] is not None and scripted["value"] > 0.0
@@ -250,7 +250,7 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
     for scenario in scenarios:
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
-        along = [word for name in ("heuristic", *_SHIPPED) for word in ("--policy", name)]
+        along = [word for name in ("scripted", *_SHIPPED) for word in ("--policy", name)]
         # Of what everybody has, there is a record beside the table, too.
         for policies, records in ((chosen + along, "0"), (along, "1")):
             words = ["benchmark", scenario, *policies, "--budget", budget, "--records", records, "--processes", "1"]

@@ -22,7 +22,7 @@ from chemlab.config.files import replace_between
 __all__ = ["FOLDER", "drops", "found", "matrices"]
 
 FOLDER = ROOT / "docs" / "results" / "crossplay"
-_WORDS = {"heuristic": "scripted", "heuristic@0.1": "lapsing"}
+_WORDS = {"scripted@0.1": "epsilon-random"}
 
 
 def found() -> list[dict[str, Any]]:

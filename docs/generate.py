@@ -366,7 +366,7 @@ def _scenario_page(spec: Scenario) -> str:
     return "\n".join(parts)
 
 
-_PLAYED = ("heuristic", "random")
+_PLAYED = ("scripted", "random")
 
 
 def _scenarios() -> dict[str, str]:
@@ -380,7 +380,7 @@ def _scenarios() -> dict[str, str]:
             s.summary,
             ", ".join(f"{b.count} {key}" if b.count > 1 else key for key, b in s.benches.items()),
             len(s.lab_goals),
-            scores.get(s.name, {}).get("heuristic", ""),
+            scores.get(s.name, {}).get("scripted", ""),
             scores.get(s.name, {}).get("random", ""),
             *_audit_cells(s),
         )

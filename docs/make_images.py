@@ -34,7 +34,7 @@ def record(scenario: str, seed: int) -> tuple[list[Frame], list[Turn]]:
         turns.append(turn)
 
     env.reset(seed=seed)
-    play_episode(env, make_policies("heuristic", env.laboratories, seed), seed, watch=watch)
+    play_episode(env, make_policies("scripted", env.laboratories, seed), seed, watch=watch)
     return frames, turns
 
 

@@ -79,7 +79,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     random = np.random.default_rng(budget.seed)
     firsts = random.integers(2, 20, budget.episodes)
     scores = [campaign(AUDIT_SEED + i, int(first)) for i, first in enumerate(firsts)]
-    scripted = TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)
+    scripted = TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)
     return {"Bayesian optimization": Outcome(float(np.mean(scores)), 0.0, 0), SCRIPTED: Outcome.of(scripted)}
 
 

@@ -78,7 +78,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
         f"PPO-Lagrangian, cost at most {LIMIT:g}": learned("ppo", envs["lagrangian"], budget, DualAscent()),
         PLAIN: learned("ppo", envs["plain"], budget),
         f"PPO, a unit of cost at {price:g}": learned("ppo", Priced(training_envs(TARGET, GOAL), price), budget),
-        SCRIPTED: "heuristic",
+        SCRIPTED: "scripted",
     }
     return {name: score(model, TARGET, GOAL, budget) for name, model in models.items()}
 

@@ -41,7 +41,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     return {
         "curriculum": manager(budget, staged=True),
         PLAIN: manager(budget, staged=False),
-        SCRIPTED: Outcome.of(TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)),
+        SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 
 

@@ -39,7 +39,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
         "QR-DQN": learned("qr-dqn", training_envs(TARGET, GOAL), budget, **REPLAY, **QUANTILES),
         "DQN": learned("dqn", training_envs(TARGET, GOAL), budget, **REPLAY),
         PLAIN: learned("ppo", training_envs(TARGET, GOAL), budget),
-        SCRIPTED: "heuristic",
+        SCRIPTED: "scripted",
     }
     return {name: score(policy, TARGET, GOAL, budget) for name, policy in policies.items()}
 

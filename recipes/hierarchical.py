@@ -29,7 +29,7 @@ TURNS = 5
 
 
 def learned_together(
-    budget: Budget, roles: tuple[str, ...], steps: int, background: str = "heuristic", **settings: Any
+    budget: Budget, roles: tuple[str, ...], steps: int, background: str = "scripted", **settings: Any
 ) -> Outcome:
     """What roles that learn from nothing come to, over others that are played by policies of that name."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64, "rollout": 64}
@@ -45,7 +45,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
         "manager over scripted benches": learned_together(budget, ("manager",), budget.steps),
         "manager over pretrained benches": learned_together(budget, ("manager",), budget.steps, "pretrained"),
         PLAIN: learned_together(budget, everybody, TURNS * budget.steps),
-        SCRIPTED: Outcome.of(TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)),
+        SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 
 

@@ -28,7 +28,7 @@ TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
 LEARNING: dict[str, Any] = {
     "rewards": "mixed",
-    "imitate": "heuristic",
+    "imitate": "scripted",
     "imitate_steps": 4000,
     "imitate_rounds": 2,
     "learning_rate": 1e-4,
@@ -51,7 +51,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
         "IPPO": team(budget),
         "MAPPO": team(budget, critic="state"),
         PLAIN: team(budget, roles=("manager",)),
-        SCRIPTED: Outcome.of(TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)),
+        SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 
 

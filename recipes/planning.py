@@ -78,7 +78,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     found = {"cross-entropy method": Outcome(float(returns.mean()), float(costs.mean()), int(steps.sum()))}
     if importlib.util.find_spec("stable_baselines3") is not None:
         found[PLAIN] = score(learned("ppo", training_envs(TARGET, GOAL), budget), TARGET, GOAL, budget)
-    return found | {SCRIPTED: score("heuristic", TARGET, GOAL, budget)}
+    return found | {SCRIPTED: score("scripted", TARGET, GOAL, budget)}
 
 
 if __name__ == "__main__":

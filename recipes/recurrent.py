@@ -26,7 +26,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     policies = {
         "PPO with an LSTM": learned("recurrent-ppo", training_envs(TARGET, GOAL), budget, policy_kwargs=NETWORK),
         PLAIN: learned("ppo", training_envs(TARGET, GOAL), budget),
-        SCRIPTED: "heuristic",
+        SCRIPTED: "scripted",
     }
     return {name: score(policy, TARGET, GOAL, budget) for name, policy in policies.items()}
 

@@ -77,7 +77,7 @@ def scored(budget: Budget, roles: Sequence[str]) -> Outcome:
     """What these come to that have learned."""
     experiment = learned_values(budget, roles)
     labs = Laboratories(TARGET.scenario.with_actions("discrete"), budget.episodes)
-    policies = make_policies("heuristic", labs)
+    policies = make_policies("scripted", labs)
     for group, agents in experiment.group_map.items():
         policies |= dict.fromkeys(agents, as_policy(greedy(experiment, group)))
     return Outcome.of(play_laboratory(labs, policies, GOAL, AUDIT_SEED), experiment.total_frames)
@@ -91,7 +91,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
         "IQL": scored(budget, benches),
         "IQL, manager too": scored(budget, ("manager", *benches)),
         PLAIN: learned_together(budget, benches, budget.steps, rewards=REWARDS),
-        SCRIPTED: Outcome.of(TARGET.play("heuristic", GOAL, budget.episodes, AUDIT_SEED)),
+        SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 
 

@@ -37,16 +37,16 @@ def write_run(
     arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}
     config = RunConfig(label, arguments, scenario, bench, list(returns), fingerprint)
     run.config_file.write_text(json.dumps(config.as_dict()))
-    heuristic = dict.fromkeys(returns, HEURISTIC)
+    scripted = dict.fromkeys(returns, HEURISTIC)
     for step, value, deviation in curve:
         run.append(CurvePoint(step, value, deviation, 5, 1.0))
     for step, value in (evaluations or {}).items():
-        run.append(Evaluation(step, value, dict.fromkeys(returns, value), HEURISTIC, heuristic))
+        run.append(Evaluation(step, value, dict.fromkeys(returns, value), HEURISTIC, scripted))
     if finished:
         last = {goal: value - 0.1 for goal, value in returns.items()}
         result = RunResult(
             *("chemlab/Any-v0", label, label, seed, int(arguments["steps"]), seconds, 1000.0, 900, 10),
-            *(float(np.mean(list(returns.values()))), dict(returns), HEURISTIC, heuristic),
+            *(float(np.mean(list(returns.values()))), dict(returns), HEURISTIC, scripted),
             *(float(np.mean(list(last.values()))), last),
         )
         run.result_file.write_text(json.dumps(vars(result)))

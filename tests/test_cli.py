@@ -67,7 +67,7 @@ def test_help_shows_commands_in_panels() -> None:
         assert all(f"│ {name} " in shown[start:stop] for name in names)
 
 
-@pytest.mark.parametrize("policy", slow_but(["heuristic", "random"], "heuristic"))
+@pytest.mark.parametrize("policy", slow_but(["scripted", "random"], "scripted"))
 def test_json_is_one_object_an_episode_and_nothing_else(policy: str) -> None:
     """Standard output is machine-readable line by line, with consecutive seeds."""
     done = subprocess.run(
@@ -113,7 +113,7 @@ def test_account_tells_who_does_what() -> None:
     ("arguments", "parts"),
     [
         (["run", "no_such"], ["no_such", "wurtz_dodecane"]),
-        (["run", "wurtz_dodecane", "--policy", "clever"], ["clever", "heuristic"]),
+        (["run", "wurtz_dodecane", "--policy", "clever"], ["clever", "scripted"]),
         (["run", "missing/file.toml"], ["missing/file.toml", "no such file"]),
     ],
 )
@@ -485,8 +485,8 @@ def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, mon
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     for words, shown in (
-        (["compare", "fictitious", "--episodes", "1", "--update", str(page)], "heuristic"),
-        (["evaluate", "fictitious", "--bench", "rxn", "--episodes", "1", "-o", str(tmp_path / "a.json")], "heuristic"),
+        (["compare", "fictitious", "--episodes", "1", "--update", str(page)], "scripted"),
+        (["evaluate", "fictitious", "--bench", "rxn", "--episodes", "1", "-o", str(tmp_path / "a.json")], "scripted"),
         (
             ["plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "-o", str(tmp_path / "a.json")],
             "plans tried",
@@ -565,7 +565,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["run", "lab.toml", "--record", "lab.toml", "--force"],
         ["run", "lab.toml", "--record", "link.json", "--force"],
         ["play", "lab.toml", "--record", "lab.toml", "--force"],
-        ["run", "fictitious", "--policy", "heuristic,manager=plan:plan.json", "--record", "plan.json", "--force"],
+        ["run", "fictitious", "--policy", "scripted,manager=plan:plan.json", "--record", "plan.json", "--force"],
         ["evaluate", "lab.toml", "--out", "lab.toml"],
         ["evaluate", "fictitious", "--policy", "plan.json", "--out", "plan.json"],
         ["audit", "lab.toml", "--out", "lab.toml"],

@@ -107,7 +107,7 @@ for call in env.laboratories.rehearsal():
     call()
 late, load = [], jit._CheckedCacheFile.load
 jit._CheckedCacheFile.load = lambda self, key: late.append(self._index_name) or load(self, key)
-play_episode(env, make_policies("heuristic", env.laboratories, 0), 0)
+play_episode(env, make_policies("scripted", env.laboratories, 0), 0)
 print(late)
 """
 TOGETHER = """

@@ -234,7 +234,7 @@ def test_what_was_not_made_is_not_asked_for() -> None:
     made = Block(DOCS / "index.md", 1, "bash", "chemlab train manager --out runs/trial --quiet\n")
     assert makes(made) == ["runs/trial"]
     for command, expected in (
-        ("chemlab evaluate fictitious --policy heuristic,manager=runs/trial", True),
+        ("chemlab evaluate fictitious --policy scripted,manager=runs/trial", True),
         ("chemlab figures runs", True),
         ("chemlab export runs/trial/best.zip", True),
         ("chemlab run fictitious --policy runs/trials", False),

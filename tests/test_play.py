@@ -31,7 +31,7 @@ def test_a_whole_episode_is_a_record_like_any_other(tmp_path: Path) -> None:
     result = verify_record(path)
     assert result.status == "ok"
     record = read_record(path)
-    assert record.header["policies"] == dict.fromkeys(record.header["agents"], "heuristic") | {"manager_0": "human"}
+    assert record.header["policies"] == dict.fromkeys(record.header["agents"], "scripted") | {"manager_0": "human"}
     decided = [turn["play"]["manager_0"][1] for turn in record.turns if "manager_0" in turn["play"]]
     assert len(decided) == len(SCRIPT)
     assert runner.invoke(app, ["verify", str(path)]).exit_code == 0
@@ -96,6 +96,6 @@ def test_records_are_not_replaced(tmp_path: Path) -> None:
 
 
 def test_all_roles_and_other_backgrounds(tmp_path: Path) -> None:
-    code, shown = play(tmp_path / "all.jsonl", ["submit slot 0"], "--role", "all", "--background", "hasty")
+    code, shown = play(tmp_path / "all.jsonl", ["submit slot 0"], "--role", "all", "--background", "scripted:unsafe")
     assert code == 0
     assert "You play manager_0, rxn_0, ext_0, dit_0" in shown

@@ -23,7 +23,7 @@ from chemlab.render.balance import PLACES, mole_balance
 runner = CliRunner()
 
 
-def record(path: Path, scenario: str, policy: str = "heuristic", seed: int = 3) -> Path:
+def record(path: Path, scenario: str, policy: str = "scripted", seed: int = 3) -> Path:
     """Record an episode."""
     env = raw_env(scenario)
     labs = env.laboratories
@@ -46,7 +46,7 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # -- where the moles went -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "careless"])
+@pytest.mark.parametrize("policy", ["scripted", "careless"])
 @pytest.mark.parametrize("name", scenario_names())
 def test_the_books_balance(name: str, policy: str, tmp_path: Path) -> None:
     """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
@@ -142,7 +142,7 @@ def overlaps(figure: Any, inside: float = 1.0) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "policy"), [("wurtz_dodecane", "heuristic"), ("wurtz_two_lines", "heuristic"), ("fictitious", "careless")]
+    ("name", "policy"), [("wurtz_dodecane", "scripted"), ("wurtz_two_lines", "scripted"), ("fictitious", "careless")]
 )
 def test_no_text_covers_another(name: str, policy: str, tmp_path: Path) -> None:
     from chemlab.render.charts import draw_moles, draw_timeline
@@ -282,7 +282,7 @@ def test_learning_curves(tmp_path: Path) -> None:
     mean = lines["PPO (2 runs)"]
     np.testing.assert_allclose(mean.get_ydata(), 2.0 * np.asarray(mean.get_xdata()))
     assert mean.get_xdata()[-1] == 1.0  # thousand steps: as far as both go
-    assert (np.asarray(lines["heuristic"].get_ydata()) == 0.25).all()
+    assert (np.asarray(lines["scripted"].get_ydata()) == 0.25).all()
     (points,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
     assert (list(points.get_xdata()), list(points.get_ydata())) == ([1.0], [2.0])
     assert axes.get_title() == "wurtz_dodecane, rxn, 2 goals"

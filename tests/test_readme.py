@@ -41,11 +41,11 @@ def test_two_commands() -> None:
 
 
 def test_results_table_is_complete() -> None:
-    """Every shipped scenario has its heuristic and its random row."""
+    """Every shipped scenario has its scripted and its random row."""
     page = (README.parent / "docs" / "results" / "scripted.md").read_text(encoding="utf-8")
     table = page.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
     rows = re.findall(r"^\| `(\w+)` \| (\w+) \|", table, re.M)
-    assert set(rows) == {(name, policy) for name in scenario_names() for policy in ("heuristic", "random")}
+    assert set(rows) == {(name, policy) for name in scenario_names() for policy in ("scripted", "random")}
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
@@ -72,7 +72,7 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
         own.append({"policy": f"runaway-joint/benches{run} (best)", "runs": runs, "value": runs})
     for run, runs in (("", 2), ("/seed-0", 1), ("/seed-1", 1), ("/seed-2", 1)):
         own.append({"policy": f"runaway-joint/together{run} (best)", "runs": runs, "value": runs / 4})
-    own.append({"policy": "heuristic", "runs": 0, "value": 0.3, "steps": None})
+    own.append({"policy": "scripted", "runs": 0, "value": 0.3, "steps": None})
     told = {"low": 0.0, "high": 1.0}
     lines = [{**common, **told, **line, "generalization": {"value": line["value"] / 2}} for line in own]
     (tmp_path / "leaderboard.json").write_text(json.dumps({"lines": lines}), encoding="utf-8")
@@ -116,7 +116,7 @@ def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.Mo
         assert line["value"] is None or line["value"] <= 1.0
         if line["records"]:
             recorded.add((line["scenario"], line["policy"]))
-    along = ("plan", "heuristic", "pretrained", "trained")
+    along = ("plan", "scripted", "pretrained", "trained")
     assert recorded == {(scenario, policy) for scenario in world_scenarios() for policy in along}
 
 

@@ -38,7 +38,7 @@ runner = CliRunner()
 Lines = list[dict[str, Any]]
 
 
-def play(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "heuristic", seed: int = 3, **more: Any) -> Path:
+def play(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "scripted", seed: int = 3, **more: Any) -> Path:
     """Record an episode."""
     env = raw_env(scenario)
     labs = env.laboratories
@@ -61,7 +61,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # -- honest records -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "random", "careless"])
+@pytest.mark.parametrize("policy", ["scripted", "random", "careless"])
 @pytest.mark.parametrize("name", slow_but(SCENARIOS, "fictitious", "wurtz_safe", "wurtz_two_lines"))
 def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
     for seed in (1, 2):
@@ -87,7 +87,7 @@ def test_a_record_says_what_happened(tmp_path: Path) -> None:
         rewards.append(dict(env.rewards))
 
     with Recorder(path, labs) as recorder:
-        result = play_episode(env, make_policies("heuristic", labs, 0), 0, watch=watch, recorder=recorder)
+        result = play_episode(env, make_policies("scripted", labs, 0), 0, watch=watch, recorder=recorder)
     record = read_record(path)
     assert record.end is not None
     end = record.end["end"]
@@ -123,7 +123,7 @@ def test_what_was_played_before_leaves_nothing_in_a_record(name: str, tmp_path: 
     for number, seed in enumerate((3, 8, 3)):
         path = tmp_path / f"{number}.jsonl"
         with Recorder(path, labs) as recorder:
-            play_episode(env, make_policies("heuristic", labs, seed), seed, recorder=recorder)
+            play_episode(env, make_policies("scripted", labs, seed), seed, recorder=recorder)
         records.append(path.read_bytes())
     assert records[0] == records[2] != records[1]
 
@@ -153,7 +153,7 @@ def test_the_hash_of_the_state_has_every_field_of_a_running_experiment(tmp_path:
             array[...] = kept
             assert witness._state() == before
 
-    play_episode(env, make_policies("heuristic", labs, 3), 3, watch=watch)
+    play_episode(env, make_policies("scripted", labs, 3), 3, watch=watch)
     assert {"rxn_0 jacket", "rxn_0 supply", "rxn_0 baseline", "ext_0 image", "ext_0 profile", "ext_0 events"} <= tried
 
 
@@ -778,7 +778,7 @@ def test_a_file_has_one_writer(tmp_path: Path) -> None:
                 second.begin(1)
 
     with Recorder(path, labs, force=True) as recorder:
-        play_episode(env, make_policies("heuristic", labs, 3), 3, watch=watch, recorder=recorder)
+        play_episode(env, make_policies("scripted", labs, 3), 3, watch=watch, recorder=recorder)
     assert verify_record(path).status == "ok"
     assert not left.exists()
     # It may be had now, and the record stays until there is another whole one.
@@ -836,7 +836,7 @@ def in_a_world(path: Path, world: Any, seed: int = 3, split: str = "train", name
     env = raw_env(name, split=split)
     options = None if world is None else {"world": world}
     with Recorder(path, env.laboratories, force=True) as recorder:
-        policies = make_policies("heuristic", env.laboratories, seed)
+        policies = make_policies("scripted", env.laboratories, seed)
         play_episode(env, policies, seed, options=options, recorder=recorder)
     return load(path)
 
@@ -908,7 +908,7 @@ def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), Recorder(path, env.laboratories) as recorder:
-        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, watch=stop, recorder=recorder)
+        play_episode(env, make_policies("scripted", env.laboratories, 0), 0, watch=stop, recorder=recorder)
     assert [file.name for file in path.parent.iterdir()] == ["a.jsonl.part"]
     result = verify_record(recorder.part)
     assert result.status == "torn"
@@ -919,7 +919,7 @@ def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="already there"):
         Recorder(path, env.laboratories)
     with Recorder(path, env.laboratories, force=True) as recorder:
-        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=recorder)
+        play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
     assert [file.name for file in path.parent.iterdir()] == ["a.jsonl"]
 
 
@@ -929,7 +929,7 @@ def test_a_file_that_appears_while_recording_is_kept(tmp_path: Path) -> None:
     recorder = Recorder(path, env.laboratories)
     path.write_text("mine")
     with pytest.raises(ValueError, match="somebody else"):
-        play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=recorder)
+        play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
     assert path.read_text() == "mine"
     assert verify_record(recorder.part).status == "ok"
 
@@ -1147,7 +1147,7 @@ class Nothing:
 def test_physics_of_ones_own_has_to_be_given(tmp_path: Path) -> None:
     env = raw_env("wurtz_dodecane", reaction_model=Nothing())
     path = tmp_path / "a.jsonl"
-    play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
+    play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
     result = verify_record(path)
     assert result.status == "unchecked"
     assert "Nothing" in result.message
@@ -1172,9 +1172,9 @@ def test_the_commands(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a-7.jsonl", "a-8.jsonl", "a.jsonl"]
     assert read_record(tmp_path / "a-8.jsonl").header["seed"] == 8
     assert read_record(path).header["policies"] == {
-        "manager_0": "heuristic",
-        "ext_0": "heuristic",
-        "dit_0": "heuristic",
+        "manager_0": "scripted",
+        "ext_0": "scripted",
+        "dit_0": "scripted",
     }
     good = runner.invoke(app, ["verify", *map(str, sorted(tmp_path.iterdir()))])
     assert good.exit_code == 0

@@ -73,7 +73,7 @@ def test_lint(name: str) -> None:
 
 @pytest.mark.parametrize("name", slow_but(SYNTHESES, "aspirin", "snar"))
 def test_scripted_agents_make_it_safely(name: str) -> None:
-    result = played(name, "heuristic")
+    result = played(name, "scripted")
     assert result.score > WORTH[name]
     assert result.score > played(name, "random").score + 0.3
     assert result.costs["illegal_actions"] == 0.0
@@ -85,9 +85,9 @@ def test_the_table_of_results_is_of_these_scenarios() -> None:
     text = (ROOT / "docs" / "syntheses.md").read_text(encoding="utf-8")
     block = text.partition("<!-- results: begin -->")[2].partition("<!-- results: end -->")[0]
     rows = re.findall(r"^\| `(\w+)` \| (\w+) \| ([\d.]+) \| ([\d.]+) \| (-?[\d.]+) \|", block, re.M)
-    assert {row[:2] for row in rows} == {(name, policy) for name in SYNTHESES for policy in ("heuristic", "random")}
+    assert {row[:2] for row in rows} == {(name, policy) for name in SYNTHESES for policy in ("scripted", "random")}
     for name, policy, *numbers in rows:
-        if policy == "heuristic":  # whose episodes differ by how well layers were shaken and parted
+        if policy == "scripted":  # whose episodes differ by how well layers were shaken and parted
             result = played(name, policy)
             expected = [result.submitted_mol, result.purity, result.score]
             assert [float(number) for number in numbers] == pytest.approx(expected, rel=0.2, abs=0.02)

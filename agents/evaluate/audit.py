@@ -56,7 +56,8 @@ __all__ = ["GATES", "audit", "choosing_jobs", "job_count", "measure_rows", "meas
 
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
-_SCRIPTED = ("heuristic", "hasty", "direct")
+_CAREFUL = ("scripted", "scripted:unsafe")
+_SCRIPTED = (*_CAREFUL, "scripted:no-extraction")
 _TRAINED = ("pretrained", "trained")
 
 GATES = {
@@ -121,7 +122,7 @@ def audit(
 
 def job_count(scenario: Scenario, budget: AuditBudget) -> int:
     """How many parts an audit has; up to three more where a trained policy is the best."""
-    return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "heuristic", []))
+    return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "scripted", []))
 
 
 def choosing_jobs(spec: Scenario) -> list[Job]:
@@ -145,9 +146,9 @@ def measuring_jobs(
         Job("random", "play", {"policy": "random", **test}),
         Job("test", "play", {"policy": reference, "contended": True, **test}),
     ]
-    jobs.append(Job("forgetful", "play", {"policy": "forgetful", **test}))
+    jobs.append(Job("memoryless", "play", {"policy": "scripted:memoryless", **test}))
     jobs.append(Job("train", "play", {"policy": reference, "split": "train", "seed": AUDIT_SEED}))
-    for policy in ("heuristic", "hasty"):
+    for policy in _CAREFUL:
         jobs.append(Job(f"blindfold-{policy}", "play", {"policy": policy, "instruments": False, **test}))
         jobs += [
             Job(f"without-{key}-{policy}", "play", {"policy": policy, "without": key, **test}) for key in spec.benches
@@ -159,7 +160,7 @@ def measuring_jobs(
     if any(bench.report is not None for bench in spec.benches.values()):
         jobs.append(Job("mute", "play", {"policy": reference, "reports": False, **test}))
     if spec.demand.order:
-        jobs.append(Job("apart", "play", {"policy": "serial", **test}))
+        jobs.append(Job("apart", "play", {"policy": "scripted:fifo", **test}))
     elif spec.orders > 1:
         jobs.append(Job("apart", "apart", {"policy": reference}))
     return jobs
@@ -167,7 +168,7 @@ def measuring_jobs(
 
 def _unseeing(best: str) -> dict[str, str]:
     """Parts in which the benches of a policy play under scripted managers who can measure nothing, and who plays."""
-    return {f"unseeing-{manager}": f"{best},manager={manager}" for manager in ("heuristic", "hasty")}
+    return {f"unseeing-{manager}": f"{best},manager={manager}" for manager in _CAREFUL}
 
 
 def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
@@ -210,7 +211,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
         )
     ways = {"replay": _scores(found, "replay"), "plan": plan, "everybody": np.array(found["plan"]["everybody"])}
     way, blind = _greatest(ways)
-    blindfolded = {name: _scores(found, f"blindfold-{name}") for name in ("heuristic", "hasty")} | {"plan": plan}
+    blindfolded = {name: _scores(found, f"blindfold-{name}") for name in _CAREFUL} | {"plan": plan}
     reference = scale.mean(test)
     measures: dict[str, Any] = {
         "random": {**interval(scale.mean(random)), "score": float(random.mean())},
@@ -237,7 +238,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
             key: _worth(
                 reference,
                 scale,
-                {name: _scores(found, f"without-{key}-{name}") for name in ("heuristic", "hasty")}
+                {name: _scores(found, f"without-{key}-{name}") for name in _CAREFUL}
                 | {"plan": _scores(found, f"plan-without-{key}")},
             )
             for key in spec.benches
@@ -252,9 +253,9 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
         else _untold("the scenario draws no world"),
         "noise": interval(scale.deviation(plan)),
     }
-    forgetful = _scores(found, "forgetful")
-    if forgetful is not None:
-        measures["worth_of_memory"] = interval(reference - scale.mean(forgetful))
+    memoryless = _scores(found, "memoryless")
+    if memoryless is not None:
+        measures["worth_of_memory"] = interval(reference - scale.mean(memoryless))
     mute, apart = _scores(found, "mute"), _scores(found, "apart")
     if mute is not None:
         measures["worth_of_reports"] = interval(reference - scale.mean(mute))

@@ -12,7 +12,7 @@ several runs have dealt them out among themselves, it is over runs.
 |---|---|
 | ``random`` | random legal actions of everybody: 0 |
 | ``plan`` | the best constant plan of the manager that a search finds in training worlds, over scripted benches |
-| ``heuristic`` | the scripted agents |
+| ``scripted`` | the scripted agents |
 | ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
 | a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
 checkpoint; or records of these episodes that somebody has played (``chemlab play``), a file or a folder of them |
@@ -55,6 +55,7 @@ from chemlab.lab.engine import MANAGER_AGENT
 from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 
 from ..episodes import play_episode
+from ..names import current_name
 from ..plans import ConstantPlan
 from ..policies import make_policies, policy_names
 from ..runs import Run, differences, find_runs, versions
@@ -75,7 +76,7 @@ __all__ = [
     "write_benchmark",
 ]
 
-DEFAULT_ROWS = ("heuristic", "pretrained", "trained")
+DEFAULT_ROWS = ("scripted", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
 REFERENCES = ("random", "plan", "clairvoyant")
 """Rows that are there in any case."""
@@ -131,7 +132,7 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
             one folder that say that different players made them.
     """
     rows: list[Row] = []
-    for name in policies:
+    for name in map(current_name, policies):
         folder = Path(name)
         runs, files = list[Run](), list[Path]()
         if name not in policy_names() and folder.parent.name != "checkpoints":
@@ -299,7 +300,7 @@ def benchmark(
     budget: str | AuditBudget = "small",
     seeds: int = 5,
     split: str = "test",
-    baseline: str = "heuristic",
+    baseline: str = "scripted",
     keep: Path | None = None,
     executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
@@ -568,7 +569,7 @@ def _recorded(
     written: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for spec in scenarios:
         cells = found["scenarios"][spec.name]["cells"]
-        for row in (Row("plan", ("heuristic",)), *rows):
+        for row in (Row("plan", ("scripted",)), *rows):
             if cells[row.name]["value"] is None:
                 continue
             own = written[spec.name, row.name] = []

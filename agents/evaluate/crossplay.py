@@ -1,10 +1,10 @@
-"""Partners nobody trained with: ``chemlab crossplay``. Each manager is played with each set of benches.
+"""Zero-shot coordination with unseen partners (``chemlab crossplay``): every manager plays with every set of benches.
 
-A policy that has learned beside others may have learned them rather than the laboratory. So everybody is scored with
-the partners that learning had, and with partners that it never met: scripted, hasty, lapsing, or learned by other seeds
-and algorithms. What it loses is its drop: the score with its own partners less the mean over the others (the focal and
-background populations of Melting Pot: Leibo et al. 2021, Agapiou et al. 2022). Partners that are worse at their work
-cost everybody: the drop of the scripted agents, which were written for one another, stands beside for that.
+A policy trained with others may have adapted to them rather than to the laboratory. So each is scored with its partners
+of training and with unseen ones: scripted, unsafe, epsilon-random, or trained with other seeds and algorithms. The drop
+is the score with its own partners minus the mean over the others (the focal and background populations of Melting Pot:
+Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the drop of the scripted agents, which were
+written for one another, is given for comparison.
 
 Episodes, worlds and scale are those of :mod:`~chemlab.agents.evaluate.benchmark`: 0 is random legal play, 1 what a
 planner comes to that knows each episode's world, or whoever was better there.
@@ -26,6 +26,7 @@ from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 
+from ..names import current_name
 from ..policies import Policy, agent_policy, make_policies, policy_names
 from ..roles import MANAGER_ROLE
 from ..runs import Run, find_runs
@@ -36,11 +37,11 @@ from .scale import Scale, interval
 
 __all__ = ["PARTNERS", "Player", "crossplay", "crossplay_count", "find_players"]
 
-PARTNERS = ("heuristic", "hasty", "heuristic@0.1")
-"""Who is on a side of which nobody is named: scripted, scripted without care, scripted and lapsing."""
+PARTNERS = ("scripted", "scripted:unsafe", "scripted@0.1")
+"""Who is on a side of which nobody is named: scripted, scripted without care, epsilon-random."""
 _ELSEWHERE = {
-    MANAGER_ROLE: dict.fromkeys(("pretrained", "pretrained-alone"), "heuristic"),
-    "benches": dict.fromkeys(("direct", "forgetful", "serial", "plan"), "heuristic"),
+    MANAGER_ROLE: dict.fromkeys(("pretrained", "pretrained-isolated"), "scripted"),
+    "benches": dict.fromkeys(("scripted:no-extraction", "scripted:memoryless", "scripted:fifo", "plan"), "scripted"),
 }
 """By side, names that are about the other one, and whom they stand for here."""
 
@@ -82,7 +83,7 @@ def find_players(
     names = {MANAGER_ROLE: managers, "benches": benches}
     sides: dict[str, list[Player]] = {side: [] for side in names}
     for side, given in names.items():
-        for name in (one for folder in given for one in _runs_of(folder)):
+        for name in (one for folder in given for one in _runs_of(current_name(folder))):
             player = _player(name, labs, side)
             if any(_origin(player.policy) == _origin(other.policy) for other in sides[side]):
                 raise ValueError(f"{side}: {name}: given twice")
@@ -135,7 +136,7 @@ def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
 def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: str) -> str | None:
     """Who was on the other side; of policies with cards, ``backgrounds`` are what those say."""
     other = "benches" if side == MANAGER_ROLE else MANAGER_ROLE
-    if name == "heuristic":
+    if name == "scripted":
         return name
     saved = find_saved(name) if name not in policy_names() and is_saved(name) else None
     if saved is not None and _has(saved.load, labs, other):
@@ -143,7 +144,7 @@ def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: 
     if saved is not None and not backgrounds:
         backgrounds = {saved.background}
     known = sorted(background for background in backgrounds if background is not None)
-    # A lapsing one, or one with exceptions, is not what has learned.
+    # An epsilon-random one, or one with exceptions, is not what has learned.
     whole = saved is not None or name in policy_names()
     if not whole or len(known) != 1:
         return None
@@ -164,7 +165,7 @@ def _on_side(name: str, labs: Laboratories, side: str) -> str:
         own = f"{_on_side(steady, labs, side)}@{share}"
     elif own in policy_names():
         if own == "trained" and side == "benches":
-            own = agent_policy(own, labs, 0).card.background or "heuristic"  # type: ignore[attr-defined]
+            own = agent_policy(own, labs, 0).card.background or "scripted"  # type: ignore[attr-defined]
         own = _ELSEWHERE[side].get(own, own)
     elif is_saved(own):
         saved = find_saved(own)

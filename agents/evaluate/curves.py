@@ -138,9 +138,9 @@ def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
                     axes.plot(later[:, 0] / 1000.0, later[:, 1], lw=0.7, color=style["color"], alpha=0.5)
         evaluations = [evaluation for run in runs for evaluation in run.evaluations]
         _points(axes, evaluations, style["color"], None if curve is not None else f"{display_name(label)} ({count})")
-        scripted += [e.heuristic_mean for e in evaluations if e.heuristic_mean is not None]
+        scripted += [e.scripted_mean for e in evaluations if e.scripted_mean is not None]
     if scripted:
-        axes.axhline(float(np.mean(scripted)), color="black", lw=1.3, ls=(0, (5, 3)), label="heuristic")
+        axes.axhline(float(np.mean(scripted)), color="black", lw=1.3, ls=(0, (5, 3)), label="scripted")
     axes.set_title(task)
     axes.set_xlabel("training steps, all environments together (thousands)")
     axes.set_ylabel("mean return")

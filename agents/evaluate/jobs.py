@@ -28,7 +28,7 @@ from chemlab.roles.manager_actions import ManagerActions
 from ..executors import Inline, completed
 from ..plans import all_contexts
 from ..player import play_laboratory
-from ..policies import make_policies, manager_heuristic
+from ..policies import make_policies, scripted_manager
 from ..runs import versions
 from .contention import CONTENDED, Contention
 from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
@@ -129,7 +129,7 @@ def _play(
                 warnings.simplefilter("ignore", UserWarning)
             found = make_policies(policy, labs, seed)
         if without:
-            found[MANAGER_AGENT] = manager_heuristic(labs, policy != "hasty", [without])
+            found[MANAGER_AGENT] = scripted_manager(labs, policy != "scripted:unsafe", [without])
         if contended:
             found[MANAGER_AGENT] = counter = Contention(found[MANAGER_AGENT], labs)
             counters.append(counter)
@@ -254,6 +254,10 @@ def foreseen(found: Mapping[str, dict[str, Any]], what: str = "scores") -> Float
     return np.concatenate([np.array(found[name][what]) for name in order])
 
 
+def _file_name(job: Job) -> str:
+    return f"{job.name.replace(':', '_')}.json"
+
+
 def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     return _KINDS[job.kind](scenario, budget, **job.arguments)
 
@@ -336,7 +340,7 @@ class Crew:
         run = functools.partial(_run, scenario=self._scenario, budget=self._budget)
         for job, result in completed(self._executor, run, missing):
             if self._keep is not None:
-                write_text(self._keep / f"{job.name}.json", json.dumps({"stamp": self._stamp(job), "result": result}))
+                write_text(self._keep / _file_name(job), json.dumps({"stamp": self._stamp(job), "result": result}))
             found[job.name] = result
             self._watch(job.name)
         return found
@@ -348,7 +352,7 @@ class Crew:
 
     def kept(self, job: Job) -> dict[str, Any] | None:
         """What was kept of a job; None, and it is played again, where that is nothing or cannot be what it came to."""
-        path = None if self._keep is None else self._keep / f"{job.name}.json"
+        path = None if self._keep is None else self._keep / _file_name(job)
         if path is None or not path.is_file():
             return None
         try:

@@ -62,8 +62,8 @@ MEASURES: tuple[str, ...] = (
 constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where nothing was submitted), and two counts."""
 
 BASELINES: dict[str, tuple[str, str]] = {
-    "scripted": ("heuristic", "scripted"),
-    "direct": ("direct", "scripted, without extraction"),
+    "scripted": ("scripted", "scripted"),
+    "scripted:no-extraction": ("scripted:no-extraction", "scripted, without extraction"),
     "plan": ("plan", "best constant plan found"),
     "random": ("random", "random legal actions"),
 }
@@ -132,7 +132,7 @@ def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Gro
     groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
     for run in runs:
         if run.result is not None and has_manager(run):
-            key = str(run.config["scenario"]), str(run.config.get("background") or "heuristic")
+            key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
             groups.setdefault(key, {}).setdefault(PurePosixPath(run.name).parent, []).append(run)
     found = []
     for (scenario, background), parents in sorted(groups.items()):
@@ -242,7 +242,7 @@ def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str
     rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
     # The scripted manager over the same benches: those that have learned are other ones than the background's.
     if _learned(run) != [MANAGER_ROLE]:
-        rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=heuristic", episodes, run=run.name)
+        rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=scripted", episodes, run=run.name)
     return rows
 
 
@@ -387,7 +387,7 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
     rows = [
         {**row, "scenario": f"`{group.scenario}`"}
         for group in groups
-        for row in _rows(group, baselines=("plan", "scripted", "direct"))
+        for row in _rows(group, baselines=("plan", "scripted", "scripted:no-extraction"))
     ]
     return _table(rows, _BRIEF)
 

@@ -19,6 +19,7 @@ from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, O
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.roles.manager_actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
 
+from ..names import current_name
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
 from ..player import play_laboratory
 from ..policies import agent_policy, make_policies
@@ -56,7 +57,7 @@ _ISLANDS, _PATIENCE = 3, 6
 _SAME = 1e-9
 _OWN_GOAL = 4.0
 """How much likelier an experiment is begun for what an order asks for than for any other goal."""
-_SCRIPTED = ("heuristic", "direct", "hasty")
+_SCRIPTED = ("scripted", "scripted:no-extraction", "scripted:unsafe")
 _PROMISING, _FINALISTS, _FINAL_SEEDS = 4, 16, 64
 # Chances with which a random plan does something next, where it is possible.
 _CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WAIT: 3.0, REPAIR: 0.5}
@@ -538,7 +539,7 @@ def plan_budget(budget: int | str) -> int:
 
 def search_plan(
     scenario: str | Scenario,
-    benches: str = "heuristic",
+    benches: str = "scripted",
     budget: int | str = "small",
     seed: int = 0,
     contexts: Sequence[Context] | None = None,
@@ -564,7 +565,7 @@ def search_plan(
     Raises:
         ValueError: unknown benches, budget or context.
     """
-    spec = load_scenario(scenario)
+    spec, benches = load_scenario(scenario), current_name(benches)
     most = plan_budget(budget)
     known = all_contexts(spec)
     chosen = known if contexts is None else list(dict.fromkeys(contexts))
@@ -589,7 +590,7 @@ def search_plan(
 
 
 def best_in_episode(
-    scenario: Scenario, seed: int, split: str, budget: int, known: Mapping[Context, Plan], benches: str = "heuristic"
+    scenario: Scenario, seed: int, split: str, budget: int, known: Mapping[Context, Plan], benches: str = "scripted"
 ) -> tuple[float, list[tuple[int, float]]]:
     """The best plan of the manager that a search finds for one episode, which it may play as often as it likes.
 
@@ -699,7 +700,7 @@ class _Replay:
 
 def replay_actions(
     scenario: str | Scenario,
-    policy: str | PlanSearch = "heuristic",
+    policy: str | PlanSearch = "scripted",
     donors: int = 20,
     episodes: int = 100,
     seed: int = 0,

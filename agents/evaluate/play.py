@@ -17,6 +17,7 @@ from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 
 from ..executors import Inline, completed
+from ..names import current_name
 from ..player import Played, play_bench, play_laboratory
 from ..policies import bench_policy, make_policies
 from ..runs import versions
@@ -160,7 +161,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     goals: Sequence[str] | None = None,
-    baseline: str = "heuristic",
+    baseline: str = "scripted",
     watch: Callable[[int], None] | None = None,
     executor: Executor | None = None,
 ) -> dict[str, Any]:
@@ -191,7 +192,8 @@ def evaluate(
         raise ValueError(f"goals: known: {', '.join(target.goals)}, each once; given {', '.join(chosen)}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, given {episodes}")
-    names = list(dict.fromkeys((baseline, *policies)))
+    baseline = current_name(baseline)
+    names = list(dict.fromkeys((baseline, *map(current_name, policies))))
     batches = [(name, goal, first) for name in names for goal in chosen for first in range(0, episodes, BATCH)]
     play = functools.partial(_batch, target=target, episodes=episodes, seed=seed)
     played: dict[tuple[str, str, int], Played] = {}

@@ -59,14 +59,14 @@ _SCALARS: dict[str, type] = {
 _NAMES = ("scenario", "bench", "fingerprint")
 _TABLES: dict[str, tuple[str, ...]] = {
     "runs.csv": ("run", *_NAMES, *_SCALARS, "arguments", "versions"),
-    "returns.csv": ("run", "goal", "best", "last", "heuristic"),
-    "evaluations.csv.gz": ("run", "step", "goal", "mean", "heuristic"),
+    "returns.csv": ("run", "goal", "best", "last", "scripted"),
+    "evaluations.csv.gz": ("run", "step", "goal", "mean", "scripted"),
     "curves.csv.gz": ("run", "step", "mean", "std"),
 }
 _NUMBERS: dict[str, type] = (
     {key: kind for key, kind in _SCALARS.items() if kind is not str}
     | {"step": int}
-    | dict.fromkeys(("best", "last", "heuristic", "mean", "std"), float)
+    | dict.fromkeys(("best", "last", "scripted", "mean", "std"), float)
 )
 """Columns of numbers."""
 _CURVE_DECIMALS, _DECIMALS = 5, 9
@@ -148,7 +148,7 @@ def _from_folder(run: Run, name: str) -> TrainedRun:
 def _from_tables(folder: Path) -> list[TrainedRun]:
     by_run: dict[str, dict[str, _Rows]] = {}
     for name, columns in _TABLES.items():
-        for row in read_table(folder / name, columns, _NUMBERS, blank=("heuristic",)):
+        for row in read_table(folder / name, columns, _NUMBERS, blank=("scripted",)):
             by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
     try:
         return [_from_rows(name, rows) for name, rows in by_run.items()]
@@ -162,9 +162,9 @@ def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
     (row,) = rows["runs.csv"]
     best, best_mean = _by_goal(rows["returns.csv"], "best")
     last, last_mean = _by_goal(rows["returns.csv"], "last")
-    scripted, scripted_mean = _by_goal(rows["returns.csv"], "heuristic")
+    scripted, scripted_mean = _by_goal(rows["returns.csv"], "scripted")
     returns: dict[str, Any] = {"by_goal": best, "mean": best_mean, "last_by_goal": last, "last_mean": last_mean}
-    returns |= {"heuristic_by_goal": scripted, "heuristic_mean": scripted_mean}
+    returns |= {"scripted_by_goal": scripted, "scripted_mean": scripted_mean}
     scalars = {key: kind(row[key]) for key, kind in _SCALARS.items()}
     result = checked_result({**scalars, **returns}, name)
     config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
@@ -176,7 +176,7 @@ def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
         steps.setdefault(int(one["step"]), []).append(one)
     evaluations = []
     for step, some in steps.items():
-        (ours, mean), (theirs, beside) = _by_goal(some, "mean"), _by_goal(some, "heuristic")
+        (ours, mean), (theirs, beside) = _by_goal(some, "mean"), _by_goal(some, "scripted")
         evaluations.append(Evaluation(step, mean or 0.0, ours or {}, beside, theirs))
     points = [(int(p["step"]), float(p["mean"]), float(p["std"])) for p in rows.get("curves.csv.gz", ())]
     return TrainedRun(name, config, result, np.array(points, dtype=np.float64).reshape(-1, 3), evaluations)
@@ -205,13 +205,13 @@ def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
             | {key: json.dumps(value, separators=(",", ":")) for key, value in data.items()}
         )
         for goal, best in result.by_goal.items():
-            beside = {"last": result.last_by_goal[goal], "heuristic": (result.heuristic_by_goal or {}).get(goal)}
+            beside = {"last": result.last_by_goal[goal], "scripted": (result.scripted_by_goal or {}).get(goal)}
             cells = {key: number(value) for key, value in {"best": best, **beside}.items()}
             rows["returns.csv"].append(name | {"goal": goal} | cells)
         for e in run.evaluations:
-            scripted = e.heuristic_by_goal or {}
+            scripted = e.scripted_by_goal or {}
             for goal, mean in e.by_goal.items():
-                cells = {"mean": number(mean, _DECIMALS), "heuristic": number(scripted.get(goal), _DECIMALS)}
+                cells = {"mean": number(mean, _DECIMALS), "scripted": number(scripted.get(goal), _DECIMALS)}
                 rows["evaluations.csv.gz"].append(name | {"step": e.step, "goal": goal} | cells)
         for step, mean, deviation in run.curve:
             cells = {"mean": number(mean, _CURVE_DECIMALS), "std": number(deviation, _CURVE_DECIMALS)}
@@ -248,7 +248,7 @@ class Cell:
 
     def relative(self) -> FloatArray:
         """[runs, G] return of each run's best policy over the scripted one's; NaN where that is not above 0."""
-        ours, theirs = self.by_goal(), self.heuristic_by_goal()
+        ours, theirs = self.by_goal(), self.scripted_by_goal()
         ratios: FloatArray = np.divide(ours, theirs, out=np.full(ours.shape, np.nan), where=theirs > 0.0)
         return ratios
 
@@ -256,10 +256,10 @@ class Cell:
         """[runs, G] return of each run's best policy."""
         return np.array([[run.finished.by_goal[goal] for goal in self.goals] for run in self.runs])
 
-    def heuristic_by_goal(self) -> FloatArray:
+    def scripted_by_goal(self) -> FloatArray:
         """[runs, G] return of the scripted policy, on each run's seeds; NaN where there is none."""
         return np.array(
-            [[(run.finished.heuristic_by_goal or {}).get(goal, np.nan) for goal in self.goals] for run in self.runs]
+            [[(run.finished.scripted_by_goal or {}).get(goal, np.nan) for goal in self.goals] for run in self.runs]
         )
 
     def best_ratios(self) -> dict[str, float]:
@@ -274,9 +274,9 @@ class Cell:
         """[runs] mean return over goals of each run's best policy."""
         return np.array([run.finished.mean for run in self.runs])
 
-    def heuristic_mean(self) -> float | None:
+    def scripted_mean(self) -> float | None:
         """Mean return of the scripted policy, over the runs' evaluations of it."""
-        known = [mean for run in self.runs if (mean := run.finished.heuristic_mean) is not None]
+        known = [mean for run in self.runs if (mean := run.finished.scripted_mean) is not None]
         return float(np.mean(known)) if known else None
 
     def training_ends(self, window: float = 0.1) -> FloatArray:
@@ -316,19 +316,19 @@ def cells_table(cells: Iterable[Cell]) -> list[str]:
     """The lines of a Markdown table: returns over runs with confidence intervals over the seeds of training, and the
     comparison with the scripted policy. A single run has no intervals."""
     names = (
-        *("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "heuristic"),
+        *("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "scripted"),
         *("P(better)", "best after", "minutes"),
     )
     return markdown_table({name: name not in names[:2] for name in names}, map(_cell_row, cells))
 
 
 def _cell_row(cell: Cell) -> list[str]:
-    results, reference = [run.finished for run in cell.runs], cell.heuristic_mean()
+    results, reference = [run.finished for run in cell.runs], cell.scripted_mean()
     better = "-"
     if reference is not None:
         # Each run plays every goal.
         improvement = statistics.probability_of_improvement(
-            list(cell.by_goal().T), list(cell.heuristic_by_goal().T), together=True
+            list(cell.by_goal().T), list(cell.scripted_by_goal().T), together=True
         )
         better = interval_text(improvement.as_dict(), 2)
     return [

@@ -53,7 +53,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     Args:
         config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
-            default ``heuristic``), and ``rewards``, ``reaction_model``, ``separation_model``, ``split`` as for
+            default ``scripted``), and ``rewards``, ``reaction_model``, ``separation_model``, ``split`` as for
             :class:`~chemlab.envs.aec.raw_env`.
 
     Raises:
@@ -67,7 +67,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         unknown = sorted(set(given) - set(_SETTINGS))
         if unknown:
             raise ValueError(f"env_config: known: {', '.join(_SETTINGS)}; given {', '.join(unknown)}")
-        roles, background = given.pop("roles", None), given.pop("background", "heuristic")
+        roles, background = given.pop("roles", None), given.pop("background", "scripted")
         self.laboratory = raw_env(given.pop("scenario", "wurtz_dodecane"), **given)
         labs = self.laboratory.laboratories
         learning = chosen_roles(labs, roles)

@@ -14,7 +14,7 @@ from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationA
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .reaction import ReactionHeuristic
+from .reaction import ScriptedReaction
 from .script import ScriptedManager, Setting, cheapest, likelihood
 
 __all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
@@ -240,7 +240,7 @@ def run_once(labs: Laboratories, agent: str, goal: str, slot: int = 0) -> int:
     number, members, ticks = labs.agents.index(agent), labs.members, 0
     bench = labs.benches[number - 1]
     assert isinstance(bench, ReactionBench), "the manager starts reactions only"
-    policy = ReactionHeuristic(bench)
+    policy = ScriptedReaction(bench)
     grade = list(labs.scenario.grades)[-1:]
     for action in (labs.actions.encode("start", agent, slot, goal, *grade), labs.actions.encode("wait")):
         labs.act(0, members, np.full(len(members), action))

@@ -17,7 +17,7 @@ from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.crystallization_bench import CrystallizationBench
 
-__all__ = ["CrystallizationHeuristic", "solubility"]
+__all__ = ["ScriptedCrystallization", "solubility"]
 
 _PATIENCE = 30
 _FULLEST = 0.85
@@ -96,7 +96,7 @@ class _Batch:
     """remaining steps to wait for complete dissolution"""
 
 
-class CrystallizationHeuristic:
+class ScriptedCrystallization:
     """Collects, washes and dries crystals; recrystallizes a crude product first.
 
     Crystals in liquor are collected, washed and dried. A crude product is dissolved in as much hot solvent as the

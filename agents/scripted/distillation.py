@@ -20,7 +20,7 @@ from chemlab.roles.distillation_bench import DistillationBench
 
 from .script import SAME_SHADE, count_pixels
 
-__all__ = ["DistillationHeuristic"]
+__all__ = ["ScriptedDistillation"]
 
 _KJ_PER_L_K = 1.7
 """Rough heat capacity of an organic liquid in kJ/(L K); with the heat of vaporization below it selects heating
@@ -45,7 +45,7 @@ class _Seen(NamedTuple):
     litres: float
 
 
-class DistillationHeuristic:
+class ScriptedDistillation:
     """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
     materials left.
 

@@ -14,14 +14,14 @@ from chemlab.roles.extraction_bench import ExtractionBench
 
 from .script import count_pixels
 
-__all__ = ["ExtractionHeuristic"]
+__all__ = ["ScriptedExtraction"]
 
 _WASHES = 4
 
 DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
 
-class ExtractionHeuristic:
+class ScriptedExtraction:
     """Drains solids off if metal lies at the bottom; otherwise washes.
 
     Metal must not meet water, so after draining the experiment ends with the product in B1. Washing adds the first

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.distillation_bench import DistillationBench
 
-from .real import RealDistillationHeuristic
+from .real import ScriptedRealDistillation
 
-__all__ = ["FractionHeuristic"]
+__all__ = ["ScriptedFraction"]
 
 _HEAVIER_K = 5.0
 """Materials that boil this many K above the goal are to stay in the pot."""
@@ -31,7 +31,7 @@ _MORE = 1.2
 STRIP, COLLECT, DILUTE = range(3)
 
 
-class FractionHeuristic(RealDistillationHeuristic):
+class ScriptedFraction(ScriptedRealDistillation):
     """Boils off the lighter materials; takes the goal over where a column can separate it from heavier ones.
 
     Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal

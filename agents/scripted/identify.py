@@ -17,7 +17,7 @@ from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.instruments.table import InstrumentTable
 
-from .manager import ManagerHeuristic
+from .manager import SynthesisManager
 from .script import Setting, cheapest
 
 __all__ = ["IdentifyingManager", "has_unlabelled_vessels"]
@@ -71,7 +71,7 @@ class _Belief:
     chosen: list[int] = field(default_factory=list)
 
 
-class IdentifyingManager(ManagerHeuristic):
+class IdentifyingManager(SynthesisManager):
     """Identifies the vessel that an order needs among unlabelled ones, then follows the scripted manager.
 
     The prior is the scenario's declaration of each vessel's possible contents; it is updated with each reading (Bayes).

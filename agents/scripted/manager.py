@@ -13,7 +13,7 @@ from ..roles import role_of
 from .script import ScriptedManager, Setting, cheapest
 from .workup import keeps_apart
 
-__all__ = ["ManagerHeuristic"]
+__all__ = ["SynthesisManager"]
 
 _PURE_ENOUGH = 0.97
 _MOST_OF_IT = 0.5
@@ -39,7 +39,7 @@ class _Line:
     submitted: bool = False
 
 
-class ManagerHeuristic(ScriptedManager[list[_Line]]):
+class SynthesisManager(ScriptedManager[list[_Line]]):
     """Processes each order through a fixed sequence of benches and submits the purest vessel.
 
     The sequence is: react; decant leftover metal and discard it; wash; distil; crystallize. Products are analysed until

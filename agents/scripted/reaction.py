@@ -14,7 +14,7 @@ from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 
-__all__ = ["ReactionHeuristic"]
+__all__ = ["ScriptedReaction"]
 
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which the piston moves out; the valve opens at 0.8."""
@@ -44,7 +44,7 @@ def _hottest(bench: ReactionBench) -> tuple[FloatArray, FloatArray] | None:
     return shares, step.activation_energy_j_mol / (GAS_CONSTANT * np.log(factors * time / _LOSS))
 
 
-class ReactionHeuristic:
+class ScriptedReaction:
     """Adds all reagents on the way to the goal at once, hot; a reagent with excess (sodium) is added in excess.
 
     If the goal's reagents would also form a penalized by-product, one of them is withheld until the others have become

@@ -13,9 +13,9 @@ from chemlab.roles.distillation_bench import DistillationBench
 from chemlab.roles.extraction_bench import ExtractionBench
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .extraction import ADD, DRAIN, MIX, SETTLE, ExtractionHeuristic
+from .extraction import ADD, DRAIN, MIX, SETTLE, ScriptedExtraction
 
-__all__ = ["RealDistillationHeuristic", "RealExtractionHeuristic", "RealReactionHeuristic"]
+__all__ = ["ScriptedRealDistillation", "ScriptedRealExtraction", "ScriptedRealReaction"]
 
 _FEED, _QUENCH = 0.6, 0.88
 """Shares of a reaction: liquid reagents are fed until the first; the quench begins at the second."""
@@ -27,7 +27,7 @@ _GAIN = 2.0
 """Controller gain: K of jacket setpoint below the target per K that the contents are above it."""
 
 
-class RealReactionHeuristic:
+class ScriptedRealReaction:
     """Charges the solids first, feeds the liquids while the jacket removes heat, waits, and quenches water-sensitive
     reagents.
 
@@ -88,7 +88,7 @@ _LOWER = 0.12
 """Grey values within this distance of water's belong to the aqueous layer."""
 
 
-class RealExtractionHeuristic(ExtractionHeuristic):
+class ScriptedRealExtraction(ScriptedExtraction):
     """Washes with water several times: add, shake, settle, drain the aqueous layer at the bottom.
 
     Args:
@@ -138,7 +138,7 @@ _SHORT_OF_K = 6.0
 _LEAST_KJ = 2.0
 
 
-class RealDistillationHeuristic:
+class ScriptedRealDistillation:
     """Boils off materials with boiling points below the goal's, judged by the boiling temperature of the pot.
 
     Args:

@@ -14,9 +14,9 @@ from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import MaskArray, ObservationArray
 from chemlab.roles.extraction_bench import ExtractionBench
 
-from .real import RealExtractionHeuristic
+from .real import ScriptedRealExtraction
 
-__all__ = ["WorkupHeuristic", "keeps_apart"]
+__all__ = ["ScriptedWorkup", "keeps_apart"]
 
 _ROOM_K = 298.15
 _APART = 30.0
@@ -39,7 +39,7 @@ def keeps_apart(scenario: Scenario, name: str) -> bool:
     return float(dilute[0]) > math.log(_APART)
 
 
-class WorkupHeuristic(RealExtractionHeuristic):
+class ScriptedWorkup(ScriptedRealExtraction):
     """Washes with water; adds an immiscible solvent or uses acid-base extraction where needed.
 
     If all contents are miscible with water, an immiscible solvent is added first. If the goal is an acid and the bench

@@ -90,7 +90,7 @@ class TorchLaboratory(EnvBase):
         split: str = "train",
         groups: Mapping[str, Sequence[str]] | None = None,
         roles: Sequence[str] | None = None,
-        background: str = "heuristic",
+        background: str = "scripted",
         state: bool = True,
         seed: int | None = None,
         device: Any = "cpu",

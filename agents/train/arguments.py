@@ -62,7 +62,7 @@ _MANAGER: dict[str, Any] = {
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
-    "manager": {**_MANAGER, "learning_rate": 3e-4, "imitate": "heuristic"},
+    "manager": {**_MANAGER, "learning_rate": 3e-4, "imitate": "scripted"},
     "manager-curriculum": {**_MANAGER, "learning_rate": 1e-3, "curriculum": ("backward",)},
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
     "sac-cool": {"algo": "sac", "ent_coef_start": 0.01},
@@ -273,7 +273,7 @@ class TrainArguments(Arguments):
     background: str | None = _argument(
         None,
         "Who plays the other roles of a laboratory, by name.",
-        otherwise="heuristic, for the laboratory's views",
+        otherwise="scripted, for the laboratory's views",
     )
     goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option.", otherwise="all")
     actions: str | None = _argument(
@@ -293,7 +293,7 @@ class TrainArguments(Arguments):
         otherwise="none",
     )
     imitate: str | None = _argument(
-        None, "Policy to imitate before learning, by name (heuristic, hasty, ...).", otherwise="none"
+        None, "Policy to imitate before learning, by name (scripted, scripted:unsafe, ...).", otherwise="none"
     )
     imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
     imitate_rounds: int | None = _argument(
@@ -394,7 +394,7 @@ class TeamArguments(Arguments):
     roles: tuple[str, ...] | None = _argument(
         None, "Roles that learn: manager and bench keys; repeat the option.", otherwise="all"
     )
-    background: str = _argument("heuristic", "Who plays the roles that do not learn, by name.")
+    background: str = _argument("scripted", "Who plays the roles that do not learn, by name.")
     rewards: str | None = _argument(None, "Another reward mix than the scenario's.", otherwise="the scenario's")
     manager_gamma: float = _argument(1.0, "Discount a decision of the manager.", least=0.0, most=1.0)
     steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.", least=1, most=10**12)

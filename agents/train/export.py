@@ -153,14 +153,14 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
     episodes = arguments.final_episodes
     found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
-    heuristic = task.scripted(episodes, RESULT_SEED)
+    scripted = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,
         "seed": RESULT_SEED,
         "mean": sum(found.values()) / len(found),
         "by_goal": found,
-        "heuristic_mean": sum(heuristic.values()) / len(heuristic) if heuristic else None,
-        "heuristic_by_goal": heuristic,
+        "scripted_mean": sum(scripted.values()) / len(scripted) if scripted else None,
+        "scripted_by_goal": scripted,
     }
     card = replace(policy.card, evaluation=evaluation)
     save_policy(path, card, policy.weights)

@@ -428,8 +428,8 @@ def _result(run: Run, described: RunConfig, trainee: Trainee, arguments: Argumen
         episodes_per_goal=episodes,
         mean=_mean(found),
         by_goal=found,
-        heuristic_mean=None if scripted is None else _mean(scripted),
-        heuristic_by_goal=scripted,
+        scripted_mean=None if scripted is None else _mean(scripted),
+        scripted_by_goal=scripted,
         last_mean=_mean(last),
         last_by_goal=last,
     )

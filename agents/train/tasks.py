@@ -95,7 +95,7 @@ class Task(ABC):
         """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
         if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
             return None
-        return self.by_goal(self.policy("heuristic"), episodes, seed)
+        return self.by_goal(self.policy("scripted"), episodes, seed)
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
         """A policy's mean for each goal."""
@@ -191,7 +191,7 @@ class LaboratoryTask(Task):
         self,
         scenario: Any,
         agent: str = MANAGER_AGENT,
-        background: str = "heuristic",
+        background: str = "scripted",
         goals: tuple[str, ...] | None = None,
         splits: tuple[str, str] = ("train", "validation"),
     ) -> None:
@@ -247,7 +247,7 @@ def task_of(card: Card) -> Task:
     if card.bench != MANAGER_ROLE and (card.background is None or card.starts != "paper"):
         return BenchTask(card.scenario, card.bench, goals, card.starts)
     agent = MANAGER_AGENT if card.bench == MANAGER_ROLE else f"{card.bench}_0"
-    return LaboratoryTask(card.scenario, agent, card.background or "heuristic", goals)
+    return LaboratoryTask(card.scenario, agent, card.background or "scripted", goals)
 
 
 def task_fingerprint(arguments: TrainArguments) -> str:
@@ -293,4 +293,4 @@ def find_task(arguments: TrainArguments) -> Task:
     if arguments.starts != "paper":
         raise ValueError(f"starts: {env_id} begins with the scenario's own shelf, given {arguments.starts!r}")
     agent = task.get("agent", MANAGER_AGENT)
-    return LaboratoryTask(scenario, agent, arguments.background or "heuristic", arguments.goals, splits)
+    return LaboratoryTask(scenario, agent, arguments.background or "scripted", arguments.goals, splits)

@@ -9,7 +9,17 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .common import AddressOption, JsonOption, ProcessesOption, SplitOption, TrustOption, app, out, readable_errors
+from .common import (
+    AddressOption,
+    JsonOption,
+    ProcessesOption,
+    SplitOption,
+    TrustOption,
+    app,
+    current_policy,
+    out,
+    readable_errors,
+)
 from .screen import counting, show_table
 
 __all__: list[str] = []
@@ -25,13 +35,15 @@ def benchmark(
         typer.Option(
             help="Besides random, plan and clairvoyant: names as for `chemlab run`, a training run, or a folder of "
             "runs of which only the seed differs, or records of what people have played; repeat the option. "
-            "Default: heuristic, pretrained, trained."
+            "Default: scripted, pretrained, trained."
         ),
     ] = None,
     split: SplitOption = "test",
     seeds: Annotated[int, typer.Option(min=1, help="Replications: worlds and, of runs, training seeds.")] = 5,
     budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
-    baseline: Annotated[str, typer.Option(help="The row that improvement is measured over.")] = "heuristic",
+    baseline: Annotated[
+        str, typer.Option(callback=current_policy, help="The row that improvement is measured over.")
+    ] = "scripted",
     records: Annotated[int, typer.Option(min=0, help="Episodes of each row and scenario that are recorded.")] = 1,
     processes: ProcessesOption = None,
     address: AddressOption = None,

@@ -37,6 +37,7 @@ __all__ = [
     "check_apart_from",
     "check_result",
     "chosen_agents",
+    "current_policy",
     "err",
     "out",
     "prepare",
@@ -113,12 +114,23 @@ app = typer.Typer(
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
 ]
+
+
+def current_policy(value: str) -> str:
+    """Replace former names in the value of an option (see :func:`chemlab.agents.names.current_name`)."""
+    from ..agents.names import current_name
+
+    current: str = current_name(value)
+    return current
+
+
 PolicyOption = Annotated[
     str,
     typer.Option(
-        help="Who plays: heuristic, hasty, direct, random, pretrained (benches), trained (manager and benches), plan "
-        "(a blind manager, see `chemlab plan`), or the path of what training left; exceptions by role or agent after "
-        "commas: pretrained,manager=random."
+        callback=current_policy,
+        help="The policy: scripted, scripted:unsafe, scripted:no-extraction, random, pretrained (benches), trained "
+        "(manager and benches), plan (an open-loop manager), or the path of a training run; exceptions by role or "
+        "agent after commas: pretrained,manager=random.",
     ),
 ]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]

@@ -32,7 +32,7 @@ def crossplay(
         list[str] | None,
         typer.Option(
             help="Names as for `chemlab run`, a training run, or a folder of runs, each of which is one; repeat the "
-            "option. Default: heuristic, hasty, heuristic@0.1 (a random action at one turn in ten)."
+            "option. Default: scripted, scripted:unsafe, scripted@0.1 (a random action at one turn in ten)."
         ),
     ] = None,
     benches: Annotated[list[str] | None, typer.Option(help="The same for the benches.")] = None,

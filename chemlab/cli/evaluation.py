@@ -31,9 +31,9 @@ def evaluate(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="heuristic, random, pretrained, the name of a policy that comes along, or the path of a training run, "
+            help="scripted, random, pretrained, the name of a policy that comes along, or the path of a training run, "
             "of a checkpoint or of exported weights; repeat the option. Laboratories know more, see `chemlab run`. "
-            "Default: heuristic and random."
+            "Default: scripted and random."
         ),
     ] = None,
     bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
@@ -42,7 +42,7 @@ def evaluate(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
     seed: SeedOption = 0,
     split: SplitOption = "train",
-    baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "heuristic",
+    baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "scripted",
     processes: Annotated[
         int | None, typer.Option(min=1, help="Jobs at a time. Default: one, or, of a cluster, one for each core.")
     ] = None,
@@ -66,7 +66,7 @@ def evaluate(
         if output is not None:
             check_result(output, target, baseline, *(policy or ()))
         chosen = find_target(target, bench, starts, split)
-        policies = policy or ["heuristic", "random"]
+        policies = policy or ["scripted", "random"]
         total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
         # Most evaluations are over before other processes would have started.
         with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:

@@ -175,7 +175,7 @@ def _recorders(env: raw_env, policy: str, seeds: range, record: Path | None, for
 @app.command()
 def run(
     scenario: ScenarioArgument,
-    policy: PolicyOption = "heuristic",
+    policy: PolicyOption = "scripted",
     episodes: EpisodesOption = 1,
     seed: SeedOption = 0,
     split: SplitOption = "train",
@@ -308,7 +308,7 @@ def compare(
     from ..agents.policies import make_policies
     from ..config.scenario import scenario_names
 
-    policies = policy or ["heuristic", "random"]
+    policies = policy or ["scripted", "random"]
     rows: list[dict[str, Any]] = []
     if update is not None:
         check_marks(update, "results")

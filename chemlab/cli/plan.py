@@ -17,6 +17,7 @@ from .common import (
     TrustOption,
     app,
     check_result,
+    current_policy,
     out,
     readable_errors,
 )
@@ -33,8 +34,11 @@ __all__: list[str] = []
 def plan(
     scenario: ScenarioArgument,
     benches: Annotated[
-        str, typer.Option(help="Who operates the benches, which see: as --policy of `chemlab run`.")
-    ] = "heuristic",
+        str,
+        typer.Option(
+            callback=current_policy, help="Who operates the benches, which see: as --policy of `chemlab run`."
+        ),
+    ] = "scripted",
     budget: Annotated[
         str, typer.Option(help="Most plans tried: small (10,000), full (100,000) or a number.")
     ] = "small",

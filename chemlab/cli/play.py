@@ -40,8 +40,8 @@ def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int)
     from ..agents.policies import agent_policy, make_policies
 
     pretrained = name == "pretrained"
-    made = make_policies("heuristic" if pretrained else name, labs, seed)
-    chosen = {agent: ("heuristic" if pretrained else name, made[agent]) for agent in labs.agents if agent not in people}
+    made = make_policies("scripted" if pretrained else name, labs, seed)
+    chosen = {agent: ("scripted" if pretrained else name, made[agent]) for agent in labs.agents if agent not in people}
     for agent in chosen if pretrained else ():
         number = labs.agents.index(agent)
         try:
@@ -108,8 +108,8 @@ def play(
         typer.Option(help="Whom you play: an agent (rxn_0), a kind (rxn) or all; repeat the option. Default: manager."),
     ] = None,
     background: Annotated[
-        str, typer.Option(help="Who plays the others: heuristic, hasty, random or pretrained.")
-    ] = "heuristic",
+        str, typer.Option(help="Who plays the others: scripted, scripted:unsafe, random or pretrained.")
+    ] = "scripted",
     seed: SeedOption = 0,
     split: SplitOption = "train",
     goal: Annotated[str | None, typer.Option(help="The laboratory's goal. Default: the scenario draws one.")] = None,

@@ -62,7 +62,7 @@ class _Account:
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
-        scripted = evaluation.heuristic_mean
+        scripted = evaluation.scripted_mean
         beside = "" if scripted is None else f", scripted {scripted:.3f}"
         self._say(f"step {evaluation.step:>9,}: mean return {evaluation.mean:.3f}{beside}{'  (best)' if best else ''}")
 
@@ -103,10 +103,10 @@ def _outcome(result: RunResult) -> Table:
     table = Table(title=plain(f"{title} (mean return of {result.episodes_per_goal} episodes)"), box=SIMPLE)
     for name in ("goal", "best", "last", "scripted"):
         table.add_column(name, justify="left" if name == "goal" else "right")
-    scripted = result.heuristic_by_goal or {}
+    scripted = result.scripted_by_goal or {}
     for goal, value in result.by_goal.items():
         table.add_row(plain(goal), f"{value:.3f}", f"{result.last_by_goal[goal]:.3f}", _number(scripted.get(goal)))
-    table.add_row("mean", f"{result.mean:.3f}", f"{result.last_mean:.3f}", _number(result.heuristic_mean))
+    table.add_row("mean", f"{result.mean:.3f}", f"{result.last_mean:.3f}", _number(result.scripted_mean))
     return table
 
 
@@ -316,4 +316,4 @@ def export(
         return
     found = card.evaluation
     out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))
-    out.print(f"mean return {found['mean']:.3f}, scripted {_number(found['heuristic_mean']) or 'none'}")
+    out.print(f"mean return {found['mean']:.3f}, scripted {_number(found['scripted_mean']) or 'none'}")

@@ -195,7 +195,7 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
     rows = []
     for goal in spec.lab_goals:
         labs = Laboratories(spec, episodes)
-        scripted = play_laboratory(labs, make_policies("heuristic", labs, seed), goal, seed).returns
+        scripted = play_laboratory(labs, make_policies("scripted", labs, seed), goal, seed).returns
         apart = _boils_next(spec, goal)
         rows.append(
             GoalDifficulty(

@@ -9,7 +9,7 @@ results=${1:-results}
 seeds=${*:2}
 
 bench() { # SCENARIO STEPS EPISODES ARGUMENT ...
-    chemlab train-together "$1" --steps "$2" --imitate heuristic --rewards mixed --envs 128 --rollout 64 --batch-size 1024 \
+    chemlab train-together "$1" --steps "$2" --imitate scripted --rewards mixed --envs 128 --rollout 64 --batch-size 1024 \
         --ent-coef 0 --eval-episodes "$3" --final-episodes 100 --seed "$seed" --out "$results/$1-joint/benches/seed-$seed" \
         --quiet "${@:4}"
 }

@@ -14,7 +14,7 @@ together() { # SCENARIO CRITIC STEPS ARGUMENT ...
 
 learn() { # SCENARIO TURNS STEPS: turns of each scripted agent that are shown
     for critic in own state; do
-        together "$1" "$critic" "$3" --imitate heuristic --imitate-steps "$2" --imitate-rounds 5 --rewards mixed --net-arch 128 \
+        together "$1" "$critic" "$3" --imitate scripted --imitate-steps "$2" --imitate-rounds 5 --rewards mixed --net-arch 128 \
             --net-arch 128 --learning-rate 1e-4 --rollout 128 --batch-size 2048 --epochs 6 --ent-coef 0 --gae-lambda 0.98 --checkpoints 2
     done
 }

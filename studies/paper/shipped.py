@@ -21,7 +21,7 @@ from chemlab.config.scenario import load_scenario
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]
 
-_FILE, _STARTS, _SCRIPTED = "benches.csv", ("paper", "lab"), "heuristic"
+_FILE, _STARTS, _SCRIPTED = "benches.csv", ("paper", "lab"), "scripted"
 _COLUMNS = ("name", "scenario", "bench", "starts", "episodes", "seed", "chemlab", "player", *_STARTS, "reward", "score")
 
 

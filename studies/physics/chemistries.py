@@ -47,7 +47,7 @@ def scripted(spec: Scenario) -> tuple[Played, FloatArray, FloatArray]:
     labs.reset(labs.members)
     atoms = element_matrix(spec)
     before = atoms @ labs.shelf.total()[0]
-    played = play_laboratory(labs, make_policies("heuristic", labs, 0), spec.goals[-1], 0)
+    played = play_laboratory(labs, make_policies("scripted", labs, 0), spec.goals[-1], 0)
     return played, before, atoms @ (labs.shelf.total()[0] + labs.state.delivered[0])
 
 

@@ -33,7 +33,7 @@ def laboratory(name: str, episodes: int) -> dict[str, float]:
         seconds.append(time.perf_counter() - begun)
 
     for seed in range(episodes):
-        play_episode(env, make_policies("heuristic", env.laboratories, seed), seed, watch=watch)
+        play_episode(env, make_policies("scripted", env.laboratories, seed), seed, watch=watch)
     return summary(seconds)
 
 

@@ -96,7 +96,7 @@ def hashes(seeds: int) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for scenario in (*scenario_names(), *synthesis_names()):
         env = raw_env(scenario)
-        for name in ("random", "heuristic", "hasty"):
+        for name in ("random", "scripted", "scripted:unsafe"):
             policies = make_policies(name, env.laboratories, 0)
             found[f"{scenario} {name}"] = [laboratory_episode(env, policies, seed) for seed in range(seeds)]
             print(f"{scenario} {name}", file=sys.stderr, flush=True)

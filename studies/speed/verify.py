@@ -26,7 +26,7 @@ from chemlab.config.scenario import scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, read_record, verify_record
 
-POLICIES = ("heuristic", "random", "careless")
+POLICIES = ("scripted", "random", "careless")
 
 
 def policies(name: str, env: raw_env, seed: int) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class Follower:
 
 
 def advised(labs: Laboratories, every: int = 0) -> dict[str, Any]:
-    policies = make_policies("heuristic", labs, 0)
+    policies = make_policies("scripted", labs, 0)
     actions = len(labs.actions)
     policies["manager_0"] = AdvisedPolicy(Follower(actions, every), Advisor(policies["manager_0"], actions))
     return policies
@@ -51,7 +51,7 @@ def test_the_advice_is_seen_behind_the_observation() -> None:
 @pytest.mark.parametrize("scenario", MANAGED)
 def test_who_follows_the_advice_plays_what_the_advisor_plays(scenario: str) -> None:
     labs = Laboratories(scenario, 2)
-    scripted = play_laboratory(labs, make_policies("heuristic", labs, 0), None, 7)
+    scripted = play_laboratory(labs, make_policies("scripted", labs, 0), None, 7)
     followed = play_laboratory(labs, advised(labs), None, 7)
     np.testing.assert_array_equal(followed.returns, scripted.returns)
 
@@ -67,7 +67,7 @@ def test_an_advisor_bears_it_that_something_else_is_played(scenario: str) -> Non
 def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
     """An advisor that hears that nothing was done, where nothing has changed, gives the same advice again."""
     labs = Laboratories(scenario, 1)
-    manager: Any = make_policies("heuristic", labs, 0)["manager_0"]
+    manager: Any = make_policies("scripted", labs, 0)["manager_0"]
     labs.seed(0, 3)
     labs.reset(labs.members)
     member, wait = labs.members, np.array([labs.actions.encode("wait")])
@@ -106,8 +106,8 @@ class Watched:
 def test_who_only_watches_knows_what_is_to_be_done(scenario: str) -> None:
     """Every decision is taken back and heard of as somebody else's: an advisor goes on from what others have done."""
     labs = Laboratories(scenario, 3)
-    policies = make_policies("heuristic", labs, 0)
-    watched = Watched(policies["manager_0"], make_policies("heuristic", labs, 0)["manager_0"])
+    policies = make_policies("scripted", labs, 0)
+    watched = Watched(policies["manager_0"], make_policies("scripted", labs, 0)["manager_0"])
     play_laboratory(labs, {**policies, "manager_0": watched}, None, 7)
     # Some draw what they think of, and whoever hears of an order taken guesses which.
     least = {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
@@ -138,13 +138,13 @@ def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
 
 def test_what_is_advised_and_not_yet_played_is_not_remembered() -> None:
     labs = Laboratories("rush", 1)
-    manager: Any = make_policies("heuristic", labs, 0)["manager_0"]
+    manager: Any = make_policies("scripted", labs, 0)["manager_0"]
     labs.reset(labs.members)
     step = np.zeros(1, dtype=np.int64)
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     advice = manager.advise(seen, mask, step, labs.members)
     kept = manager.get_memory()
-    other: Any = make_policies("heuristic", labs, 0)["manager_0"]
+    other: Any = make_policies("scripted", labs, 0)["manager_0"]
     other.set_memory(kept)
     np.testing.assert_array_equal(other.advise(seen, mask, step + 1, labs.members), advice)
 
@@ -152,7 +152,7 @@ def test_what_is_advised_and_not_yet_played_is_not_remembered() -> None:
 def test_the_scheduler_goes_on_from_what_somebody_else_has_begun() -> None:
     """It was to measure, and an oven was lit: it neither lights that again nor takes the vessel for a fresh one."""
     labs = Laboratories("rush", 1)
-    manager: Any = make_policies("heuristic", labs, 0)["manager_0"]
+    manager: Any = make_policies("scripted", labs, 0)["manager_0"]
     labs.reset(labs.members)
     step = np.zeros(1, dtype=np.int64)
     manager.advise(labs.observe(0, labs.members), labs.mask(0, labs.members), step, labs.members)
@@ -176,7 +176,7 @@ def arguments(**more: Any) -> Any:
         "env_id": "manager",
         "scenario": "rush",
         "algo": "maskable-ppo",
-        "advice": "heuristic",
+        "advice": "scripted",
         "imitate_steps": 600,
         "envs": 4,
         "rollout": 16,
@@ -198,7 +198,7 @@ def test_a_batch_shows_the_advice_and_goes_on_alike() -> None:
     count, size = task.workplace.action_count, task.workplace.observation_space.shape[0]
 
     def made() -> Any:
-        return ChemlabVecEnv(task.batch(3), show_masks=True, advisor=task.advisor("heuristic"))
+        return ChemlabVecEnv(task.batch(3), show_masks=True, advisor=task.advisor("scripted"))
 
     def play(venv: Any, seen: Any, turns: int) -> list[Any]:
         found = []
@@ -262,7 +262,7 @@ def test_who_plays_in_later_rounds_sees_the_advice_too(monkeypatch: pytest.Monke
     from chemlab.agents.train import imitate as module
 
     batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
-    teacher = agent_policy("heuristic", batch.laboratories, 0)
+    teacher = agent_policy("scripted", batch.laboratories, 0)
     venv = ChemlabVecEnv(batch, advisor=Advisor(teacher, batch.action_count))
     model, own = MaskablePPO("MlpPolicy", venv, n_steps=16, seed=0, device="cpu"), []
     policy = as_policy(model)
@@ -292,11 +292,11 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str,
     enough = {"imitate_steps": 2400, "final_episodes": 20} if memory is None else {}
     result = train(arguments(algo=algo, learning_rate=1e-12, memory=memory, **enough), tmp_path / "run")
     if algo == "maskable-ppo":  # one with a memory takes longer to see it
-        assert result.mean == pytest.approx(result.heuristic_mean, abs=0.1)
+        assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
     assert best is not None
     card = load_pretrained(best / "manager").card
-    assert card.advice == "heuristic"
+    assert card.advice == "scripted"
     labs = Laboratories("rush", 2, split="validation")
     found = [
         play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns
@@ -304,7 +304,7 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str,
     ]
     np.testing.assert_array_equal(*found)
     exported = export_run(tmp_path / "run", tmp_path / "mine")
-    assert exported.advice == "heuristic"
+    assert exported.advice == "scripted"
     assert exported.observation_size == labs.observation_sizes[0] + len(labs.actions)
 
 
@@ -347,7 +347,10 @@ def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
     ("values", "message"),
     [
         ({"algo": "a2c"}, "advice: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"),
-        ({"imitate": "hasty"}, "imitate: who is advised begins by following the advice, 'heuristic'; leave it out"),
+        (
+            {"imitate": "scripted:unsafe"},
+            "imitate: who is advised begins by following the advice, 'scripted'; leave it out",
+        ),
     ],
 )
 def test_what_does_not_go_with_advice(values: dict[str, Any], message: str) -> None:

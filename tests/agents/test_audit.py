@@ -103,7 +103,7 @@ def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, A
 
 def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str, Any], Path]) -> None:
     found, _ = unlabelled
-    assert found["policy"] == "heuristic"
+    assert found["policy"] == "scripted"
     assert found["gates"]["blind"]
     assert found["gates"]["measuring"]
     assert found["gates"]["noise"]
@@ -198,7 +198,7 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
         part = json.loads(path.read_text())
         rows = part["result"][table]
         assert {len(row) for row in rows} == {width}
-        jobs = measuring_jobs(load_scenario("unlabelled"), TINY, "heuristic", result["plans"])
+        jobs = measuring_jobs(load_scenario("unlabelled"), TINY, "scripted", result["plans"])
         (job,) = (job for job in jobs if job.name == name)
         assert crew.kept(job) == part["result"]
         whole = path.read_text()
@@ -221,7 +221,7 @@ def test_where_nothing_is_hidden_a_blind_plan_does() -> None:
 
 def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
     labs = Laboratories("unlabelled", 4, split="test")
-    scores = play_laboratory(labs, make_policies("heuristic", labs, 0), None, 70).returns
+    scores = play_laboratory(labs, make_policies("scripted", labs, 0), None, 70).returns
     for member in range(4):
         best, curve = best_in_episode(labs.scenario, 70 + member, "test", 20, {})
         # The scripted manager's own plan there, without its measurements.

@@ -36,7 +36,11 @@ from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, RecordError, verify_record
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
-ROWS = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",)), Row("serial", ("serial",))]
+ROWS = [
+    Row("scripted", ("scripted",)),
+    Row("scripted:unsafe", ("scripted:unsafe",)),
+    Row("scripted:fifo", ("scripted:fifo",)),
+]
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +53,16 @@ def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any],
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
     assert [cells[name]["value"] for name in ("random", "clairvoyant")] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert all(cell["value"] <= 1.0 + 1e-12 for cell in cells.values() if cell["value"] is not None)
-    assert cells["serial"]["value"] is None
-    assert "has no orders to choose from" in cells["serial"]["reason"]
+    assert cells["scripted:fifo"]["value"] is None
+    assert "has no orders to choose from" in cells["scripted:fifo"]["reason"]
 
 
 def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -> None:
     """Played again by hand: the whole, and each replication's part of it."""
     one = played[0]["scenarios"]["unlabelled"]
     labs = Laboratories("unlabelled", 5, split="test")
-    scores = play_laboratory(labs, make_policies("heuristic", labs), None, AUDIT_SEED).returns
-    cell = one["cells"]["heuristic"]
+    scores = play_laboratory(labs, make_policies("scripted", labs), None, AUDIT_SEED).returns
+    cell = one["cells"]["scripted"]
     random, clairvoyant = (np.array(one["cells"][name]["scores"]) for name in ("random", "clairvoyant"))
     span = clairvoyant.mean() - random.mean()
     assert cell["score"] == pytest.approx(scores.mean(), rel=1e-12)
@@ -69,7 +73,7 @@ def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -
     assert one["cells"]["clairvoyant"]["replications"] == pytest.approx([1.0, 1.0])
     assert one["cells"]["random"]["replications"] == pytest.approx([0.0, 0.0])
     train = Laboratories("unlabelled", 5, split="train")
-    less = play_laboratory(train, make_policies("heuristic", train), None, AUDIT_SEED).returns
+    less = play_laboratory(train, make_policies("scripted", train), None, AUDIT_SEED).returns
     assert cell["generalization"]["value"] == pytest.approx((scores.mean() - less.mean()) / span)
     # Against the baseline episode by episode, whatever these have in common.
     random = one["cells"]["random"]["over_baseline"]
@@ -81,15 +85,15 @@ def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -
 def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -> None:
     found = {row["policy"]: row for row in played[0]["rows"]}
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
-    assert found["heuristic"]["improvement"] is None
-    for name in ("random", "hasty"):
-        ours, theirs = (np.array(cells[row]["replications"]) for row in (name, "heuristic"))
+    assert found["scripted"]["improvement"] is None
+    for name in ("random", "scripted:unsafe"):
+        ours, theirs = (np.array(cells[row]["replications"]) for row in (name, "scripted"))
         wins = np.mean([(x > y) + 0.5 * (x == y) for x in ours for y in theirs])
         assert found[name]["improvement"]["value"] == pytest.approx(wins)
         assert found[name]["interquartile_mean"]["value"] == pytest.approx(ours.mean())  # of two: nothing is cut off
         shares = [estimate["value"] for estimate in found[name]["profile"]]
         assert shares == [np.mean(ours > level) for level in played[0]["thresholds"]]
-    assert found["serial"]["scenarios"] == 0
+    assert found["scripted:fifo"]["scenarios"] == 0
 
 
 def test_profiles_are_shares_of_samples_with_intervals() -> None:
@@ -117,10 +121,10 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     write_benchmark(folder, found, [spec], ROWS)
     assert json.loads((folder / "benchmark.json").read_text()) == json.loads(json.dumps(found))
     runs = json.loads((folder / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
-    assert set(runs) == {"random", "plan", "heuristic", "hasty", "clairvoyant"}
-    assert set(runs["hasty"]) == {"seed_0", "seed_1"}
-    last = runs["hasty"]["seed_1"]
-    cell = found["scenarios"]["unlabelled"]["cells"]["hasty"]
+    assert set(runs) == {"random", "plan", "scripted", "scripted:unsafe", "clairvoyant"}
+    assert set(runs["scripted:unsafe"]) == {"seed_0", "seed_1"}
+    last = runs["scripted:unsafe"]["seed_1"]
+    cell = found["scenarios"]["unlabelled"]["cells"]["scripted:unsafe"]
     assert last["absolute_metrics"]["return"] == pytest.approx([cell["replications"][1]])
     assert len(last["step_0"]["return"]) == 2
     assert np.mean(last["step_0"]["return"]) == pytest.approx(cell["replications"][1])
@@ -134,13 +138,24 @@ def test_a_benchmark_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.
     board = tmp_path / "leaderboard.json"
     line = {"scenario": "other", "policy": "somebody", "split": "test", "value": 0.5}
     board.write_text(json.dumps({"lines": [line]}))
-    words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--out", str(tmp_path), "--processes", "2"]
+    words = [
+        "benchmark",
+        "unlabelled",
+        "--policy",
+        "scripted:unsafe",
+        "--seeds",
+        "2",
+        "--out",
+        str(tmp_path),
+        "--processes",
+        "2",
+    ]
     killed(words, tmp_path / "parts", 3)
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").rglob("*.json")}
     assert json.loads(board.read_text()) == {"lines": [line]}
     done = CliRunner().invoke(app, [*words[:-1], "1", "--json"])
     assert done.exit_code == 0, done.output
-    rows = [Row("heuristic", ("heuristic",)), Row("hasty", ("hasty",))]
+    rows = [Row("scripted", ("scripted",)), Row("scripted:unsafe", ("scripted:unsafe",))]
     assert json.loads(done.output)["scenarios"] == benchmark(["unlabelled"], rows, AUDIT_TINY, 2)["scenarios"]
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert line in leaderboard_lines(board)
@@ -155,7 +170,7 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
     write_benchmark(folder, found, [spec], ROWS)
     lines = {(line["scenario"], line["policy"]): line for line in json.loads(path.read_text())["lines"]}
     assert lines["other", "somebody"] == other
-    for name in ("heuristic", "hasty", "plan"):
+    for name in ("scripted", "scripted:unsafe", "plan"):
         line = lines["unlabelled", name]
         (record,) = line["records"]
         assert verify_record(folder / record["file"]).status == "ok"
@@ -163,7 +178,7 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
         assert record["score"] == pytest.approx(first, rel=1e-9)
         assert line["hardware"]["cores"]
         assert line["versions"]["chemlab"]
-    assert lines["unlabelled", "serial"]["reason"]
+    assert lines["unlabelled", "scripted:fifo"]["reason"]
 
 
 def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
@@ -179,11 +194,11 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
         return {line["policy"]: line for line in leaderboard_lines(path / "leaderboard.json")}
 
     own = written(tmp_path / "own")
-    zero, end = (own["hasty"]["scale"][key] for key in ("random", "clairvoyant"))
-    assert own["hasty"]["value"] == pytest.approx((own["hasty"]["score"] - zero) / (end - zero))
+    zero, end = (own["scripted:unsafe"]["scale"][key] for key in ("random", "clairvoyant"))
+    assert own["scripted:unsafe"]["value"] == pytest.approx((own["scripted:unsafe"]["score"] - zero) / (end - zero))
     half, twice = (zero + (end - zero) * factor for factor in (0.5, 2.0))
     bare = {name: {key: value for key, value in line.items() if "scores" not in key} for name, line in own.items()}
-    lower = {**bare["hasty"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
+    lower = {**bare["scripted:unsafe"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
     higher = {**bare["clairvoyant"], "score": twice, "scale": {"random": zero, "clairvoyant": twice}}
     # A command whose scale ended at half of this one's: its line comes to half as much on this one's.
     lines = written(tmp_path / "lower", lower)
@@ -192,13 +207,13 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
         line, before = (one if part is None else one[part] for one in (lines["somebody"], lower))
         for key in ("value", "low", "high"):
             assert line[key] == pytest.approx(before[key] / 2)
-    assert lines["somebody"]["scale"] == own["hasty"]["scale"]
+    assert lines["somebody"]["scale"] == own["scripted:unsafe"]["scale"]
     assert lines["somebody"]["score"] == lower["score"]
     # One whose scale ended higher: its end stays, and all others are on it.
     lines = written(tmp_path / "higher", higher, lower)
     assert lines["clairvoyant"] == higher
-    assert lines["hasty"]["value"] == pytest.approx(own["hasty"]["value"] / 2)
-    assert lines["somebody"]["value"] == pytest.approx(own["hasty"]["value"] / 4)
+    assert lines["scripted:unsafe"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 2)
+    assert lines["somebody"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 4)
     assert lines["random"]["value"] == 0.0
     # Other episodes, other worlds, or a line that does not say: nothing to compare.
     others: list[dict[str, Any]] = [
@@ -218,14 +233,16 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
     path = tmp_path / "leaderboard.json"
     whole = path.read_text()
     checks = {check.policy: check for check in check_leaderboard(path)}
-    assert {name: check.proof for name, check in checks.items()} == dict.fromkeys(checks, "all") | {"serial": "empty"}
+    assert {name: check.proof for name, check in checks.items()} == dict.fromkeys(checks, "all") | {
+        "scripted:fifo": "empty"
+    }
     assert [check.faults for check in checks.values()] == [[]] * len(checks)
-    assert {name for name, check in checks.items() if check.records} == {"heuristic", "hasty", "plan"}
+    assert {name for name, check in checks.items() if check.records} == {"scripted", "scripted:unsafe", "plan"}
     done = CliRunner().invoke(app, ["verify", str(path)])
     assert done.exit_code == 0, done.output
     assert "6 lines; 5 follow from their scores" in " ".join(done.output.split())
     by_name = {line["policy"]: line for line in leaderboard_lines(path)}
-    hasty, first = by_name["hasty"], by_name["hasty"]["records"][0]
+    hasty, first = by_name["scripted:unsafe"], by_name["scripted:unsafe"]["records"][0]
     scores, mean, ends = hasty["scores"], hasty["over_baseline"], hasty["scale"]
     assert hasty["score"] == pytest.approx(np.mean(scores), rel=1e-12)
     assert hasty["generalization"]["value"] == pytest.approx(
@@ -251,11 +268,11 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
         lines = [{**line, **changed} if line is hasty else line for line in by_name.values()]
         path.write_text(json.dumps({"lines": lines}))
         wrong = {check.policy: check.faults for check in check_leaderboard(path) if check.faults}
-        assert set(wrong) == {"hasty"}, changed
-        assert any(what in fault for fault in wrong["hasty"]), (changed, wrong)
+        assert set(wrong) == {"scripted:unsafe"}, changed
+        assert any(what in fault for fault in wrong["scripted:unsafe"]), (changed, wrong)
     done = CliRunner().invoke(app, ["verify", str(path)])
     assert done.exit_code == 1
-    assert "unlabelled, hasty: ../leaderboard.json" in " ".join(done.output.split())
+    assert "unlabelled, scripted:unsafe: ../leaderboard.json" in " ".join(done.output.split())
     # Without scores nothing can be computed, which is said; without the planner's, the mean alone.
     lines = [{key: value for key, value in line.items() if key != "scores"} for line in by_name.values()]
     path.write_text(json.dumps({"lines": lines}))
@@ -264,7 +281,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
     assert "5 lines have no scores, so nothing but their records is proven (unlabelled 5)" in summary(bare)
     lines = [line if line is not by_name["clairvoyant"] else lines[k] for k, line in enumerate(by_name.values())]
     path.write_text(json.dumps({"lines": lines}))
-    assert {check.policy: check.proof for check in check_leaderboard(path)}["hasty"] == "score"
+    assert {check.policy: check.proof for check in check_leaderboard(path)}["scripted:unsafe"] == "score"
     path.write_text(whole)
 
 
@@ -279,10 +296,10 @@ def test_a_longer_scale_is_computed_from_its_scores(played: tuple[dict[str, Any]
     better = {**planner, "scores": more, "score": score, "scale": {**ends, "clairvoyant": score}}
     write_leaderboard(path, [better])
     assert [check.faults for check in check_leaderboard(path)] == [[]] * 6
-    hasty = next(line for line in leaderboard_lines(path) if line["policy"] == "hasty")
+    hasty = next(line for line in leaderboard_lines(path) if line["policy"] == "scripted:unsafe")
     assert hasty["value"] == pytest.approx((hasty["score"] - ends["random"]) / (score - ends["random"]))
-    factor = hasty["value"] / lines["hasty"]["value"]
-    assert hasty["high"] != pytest.approx(lines["hasty"]["high"] * factor, rel=1e-6)
+    factor = hasty["value"] / lines["scripted:unsafe"]["value"]
+    assert hasty["high"] != pytest.approx(lines["scripted:unsafe"]["high"] * factor, rel=1e-6)
 
 
 def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
@@ -322,9 +339,9 @@ def recorded(
     """A game of unlabelled, as `chemlab play` writes it; the manager's part has a policy that looks at nothing."""
     env = raw_env(scenario, split=split)
     labs = env.laboratories
-    names = dict.fromkeys(labs.agents, "heuristic") | {labs.agents[0]: who}
-    policies = make_policies("heuristic", labs, seed) | {
-        labs.agents[0]: make_policies("hasty", labs, seed)[labs.agents[0]]
+    names = dict.fromkeys(labs.agents, "scripted") | {labs.agents[0]: who}
+    policies = make_policies("scripted", labs, seed) | {
+        labs.agents[0]: make_policies("scripted:unsafe", labs, seed)[labs.agents[0]]
     }
     options = None if goal is None else {"goal": goal}
     with Recorder(path, labs, policies=names) as recorder:
@@ -347,18 +364,18 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     assert cell["scores"] == [scores[0], None, None, scores[1], None]
     assert (cell["episodes"], cell["score"]) == (2, pytest.approx(np.mean(scores)))
     zero, one, script = (
-        np.array(cells[name]["scores"])[[0, 3]].mean() for name in ("random", "clairvoyant", "heuristic")
+        np.array(cells[name]["scores"])[[0, 3]].mean() for name in ("random", "clairvoyant", "scripted")
     )
     assert cell["value"] == pytest.approx((np.mean(scores) - zero) / (one - zero))
     assert cell["over_baseline"]["value"] == pytest.approx((np.mean(scores) - script) / (one - zero))
     assert len(cell["replications"]) == 2, "one episode in each"
-    script_alone = [(cells["heuristic"]["scores"][k] - cells["random"]["scores"][k]) for k in (0, 3)]
+    script_alone = [(cells["scripted"]["scores"][k] - cells["random"]["scores"][k]) for k in (0, 3)]
     spans = [cells["clairvoyant"]["scores"][k] - cells["random"]["scores"][k] for k in (0, 3)]
     assert cell["baseline"] == pytest.approx(np.array(script_alone) / spans), "in the same episodes, not in all"
     (summary,) = (one for one in found["rows"] if one["policy"] == str(games))
     expected = statistics.probability_of_improvement([cell["replications"]], [cell["baseline"]])
     assert summary["improvement"]["value"] == expected.value
-    assert cells["heuristic"]["value"] == played[0]["scenarios"]["unlabelled"]["cells"]["heuristic"]["value"]
+    assert cells["scripted"]["value"] == played[0]["scenarios"]["unlabelled"]["cells"]["scripted"]["value"]
     write_benchmark(keep, found, [load_scenario("unlabelled")], rows, records=0)
     (line,) = (line for line in leaderboard_lines(keep / "leaderboard.json") if line["policy"] == str(games))
     assert (line["episodes"], line["value"]) == (2, cell["value"])
@@ -436,13 +453,13 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
 def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A checkpoint has files of lines, too; and a folder that is called as a policy is, is none."""
     checkpoint = tmp_path / "checkpoints" / "last-10"
-    for folder in (checkpoint, tmp_path / "heuristic"):
+    for folder in (checkpoint, tmp_path / "scripted"):
         folder.mkdir(parents=True)
         (folder / "curve.jsonl").write_text("{}\n")
     monkeypatch.chdir(tmp_path)
-    assert find_rows([str(checkpoint), "heuristic"]) == [
+    assert find_rows([str(checkpoint), "scripted"]) == [
         Row(str(checkpoint), (str(checkpoint),)),
-        Row("heuristic", ("heuristic",)),
+        Row("scripted", ("scripted",)),
     ]
     with pytest.raises(RecordError, match="is not a record of an episode"):
         find_rows([str(checkpoint / "curve.jsonl")])
@@ -494,17 +511,28 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
     assert found["rows"][2]["hours"] > 0.0
     assert found["rows"][2]["steps"] == 32
     with pytest.raises(ValueError, match="given twice"):
-        find_rows(["heuristic", "heuristic"])
+        find_rows(["scripted", "scripted"])
 
 
 def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # It goes on from what has been played, but for what it is asked for besides.
     shutil.copytree(played[1] / "parts", tmp_path / "parts")
     monkeypatch.setitem(BUDGETS, "small", TINY)
-    words = ["benchmark", "unlabelled", "--policy", "hasty", "--seeds", "2", "--processes", "1", "--out", str(tmp_path)]
+    words = [
+        "benchmark",
+        "unlabelled",
+        "--policy",
+        "scripted:unsafe",
+        "--seeds",
+        "2",
+        "--processes",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    for name in ("random", "plan", "heuristic", "hasty", "clairvoyant", "2 replications"):
+    for name in ("random", "plan", "scripted", "scripted:unsafe", "clairvoyant", "2 replications"):
         assert name in result.output
     assert (tmp_path / "leaderboard.json").exists()
     result = CliRunner().invoke(app, [*words, "--json"])
@@ -517,5 +545,5 @@ def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkey
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="budget: known"):
         benchmark(["unlabelled"], [], "huge")
-    with pytest.raises(ValueError, match="baseline: known: random, plan, clairvoyant; given 'heuristic'"):
+    with pytest.raises(ValueError, match="baseline: known: random, plan, clairvoyant; given 'scripted'"):
         benchmark(["unlabelled"], [], TINY, 2)

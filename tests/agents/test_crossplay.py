@@ -30,10 +30,12 @@ runner = CliRunner()
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, Any], Path]:
     """A benchmark, crossplay that goes on from its parts, and the folder of parts."""
     keep = tmp_path_factory.mktemp("parts")
-    scored = benchmark(["unlabelled"], [Row("heuristic", ("heuristic",))], TINY, 1, keep=keep)
+    scored = benchmark(["unlabelled"], [Row("scripted", ("scripted",))], TINY, 1, keep=keep)
     spec = load_scenario("unlabelled")
     before = {path: path.stat().st_mtime_ns for path in (keep / "unlabelled").iterdir()}
-    managers, benches = find_players(spec, ["hasty", "heuristic"], ["heuristic", "heuristic@0.2", "hasty"])
+    managers, benches = find_players(
+        spec, ["scripted:unsafe", "scripted"], ["scripted", "scripted@0.2", "scripted:unsafe"]
+    )
     seen: list[str] = []
     found = crossplay(spec, managers, benches, TINY, keep=keep / "unlabelled", watch=seen.append)
     assert {path: path.stat().st_mtime_ns for path in before} == before
@@ -51,8 +53,8 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
     played: tuple[dict[str, Any], dict[str, Any], Path],
 ) -> None:
     scored, found, _ = played
-    row = scored["cells"]["heuristic"]
-    assert cell(found, "heuristic", "heuristic")["score"] == pytest.approx(row["score"], rel=1e-12)
+    row = scored["cells"]["scripted"]
+    assert cell(found, "scripted", "scripted")["score"] == pytest.approx(row["score"], rel=1e-12)
     span = found["clairvoyant"] - found["random"]
     for one in found["cells"]:
         assert one["value"] == pytest.approx((one["score"] - found["random"]) / span, rel=1e-9)
@@ -62,14 +64,14 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
 def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], dict[str, Any], Path]) -> None:
     """Put together by hand, agent by agent."""
     labs = Laboratories("unlabelled", 5, split="test")
-    policies = make_policies("heuristic@0.2", labs, AUDIT_SEED)
-    policies["manager_0"] = make_policies("hasty", labs, AUDIT_SEED)["manager_0"]
+    policies = make_policies("scripted@0.2", labs, AUDIT_SEED)
+    policies["manager_0"] = make_policies("scripted:unsafe", labs, AUDIT_SEED)["manager_0"]
     scores = play_laboratory(labs, policies, None, AUDIT_SEED).returns
-    assert cell(played[1], "hasty", "heuristic@0.2")["score"] == pytest.approx(scores.mean(), rel=1e-12)
+    assert cell(played[1], "scripted:unsafe", "scripted@0.2")["score"] == pytest.approx(scores.mean(), rel=1e-12)
 
 
 def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path) -> None:
-    one = cell(played[1], "hasty", "heuristic")
+    one = cell(played[1], "scripted:unsafe", "scripted")
     words = ["run", "unlabelled", "--policy", one["policy"], "--split", "test", "--seed", str(AUDIT_SEED)]
     words += ["--episodes", "5", "--json", "--record", str(tmp_path / "a.jsonl")]
     done = runner.invoke(app, words)
@@ -85,34 +87,36 @@ def test_a_drop_is_the_partners_score_less_the_mean_of_strangers(
 ) -> None:
     found = played[1]
     drops = {(one["side"], one["policy"]): one for one in found["drops"]}
-    assert set(drops) == {("manager", "heuristic"), ("benches", "heuristic")}
-    one = drops["manager", "heuristic"]
-    assert one["strangers"] == ["heuristic@0.2", "hasty"]
-    apart = [cell(found, "heuristic", name)["value"] for name in one["strangers"]]
-    own = cell(found, "heuristic", "heuristic")
+    assert set(drops) == {("manager", "scripted"), ("benches", "scripted")}
+    one = drops["manager", "scripted"]
+    assert one["strangers"] == ["scripted@0.2", "scripted:unsafe"]
+    apart = [cell(found, "scripted", name)["value"] for name in one["strangers"]]
+    own = cell(found, "scripted", "scripted")
     assert own["together"]
     assert one["drop"]["value"] == pytest.approx(own["value"] - np.mean(apart), abs=1e-12)
     assert one["drop"]["low"] <= one["drop"]["value"] <= one["drop"]["high"]
-    other = drops["benches", "heuristic"]
-    assert other["strangers"] == ["hasty"]
-    assert other["drop"]["value"] == pytest.approx(own["value"] - cell(found, "hasty", "heuristic")["value"], abs=1e-12)
+    other = drops["benches", "scripted"]
+    assert other["strangers"] == ["scripted:unsafe"]
+    assert other["drop"]["value"] == pytest.approx(
+        own["value"] - cell(found, "scripted:unsafe", "scripted")["value"], abs=1e-12
+    )
 
 
 def test_partners_that_learning_had_are_played_too() -> None:
     # The shipped manager of wurtz_dodecane has learned over benches that had learned alone, with nobody.
-    managers, benches = find_players(load_scenario("wurtz_dodecane"), ["trained"], ["heuristic"])
+    managers, benches = find_players(load_scenario("wurtz_dodecane"), ["trained"], ["scripted"])
     assert [(player.name, player.partner) for player in managers] == [
-        ("trained", "pretrained-alone"),
-        ("heuristic", "heuristic"),
+        ("trained", "pretrained-isolated"),
+        ("scripted", "scripted"),
     ]
     assert [(player.name, player.partner) for player in benches] == [
-        ("heuristic", "heuristic"),
-        ("pretrained-alone", None),
+        ("scripted", "scripted"),
+        ("pretrained-isolated", None),
     ]
     # Benches of wurtz_any have learned in a running laboratory, under the scripted manager.
-    managers, benches = find_players(load_scenario("wurtz_any"), ["hasty"], ["pretrained", "pretrained@0.1"])
-    assert [player.name for player in managers] == ["hasty", "heuristic"]
-    assert [player.partner for player in benches] == ["heuristic", None, "heuristic"]
+    managers, benches = find_players(load_scenario("wurtz_any"), ["scripted:unsafe"], ["pretrained", "pretrained@0.1"])
+    assert [player.name for player in managers] == ["scripted:unsafe", "scripted"]
+    assert [player.partner for player in benches] == ["scripted", None, "scripted"]
 
 
 def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
@@ -129,44 +133,48 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
         train(arguments, tmp_path / "runs" / f"seed-{seed}")
     train_together(JointArguments(**small), tmp_path / "team")
     spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
-    managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["hasty", team])
+    managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["scripted:unsafe", team])
     first = tmp_path / "runs" / "seed-0"
-    assert [player.name for player in managers] == [str(first), str(tmp_path / "runs" / "seed-1"), team, "heuristic"]
+    assert [player.name for player in managers] == [str(first), str(tmp_path / "runs" / "seed-1"), team, "scripted"]
     assert managers[0].policy == str(Run(first).checkpoint("best"))
-    assert [player.partner for player in managers] == ["heuristic", "heuristic", team, "heuristic"]
+    assert [player.partner for player in managers] == ["scripted", "scripted", team, "scripted"]
     assert [(player.name, player.partner) for player in benches] == [
-        ("hasty", None),
+        ("scripted:unsafe", None),
         (team, team),
-        ("heuristic", "heuristic"),
+        ("scripted", "scripted"),
     ]
     found = crossplay(spec, managers, benches, TINY)
     labs = Laboratories(spec, 5, split="test")
     scores = play_laboratory(labs, make_policies(team, labs), None, AUDIT_SEED).returns
     assert cell(found, team, team)["score"] == pytest.approx(scores.mean(), rel=1e-12)
     assert cell(found, team, team)["together"]
-    assert cell(found, str(first), "heuristic")["together"]
+    assert cell(found, str(first), "scripted")["together"]
     assert not cell(found, str(first), team)["together"]
     strangers = {(one["side"], one["policy"]): one["strangers"] for one in found["drops"]}
-    assert strangers["manager", team] == ["hasty", "heuristic"]
-    assert strangers["manager", str(first)] == ["hasty", team]
-    with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'heuristic'"):
-        find_players(spec, ["heuristic"], [str(first)])
+    assert strangers["manager", team] == ["scripted:unsafe", "scripted"]
+    assert strangers["manager", str(first)] == ["scripted:unsafe", team]
+    with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
+        find_players(spec, ["scripted"], [str(first)])
     with pytest.raises(ValueError, match="given twice"):
-        find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["heuristic"])
+        find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
 
 
 @pytest.mark.parametrize(
     ("managers", "benches", "message"),
     [
-        (["pretrained"], ["heuristic"], "manager: pretrained has none of its own: there it stands for 'heuristic'"),
-        (["heuristic"], ["direct"], "benches: direct has none of its own: there it stands for 'heuristic'"),
-        (["heuristic"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-alone'"),
-        (["heuristic,rxn=random"], ["heuristic"], "give one policy; benches are given with --benches"),
-        (["heuristic"], ["heuristic,manager=random"], "there it stands for 'heuristic'; give that"),
-        (["nobody"], ["heuristic"], "policy: known: heuristic, hasty"),
-        (["heuristic", "heuristic"], ["heuristic"], "manager: heuristic: given twice"),
-        (["serial"], ["heuristic"], "has no orders to choose from"),
-        (["heuristic"], ["fictitious_rxn"], "does not fit"),
+        (["pretrained"], ["scripted"], "manager: pretrained has none of its own: there it stands for 'scripted'"),
+        (
+            ["scripted"],
+            ["scripted:no-extraction"],
+            "benches: scripted:no-extraction has none of its own: there it stands for 'scripted'",
+        ),
+        (["scripted"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-isolated'"),
+        (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
+        (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
+        (["nobody"], ["scripted"], "policy: known: scripted, scripted:unsafe"),
+        (["scripted", "scripted"], ["scripted"], "manager: scripted: given twice"),
+        (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
+        (["scripted"], ["fictitious_rxn"], "does not fit"),
     ],
 )
 def test_who_cannot_play_is_refused(managers: list[str], benches: list[str], message: str) -> None:
@@ -180,13 +188,13 @@ def test_the_command(
     shutil.copytree(played[2], tmp_path / "parts")
     monkeypatch.setitem(BUDGETS, "small", TINY)
     monkeypatch.setenv("COLUMNS", "80")
-    words = ["crossplay", "unlabelled", "--manager", "hasty", "--manager", "heuristic", "--processes", "1"]
-    words += [word for name in ("heuristic", "heuristic@0.2", "hasty") for word in ("--benches", name)]
+    words = ["crossplay", "unlabelled", "--manager", "scripted:unsafe", "--manager", "scripted", "--processes", "1"]
+    words += [word for name in ("scripted", "scripted@0.2", "scripted:unsafe") for word in ("--benches", name)]
     words += ["--keep", str(tmp_path / "parts"), "--out", str(tmp_path / "found.json")]
     done = runner.invoke(app, words)
     assert done.exit_code == 0, done.output
     assert max(map(len, done.output.splitlines())) <= 80
-    for text in ("hasty", "heuristic@0.2", "have learned together", "What strangers cost", "drop"):
+    for text in ("scripted:unsafe", "scripted@0.2", "have learned together", "What strangers cost", "drop"):
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))

@@ -217,7 +217,7 @@ class _Stop:
 
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
-    arguments = TrainArguments.of({**SMALL, "scenario": "wurtz_any", "imitate": "heuristic", "imitate_steps": 200})
+    arguments = TrainArguments.of({**SMALL, "scenario": "wurtz_any", "imitate": "scripted", "imitate_steps": 200})
     train(arguments, tmp_path / "whole")
     for rounds in (1, 2):
         with pytest.raises(KeyboardInterrupt):
@@ -236,29 +236,29 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
     """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
     scores = {}
     for name, example in (
-        ("clone", {"imitate": "heuristic", "imitate_steps": 4000}),
+        ("clone", {"imitate": "scripted", "imitate_steps": 4000}),
         ("scratch", {"preset": "manager-curriculum"}),
     ):
         arguments = TrainArguments.of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
         result = train(arguments, tmp_path / name)
         scores[name] = result.last_mean
-        assert result.heuristic_mean is not None
-    assert scores["clone"] > 0.6 * result.heuristic_mean
-    assert scores["scratch"] < 0.1 * result.heuristic_mean
+        assert result.scripted_mean is not None
+    assert scores["clone"] > 0.6 * result.scripted_mean
+    assert scores["scratch"] < 0.1 * result.scripted_mean
 
 
 def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
     arguments = TrainArguments.of(
         {
             **{name: value for name, value in SMALL.items() if name not in ("preset", "env_id")},
-            "imitate": "heuristic",
+            "imitate": "scripted",
             "imitate_steps": 3000,
             "learning_rate": 1e-6,
         }
     )
     result = train(arguments, tmp_path / "run")
-    assert result.heuristic_mean is not None
-    assert result.mean > 0.5 * result.heuristic_mean
+    assert result.scripted_mean is not None
+    assert result.mean > 0.5 * result.scripted_mean
 
 
 def test_a_clone_that_has_to_remember() -> None:
@@ -291,7 +291,7 @@ class _Other:
 def test_a_learner_that_plays_itself_is_shown_what_would_have_been_played() -> None:
     """Turns, rewards and ends are the learner's, actions the policy's, asked at each of them."""
     task = LaboratoryTask("rush")
-    own = _examples(task.batch(4), task.policy("heuristic"), _Other(), 400, 3, 1.0)
+    own = _examples(task.batch(4), task.policy("scripted"), _Other(), 400, 3, 1.0)
     alone = _examples(task.batch(4), _Other(), None, 400, 3, 1.0)
     np.testing.assert_array_equal(own.seen, alone.seen)
     np.testing.assert_array_equal(own.returns, alone.returns)
@@ -308,13 +308,13 @@ def test_a_clone_of_rounds_knows_what_to_do_after_its_own_mistakes() -> None:
     scores = []
     for rounds in (1, 4):
         model = MaskablePPO("MlpPolicy", ChemlabVecEnv(task.batch(16)), device="cpu", seed=0)
-        imitate(model, task.batch(16), task.policy("heuristic"), 4000, 0, rounds=rounds)
+        imitate(model, task.batch(16), task.policy("scripted"), 4000, 0, rounds=rounds)
         scores.append(task.returns(as_policy(model), 40, 0).mean())
     assert scores[1] > scores[0] + 0.1
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
-    arguments = TrainArguments.of({**SMALL, "imitate": "heuristic", "imitate_steps": 1})
+    arguments = TrainArguments.of({**SMALL, "imitate": "scripted", "imitate_steps": 1})
     with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
         train(arguments, tmp_path / "run")
     assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
@@ -322,7 +322,7 @@ def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("algo", ["recurrent-ppo", "maskable-recurrent-ppo"])
 def test_recurrent_managers_imitate(algo: str, tmp_path: Path) -> None:
-    values = {**SMALL, "preset": "paper", "algo": algo, "memory": 8, "imitate": "heuristic", "imitate_steps": 200}
+    values = {**SMALL, "preset": "paper", "algo": algo, "memory": 8, "imitate": "scripted", "imitate_steps": 200}
     train(TrainArguments.of(values), tmp_path / "run")
     assert (Run(tmp_path / "run").config() or {})["memory"] == 8
     with pytest.raises(ValueError, match="memory: is for recurrent-ppo"):
@@ -331,7 +331,7 @@ def test_recurrent_managers_imitate(algo: str, tmp_path: Path) -> None:
 
 def test_only_learners_with_a_policy_can_imitate() -> None:
     with pytest.raises(ValueError, match="imitate: is for ppo"):
-        TrainArguments.of({"algo": "dqn", "imitate": "heuristic"})
+        TrainArguments.of({"algo": "dqn", "imitate": "scripted"})
 
 
 # -- who plays --------------------------------------------------------------------------------------------------------
@@ -340,11 +340,11 @@ def test_only_learners_with_a_policy_can_imitate() -> None:
 @pytest.mark.slow
 def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(TrainArguments.of({**SMALL, "background": "hasty"}), run)
+    train(TrainArguments.of({**SMALL, "background": "scripted:unsafe"}), run)
     labs = Laboratories("wurtz_dodecane")
     policies = make_policies(str(run), labs)
     assert not hasattr(policies["manager_0"], "_careful"), "it is the learner, not the scripted manager"
-    expected = make_policies("hasty", labs)
+    expected = make_policies("scripted:unsafe", labs)
     assert vars(policies["dit_0"]).get("_careful") == vars(expected["dit_0"]).get("_careful")
     best = Run(run).checkpoint("best")
     assert best is not None
@@ -352,24 +352,24 @@ def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path:
     seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
     zero = np.zeros(1, dtype=np.int64)
     assert policies["manager_0"].act(seen, mask, zero, zero) == learner.act(seen, mask, zero, zero)
-    task = LaboratoryTask("wurtz_dodecane", background=f"hasty,manager={run}")
+    task = LaboratoryTask("wurtz_dodecane", background=f"scripted:unsafe,manager={run}")
     assert task.goals == ("dodecane",)
 
 
 def test_exceptions_are_for_roles_and_agents() -> None:
     labs = Laboratories("wurtz_two_lines")
-    kinds = {name: type(policy).__name__ for name, policy in make_policies("heuristic,ext=random", labs).items()}
+    kinds = {name: type(policy).__name__ for name, policy in make_policies("scripted,ext=random", labs).items()}
     assert (kinds["ext_0"], kinds["ext_1"], kinds["dit_0"]) == (
         "RandomPolicy",
         "RandomPolicy",
-        "DistillationHeuristic",
+        "ScriptedDistillation",
     )
-    one = make_policies("heuristic,ext_1=random", labs)
-    assert type(one["ext_0"]).__name__ == "ExtractionHeuristic"
+    one = make_policies("scripted,ext_1=random", labs)
+    assert type(one["ext_0"]).__name__ == "ScriptedExtraction"
     assert type(one["ext_1"]).__name__ == "RandomPolicy"
 
 
-@pytest.mark.parametrize("name", ["heuristic,oven=random", "heuristic,ext", "heuristic,ext="])
+@pytest.mark.parametrize("name", ["scripted,oven=random", "scripted,ext", "scripted,ext="])
 def test_exceptions_that_are_nobodys(name: str) -> None:
     with pytest.raises(ValueError, match=r"must be ROLE=POLICY; roles: .*manager"):
         make_policies(name, Laboratories("wurtz_dodecane"))
@@ -381,24 +381,24 @@ def test_a_lapse_is_a_random_legal_action_now_and_then() -> None:
     mask[:, 3:9] = 1
     seen = np.zeros((400, labs.observation_sizes[3]), dtype=np.float32)
     zero, members = np.zeros(400, dtype=np.int64), labs.members
-    steady = make_policies("heuristic", labs, 0)["dit_0"].act(seen, mask, zero, members)
-    policy = make_policies("heuristic@0.3", labs, 0)["dit_0"]
+    steady = make_policies("scripted", labs, 0)["dit_0"].act(seen, mask, zero, members)
+    policy = make_policies("scripted@0.3", labs, 0)["dit_0"]
     actions = policy.act(seen, mask, zero, members)
     differing = (actions != steady).mean()
     assert 0.15 < differing < 0.35  # one random action in six is what was meant anyway
     assert set(actions[actions != steady]) <= set(range(3, 9))
-    again = make_policies("heuristic@0.3", Laboratories("wurtz_dodecane", 400), 0)["dit_0"]
+    again = make_policies("scripted@0.3", Laboratories("wurtz_dodecane", 400), 0)["dit_0"]
     np.testing.assert_array_equal(again.act(seen, mask, zero, members), actions)
     memory = policy.get_memory()  # type: ignore[attr-defined]
     later = policy.act(seen, mask, zero + 1, members)
     policy.set_memory(memory)  # type: ignore[attr-defined]
     np.testing.assert_array_equal(policy.act(seen, mask, zero + 1, members), later)
-    reagents = make_policies("heuristic@0.5,manager=hasty", labs, 0)["rxn_0"]
+    reagents = make_policies("scripted@0.5,manager=scripted:unsafe", labs, 0)["rxn_0"]
     rxn = np.zeros((400, labs.observation_sizes[1]), dtype=np.float32)
     assert reagents.act(rxn, None, zero, members).shape == (400, 6)
 
 
-@pytest.mark.parametrize("name", ["heuristic@often", "heuristic@1.5", "random@-1"])
+@pytest.mark.parametrize("name", ["scripted@often", "scripted@1.5", "random@-1"])
 def test_a_share_of_lapses_is_a_number_from_0_to_1(name: str) -> None:
     with pytest.raises(ValueError, match="share of random actions, from 0 to 1"):
         make_policies(name, Laboratories("wurtz_dodecane"))

@@ -27,7 +27,7 @@ from chemlab.render.history import RecordReplay
 runner = CliRunner()
 
 
-def record(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "heuristic", seed: int = 3, **more: Any) -> Path:
+def record(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "scripted", seed: int = 3, **more: Any) -> Path:
     """Record an episode."""
     env = raw_env(scenario, **more)
     labs = env.laboratories
@@ -53,12 +53,12 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("scenario", "policy", "more"),
     [
-        ("wurtz_dodecane", "heuristic", {}),
-        ("wurtz_two_lines", "heuristic", {}),
+        ("wurtz_dodecane", "scripted", {}),
+        ("wurtz_two_lines", "scripted", {}),
         ("wurtz_two_lines", "careless", {}),
         ("wurtz_safe", "careless", {}),
         ("wurtz_dodecane", "random", {}),
-        ("wurtz_dodecane", "heuristic", {"rewards": "mixed"}),
+        ("wurtz_dodecane", "scripted", {"rewards": "mixed"}),
     ],
 )
 def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path:
     ended = sum(len(turn.get("scores", {})) for turn in found.turns)
     with_turns = sum(d.terminated for agent, episodes in told.items() if agent != "manager_0" for d in episodes)
     assert with_turns <= ended  # an experiment that was recalled before its first turn is no episode
-    if policy == "heuristic":
+    if policy == "scripted":
         assert with_turns == ended
 
 
@@ -157,7 +157,7 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
 def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
     env = parallel_env("wurtz_two_lines")
     labs = env.laboratories
-    policies = make_policies("heuristic", labs, 0)
+    policies = make_policies("scripted", labs, 0)
     env.reset(seed=2)
     with Recorder(tmp_path / "rounds.jsonl", labs, rounds=True) as recorder:
         recorder.begin(2)

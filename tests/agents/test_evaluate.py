@@ -38,7 +38,7 @@ def test_a_batch_plays_what_single_environments_play(bench: str, goal: str) -> N
     """Member i of a batch is a single environment reset with seed + i, step for step."""
     target = BenchTarget(load_scenario("wurtz_dodecane"), bench)
     batch = target.environment(4)
-    played = play_bench(batch, bench_policy("heuristic", batch.bench), goal, 30, record=True)
+    played = play_bench(batch, bench_policy("scripted", batch.bench), goal, 30, record=True)
     assert played.actions is not None
     for i in range(4):
         env = BenchEnv(target.scenario, bench)
@@ -91,14 +91,14 @@ def test_lost_turns_are_counted() -> None:
 
     env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(2)
     assert (play_bench(env, Stubborn(), "dodecane", 0).illegal == 50).all()
-    heuristic = play_bench(env, bench_policy("heuristic", env.bench), "dodecane", 0)
-    assert (heuristic.illegal == 0).all()
+    scripted = play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0)
+    assert (scripted.illegal == 0).all()
 
 
 def test_cases_are_what_is_in_the_vessel() -> None:
     """DiT begins with or without salt with equal chances, and with dodecane where salt is the goal."""
     env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(64)
-    policy = bench_policy("heuristic", env.bench)
+    policy = bench_policy("scripted", env.bench)
     cases = play_bench(env, policy, "5-methylundecane", 5).cases
     assert set(cases) == {"with NaCl", "without NaCl"}
     assert 15 < cases.count("with NaCl") < 49  # 5 standard deviations
@@ -108,25 +108,25 @@ def test_cases_are_what_is_in_the_vessel() -> None:
         assert cases[member].startswith("without") != ("Na+" in single.batch.shelf.vessel(0, 0).amounts(1e-6))
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
     rxn = BenchTarget(load_scenario("wurtz_dodecane"), "rxn").environment(2)
-    assert play_bench(rxn, bench_policy("heuristic", rxn.bench), "NaCl", 0).cases == ["", ""]
+    assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", 0).cases == ["", ""]
 
 
 def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seeds go on from batch to batch."""
     target = find_target(DIT)
-    whole = target.play("heuristic", "dodecane", 7, 11)
+    whole = target.play("scripted", "dodecane", 7, 11)
     monkeypatch.setattr(module, "BATCH", 3)
-    parts = target.play("heuristic", "dodecane", 7, 11)
+    parts = target.play("scripted", "dodecane", 7, 11)
     assert parts.cases == whole.cases
     np.testing.assert_array_equal(parts.returns, whole.returns)
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "random"])
+@pytest.mark.parametrize("policy", ["scripted", "random"])
 def test_laboratories_play_what_episodes_play(policy: str) -> None:
     """Laboratory i of a batch is an episode with seed + i (random policies draw for the batch: one at a time)."""
     target = find_target("wurtz_dodecane")
     assert isinstance(target, LaboratoryTarget)
-    count = 3 if policy == "heuristic" else 1
+    count = 3 if policy == "scripted" else 1
     played = target.play(policy, "dodecane", count, 4)
     env = raw_env(target.scenario)
     for i in range(count):
@@ -141,18 +141,18 @@ def test_report_is_made_of_the_returns() -> None:
     """Means, differences and wins follow from the returns that are stored with them, pair by pair."""
     results = evaluate(find_target(DIT), ["random"], episodes=5, seed=3, goals=["dodecane", "NaCl"])
     rows = {row["policy"]: row for row in results["policies"]}
-    assert list(rows) == ["heuristic", "random"]  # the baseline is played as well
+    assert list(rows) == ["scripted", "random"]  # the baseline is played as well
     ours, base = (
-        np.array([rows[name]["returns"][goal] for goal in results["goals"]]) for name in ("random", "heuristic")
+        np.array([rows[name]["returns"][goal] for goal in results["goals"]]) for name in ("random", "scripted")
     )
     row = rows["random"]
     assert row["mean"]["value"] == pytest.approx(ours.mean(), abs=1e-6)
     assert row["difference"]["value"] == pytest.approx((ours - base).mean(), abs=1e-6)
     assert row["improvement"]["value"] == pytest.approx((ours > base).mean())
     assert row["by_goal"]["NaCl"]["mean"]["value"] == pytest.approx(ours[1].mean(), abs=1e-6)
-    assert rows["heuristic"]["difference"] == {"value": 0.0, "low": 0.0, "high": 0.0}
-    assert rows["heuristic"]["improvement"]["value"] == 0.5
-    assert rows["heuristic"]["cases"] == rows["random"]["cases"]  # the same starting states
+    assert rows["scripted"]["difference"] == {"value": 0.0, "low": 0.0, "high": 0.0}
+    assert rows["scripted"]["improvement"]["value"] == 0.5
+    assert rows["scripted"]["cases"] == rows["random"]["cases"]  # the same starting states
     for case, estimate in row["by_case"].items():
         members = np.array([row["cases"][goal] for goal in results["goals"]]) == case
         means = [values[chosen].mean() for values, chosen in zip(ours, members, strict=True) if chosen.any()]
@@ -190,7 +190,7 @@ def test_command_for_people_and_programs(tmp_path: Path) -> None:
     file = tmp_path / "sub" / "out.json"
     shown = runner.invoke(app, [*arguments, "-o", str(file)], env={"COLUMNS": "160"})
     assert shown.exit_code == 0, shown.output
-    for part in ("heuristic", "random", "interquartile", "P(improvement)", "without NaCl"):
+    for part in ("scripted", "random", "interquartile", "P(improvement)", "without NaCl"):
         assert part in shown.output
     stored = json.loads(file.read_text())
     assert [len(row["returns"]["dodecane"]) for row in stored["policies"]] == [4, 4]
@@ -202,10 +202,10 @@ def test_command_for_people_and_programs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([DIT, "--policy", "clever"], ["clever", "heuristic", "path"]),
+        ([DIT, "--policy", "clever"], ["clever", "scripted", "path"]),
         ([DIT, "--goal", "gold"], ["gold", "dodecane"]),
         (["no_such"], ["no_such"]),
-        (["wurtz_dodecane", "--policy", "clever", "--episodes", "1"], ["clever", "heuristic"]),
+        (["wurtz_dodecane", "--policy", "clever", "--episodes", "1"], ["clever", "scripted"]),
     ],
 )
 def test_mistakes_are_explained(arguments: list[str], words: list[str]) -> None:
@@ -221,7 +221,7 @@ def test_tables_fit_a_terminal_without_broken_words() -> None:
     assert shown.exit_code == 0, shown.output
     assert max(map(len, shown.output.splitlines())) <= 80
     words = set(shown.output.split())
-    assert {"interquartile", "heuristic", "P(improvement)", "wurtz_rxn", "4-ethyl-5-methylnonane"} <= words
+    assert {"interquartile", "scripted", "P(improvement)", "wurtz_rxn", "4-ethyl-5-methylnonane"} <= words
     assert not re.search(r"\de-\d|\d\.\d{4}", shown.output)
 
 

@@ -97,7 +97,7 @@ def test_results_are_the_same_wherever_jobs_are_played(jobs: Executor, tmp_path:
     target = find_target("unlabelled")
     spec, budget = load_scenario("unlabelled"), AuditBudget(4, 40, 10, 2, 6)
     own = {"split": "test", "seed": AUDIT_SEED}
-    parts = [Job(name, "play", {"policy": name, **own}) for name in ("heuristic", "random", "nobody")]
+    parts = [Job(name, "play", {"policy": name, **own}) for name in ("scripted", "random", "nobody")]
     parts += [Job("foresee-0", "foresee", {"first": 0, "plans": []})]
     known = Crew(spec, budget, tmp_path / "here").run(parts)
     assert known["nobody"]["scores"] is None
@@ -122,7 +122,7 @@ def test_batches_are_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == evaluate(target, ["random"], 5, goals=["dodecane"])
     assert [first for ((_, _, first),) in seen] == [0, 2, 4] * 2
     assert found["policies"][0]["returns"]["dodecane"] == [
-        round(float(value), 6) for value in target.play("heuristic", "dodecane", 5, 0).returns
+        round(float(value), 6) for value in target.play("scripted", "dodecane", 5, 0).returns
     ]
 
 

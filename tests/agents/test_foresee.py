@@ -11,7 +11,7 @@ from helpers import mapping
 from scipy.stats import norm
 
 from chemlab.agents.player import play_laboratory
-from chemlab.agents.policies import bench_heuristic, make_policies, manager_heuristic
+from chemlab.agents.policies import make_policies, scripted_bench, scripted_manager
 from chemlab.agents.scripted.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.scripted.script import likelihood
 from chemlab.config.scenario import load_scenario
@@ -50,7 +50,7 @@ def test_what_vessels_share_is_weighed_as_the_sum_over_all_worlds_has_it() -> No
 
 def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
     assert foresees(load_scenario("crude"))
-    assert isinstance(manager_heuristic(Laboratories("crude")), ForeseeingManager)
+    assert isinstance(scripted_manager(Laboratories("crude")), ForeseeingManager)
     assert foresees(load_scenario("selectivity"))
     # Six vessels have nothing in common; rate constants are the same in all three solutions, strengths are not.
     assert _sizes(load_scenario("crude")) == (1, 512)
@@ -65,7 +65,7 @@ def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
     """Nothing done, nothing paid; a wash takes no more dodecane than there was; salt that cannot be distilled keeps a
     vessel from its purity unless it is washed."""
     scenario = load_scenario("crude")
-    seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", (), bench_heuristic)
+    seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", (), scripted_bench)
     names = {stage: k for k, stage in enumerate(seen.stages)}
     wash, cut = ("ext_0", "dodecane"), ("dit_0", "dodecane")
     assert (seen.costs[:, 0] == 0.0).all()
@@ -85,24 +85,24 @@ def test_it_does_not_look_where_that_costs_more_than_anything_can_bring() -> Non
     values = mapping("crude")
     values["instruments"]["gas_chromatograph"]["price"] = 0.29
     labs = Laboratories(load_scenario(values), 5)
-    play_laboratory(labs, make_policies("heuristic", labs, 0), None, 0)
+    play_laboratory(labs, make_policies("scripted", labs, 0), None, 0)
     assert (labs.charges(labs.members)[:, INSTRUMENTS] == 0.0).all()
 
 
 def test_looking_finds_vessels_that_meet_the_order() -> None:
     """Against the same manager without instruments, on the same 40 episodes."""
     met = {}
-    for name in ("heuristic", "hasty"):
+    for name in ("scripted", "scripted:unsafe"):
         labs = Laboratories("crude", 40, split="validation")
         play_laboratory(labs, make_policies(name, labs, 0), None, 100)
         amount, purity = labs.state.submitted[:, 0, 0], labs.state.submitted[:, 0, 1]
         met[name] = float(np.mean((amount >= 0.2) & (purity >= 0.9)))
-    assert met["heuristic"] > met["hasty"] + 0.15
+    assert met["scripted"] > met["scripted:unsafe"] + 0.15
 
 
 def test_memory_can_be_put_back() -> None:
     labs = Laboratories("crude")
-    manager: Any = manager_heuristic(labs)
+    manager: Any = scripted_manager(labs)
     labs.seed(0, 0)
     labs.reset(labs.members)
 
@@ -128,7 +128,7 @@ def test_likelihoods_are_those_of_independent_normal_errors() -> None:
 def test_a_look_at_one_vessel_tells_of_the_others_what_concluding_anew_does() -> None:
     scenario = load_scenario("selectivity")
     labs = Laboratories(scenario, 1)
-    manager = make_policies("heuristic", labs)["manager_0"]
+    manager = make_policies("scripted", labs)["manager_0"]
     assert isinstance(manager, ForeseeingManager)
     labs.reset(labs.members)
     belief, goal = manager._begin(labs.observe(0, labs.members)[0]), scenario.lab_goals[0]

@@ -212,19 +212,19 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     """Each role does what the policy does, in laboratories that have begun anew; a run of it can be exported."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
     team = team_of(JointArguments(**small))
-    hit = team.imitate("heuristic", 300)
+    hit = team.imitate("scripted", 300)
     assert hit["dit"] > 0.8, "share of turns"
     assert hit["rxn"] < 0.1, "mean difference of numbers from 0 to 1"
     assert not any(len(learner.experience) for learner in team.learners.values())
     assert not team.returns
     assert (team.labs.state.ticks == 0).all()
-    arguments = JointArguments(**{**small, "steps": 40}, imitate="heuristic", imitate_steps=50)
+    arguments = JointArguments(**{**small, "steps": 40}, imitate="scripted", imitate_steps=50)
     train_together(arguments, tmp_path / "run")
     card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
     best = Run(tmp_path / "run").checkpoint("best")
     assert best is not None
-    assert (card.name, card.bench, card.background) == ("mine", "dit", "heuristic")
-    assert "--imitate heuristic --imitate-steps 50" in card.command
+    assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")
+    assert "--imitate scripted --imitate-steps 50" in card.command
     model, policy = load_team(best)["dit"], load_pretrained(tmp_path / "mine")
     seen = np.random.default_rng(0).random((20, card.observation_size), dtype=np.float32)
     legal = np.ones((20, card.action_size), dtype=np.int8)
@@ -257,7 +257,7 @@ def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
     """Numbers are drawn about as far from the shown ones as the clone misses them; the state does not make it worse."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
     team = team_of(JointArguments(**small, critic=critic))
-    hit = team.imitate("heuristic", 600, 2)
+    hit = team.imitate("scripted", 600, 2)
     spread = team.learners["rxn"].model.policy.log_std.exp()
     assert hit["dit"] > 0.95, "share of turns"
     assert hit["rxn"] < 0.05, "mean difference of numbers from 0 to 1"
@@ -269,8 +269,8 @@ def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
 def test_a_clone_explores_as_widely_as_it_is_told() -> None:
     """What it is most likely to play stays what it was shown."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn",), "rewards": "mixed"}
-    team = team_of(JointArguments(**small, imitate="heuristic", imitate_spread=0.3))
-    hit = team.imitate("heuristic", 600)
+    team = team_of(JointArguments(**small, imitate="scripted", imitate_spread=0.3))
+    hit = team.imitate("scripted", 600)
     np.testing.assert_allclose(team.learners["rxn"].model.policy.log_std.exp().detach(), 0.3, rtol=1e-6)
     assert hit["rxn"] < 0.05
 
@@ -278,8 +278,8 @@ def test_a_clone_explores_as_widely_as_it_is_told() -> None:
 def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
     """What becomes experience then is what the policy would have played, not what was."""
     team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",)}))
-    shown = agent_policy("heuristic", team.labs, 0)
-    team._begin_anew("heuristic", tried=True)
+    shown = agent_policy("scripted", team.labs, 0)
+    team._begin_anew("scripted", tried=True)
     for _ in range(3):
         team.collect()
     e = team.learners["manager"].experience
@@ -302,7 +302,7 @@ def test_rounds_go_on_until_every_laboratory_has_been_to_an_end(monkeypatch: pyt
 
     monkeypatch.setattr(team, "_clone", clone)
     monkeypatch.setattr(team, "_fewest_turns", lambda: 10_000)
-    team.imitate("heuristic", 3, 3)
+    team.imitate("scripted", 3, 3)
     assert ended == [False, True, True]
 
 

@@ -61,7 +61,7 @@ def write_run(path: Path, seed: int = 0, bench: str = "manager_0", score: float 
     return run_files.write_run(path, "wurtz_dodecane", bench, {"dodecane": score}, seed=seed, **more)
 
 
-def row(policy: str, score: float, run: str = "", background: str = "heuristic", **others: Any) -> dict[str, Any]:
+def row(policy: str, score: float, run: str = "", background: str = "scripted", **others: Any) -> dict[str, Any]:
     """A row of ``managers.csv``."""
     where = {"scenario": "wurtz_dodecane", "background": background, "policy": policy, "run": run, "goal": "dodecane"}
     return {**where, **HOW, "same_task": True, **dict.fromkeys(MEASURES, 0.0), "score": score, **others}
@@ -71,7 +71,7 @@ def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> N
     """Make a folder of runs one of tables, in which the runs by name and the baselines have been played."""
     runs = read_runs(folder)
     write_runs(folder, runs)
-    values = {"scripted": SCRIPTED, "direct": 0.3, "plan": 0.25, "random": -0.1}
+    values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
     write_table(folder / "managers.csv", laboratory._COLUMNS, [*rows, *more])
@@ -105,7 +105,7 @@ def test_runs_are_grouped_by_background_and_folder(tmp_path: Path) -> None:
     for seed in (1, 0):
         write_run(tmp_path / "w-manager_0" / "long" / f"seed-{seed}", seed, background=None)
         write_run(tmp_path / "w-manager_0" / "manager" / f"seed-{seed}", seed)
-    write_run(tmp_path / "w-rllib" / "manager" / "seed-0", background="heuristic")
+    write_run(tmp_path / "w-rllib" / "manager" / "seed-0", background="scripted")
     write_run(tmp_path / "w-manager_0" / "safe" / "seed-0", background="pretrained")
     found = {
         (group.background, label): [run.finished.seed for run in runs]
@@ -113,9 +113,9 @@ def test_runs_are_grouped_by_background_and_folder(tmp_path: Path) -> None:
         for label, runs in group.labels.items()
     }
     assert found == {
-        ("heuristic", "long"): [0, 1],
-        ("heuristic", "w-manager_0/manager"): [0, 1],
-        ("heuristic", "w-rllib/manager"): [0],
+        ("scripted", "long"): [0, 1],
+        ("scripted", "w-manager_0/manager"): [0, 1],
+        ("scripted", "w-rllib/manager"): [0],
         ("pretrained", "safe"): [0],
     }
     assert collect_count(tmp_path) == 6 + 2 * len(BASELINES)
@@ -159,17 +159,17 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     assert written.left_out == []
     rows = rows_of(written.page)
     assert list(rows) == [
-        ("heuristic", name) for name in ("alone", "manager", *(text for _, text in BASELINES.values()))
+        ("scripted", name) for name in ("alone", "manager", *(text for _, text in BASELINES.values()))
     ]
     expected = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
-    assert rows["heuristic", "manager"][0] == f"0.733 [{expected.low:.3f}, {expected.high:.3f}]"
+    assert rows["scripted", "manager"][0] == f"0.733 [{expected.low:.3f}, {expected.high:.3f}]"
     gain = stats.ttest_1samp(scores - scripted, 0.0).confidence_interval(0.95)
-    assert rows["heuristic", "manager"][1] == f"+0.200 [{gain.low:+.3f}, {gain.high:+.3f}]"
-    assert rows["heuristic", "manager"][2] == "0.600"  # last checkpoints: 0.7, 0.7, 0.4
-    assert rows["heuristic", "manager"][5:] == ["98.7", "0.000", "42", "3", "13", "1,000 to 3,000"]
-    assert rows["heuristic", "alone"][:3] == ["0.250", "-0.250", "0.700"]  # one seed has no interval
-    assert rows["heuristic", "random legal actions"][:3] == ["-0.100", "-0.600", ""]
-    assert rows["heuristic", "scripted"][:2] == ["0.500", ""]
+    assert rows["scripted", "manager"][1] == f"+0.200 [{gain.low:+.3f}, {gain.high:+.3f}]"
+    assert rows["scripted", "manager"][2] == "0.600"  # last checkpoints: 0.7, 0.7, 0.4
+    assert rows["scripted", "manager"][5:] == ["98.7", "0.000", "42", "3", "13", "1,000 to 3,000"]
+    assert rows["scripted", "alone"][:3] == ["0.250", "-0.250", "0.700"]  # one seed has no interval
+    assert rows["scripted", "random legal actions"][:3] == ["-0.100", "-0.600", ""]
+    assert rows["scripted", "scripted"][:2] == ["0.500", ""]
 
 
 def test_the_curves_are_those_of_all_training_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,14 +184,14 @@ def test_the_curves_are_those_of_all_training_runs(tmp_path: Path, monkeypatch: 
     ((figure, name),) = figures
     assert name == "laboratory_curves.svg"
     assert [axes.get_title() for axes in figure.axes] == [
-        "wurtz_dodecane, benches heuristic",
+        "wurtz_dodecane, benches scripted",
         "wurtz_dodecane, benches pretrained",
     ]
     for axes, label in zip(figure.axes, ("fast", "slow"), strict=True):
         lines = {line.get_label(): line for line in axes.get_lines()}
         line = lines[f"{label} (2 runs)"]
         np.testing.assert_allclose(line.get_ydata(), np.asarray(line.get_xdata()) + 0.5)
-        assert set(lines["heuristic"].get_ydata()) == {SCRIPTED}
+        assert set(lines["scripted"].get_ydata()) == {SCRIPTED}
         assert len(axes.collections) == 1  # the spread
 
 
@@ -230,12 +230,12 @@ def test_a_damaged_table_is_named(tmp_path: Path) -> None:
 def test_what_measuring_costs_and_how_often_a_manager_acts() -> None:
     """Every episode's instruments and actions are those that the laboratory itself has charged and counted."""
     labs = Laboratories("wurtz_dodecane", 4)
-    played = play_laboratory(labs, make_policies("heuristic,manager=random", labs, 3), "dodecane", 3)
+    played = play_laboratory(labs, make_policies("scripted,manager=random", labs, 3), "dodecane", 3)
     charged = [labs.costs(member)["instruments"] for member in range(4)]
     assert played.measures["instruments"].tolist() == charged
     assert max(charged) > 0.0
     assert played.measures["manager_actions"].tolist() == labs.turns_had(0).tolist()
-    plan = play_laboratory(labs, make_policies("heuristic,manager=plan", labs, 3), "dodecane", 3)
+    plan = play_laboratory(labs, make_policies("scripted,manager=plan", labs, 3), "dodecane", 3)
     assert (plan.measures["instruments"] == 0.0).all()
 
 
@@ -264,7 +264,7 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     written = write_laboratory(tables, tmp_path / "out")
     assert written is not None
     assert len(written.left_out) == 2
-    assert rows_of(written.page)["heuristic", "manager"][0] == "0.700"
+    assert rows_of(written.page)["scripted", "manager"][0] == "0.700"
 
 
 def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,7 +274,9 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     before = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
     swapped = {name: value for name, value in BASELINES.items() if name != "plan"}
     monkeypatch.setattr(
-        laboratory, "BASELINES", {**swapped, "new": ("direct", "new"), "none": ("no_such_policy", "not there")}
+        laboratory,
+        "BASELINES",
+        {**swapped, "new": ("scripted:no-extraction", "new"), "none": ("no_such_policy", "not there")},
     )
     (said,) = collect(tmp_path, tmp_path, 2)
     assert said.startswith("wurtz_dodecane, none: ")
@@ -282,7 +284,9 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     assert after.keys() == before.keys() - {("plan", "")} | {("new", "")}
     assert all(after[key] == before[key] for key in after if key != ("new", ""))
     labs = Laboratories("wurtz_dodecane", 2)
-    played = play_laboratory(labs, make_policies("heuristic,manager=direct", labs), "dodecane", RESULT_SEED)
+    played = play_laboratory(
+        labs, make_policies("scripted,manager=scripted:no-extraction", labs), "dodecane", RESULT_SEED
+    )
     assert float(after["new", ""]["score"]) == played.returns.mean()
 
 
@@ -295,7 +299,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("results")
     train(
-        TrainArguments.of({**SMALL, "background": "pretrained-alone"}),
+        TrainArguments.of({**SMALL, "background": "pretrained-isolated"}),
         folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0",
     )
     return folder
@@ -312,12 +316,12 @@ def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> 
     result = Run(trained / name).result()
     assert result is not None
     assert float(rows["learned"]["score"]) == pytest.approx(result.mean, abs=1e-12)
-    assert float(rows["scripted"]["score"]) == pytest.approx(result.heuristic_mean, abs=1e-12)
+    assert float(rows["scripted"]["score"]) == pytest.approx(result.scripted_mean, abs=1e-12)
     assert rows["learned"]["same_task"] == "True"
     done = runner.invoke(app, ["figures", str(tables), "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "left out" not in done.output
-    cells = rows_of(tmp_path / "laboratory.md")["pretrained-alone", "tiny"]
+    cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated", "tiny"]
     assert float(cells[0]) == pytest.approx(result.mean, abs=6e-4)
     assert float(cells[2]) == pytest.approx(result.last_mean, abs=6e-4)
     assert cells[-1] == "128"
@@ -361,14 +365,14 @@ def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path)
     result = Run(path).result()
     assert result is not None
     assert scores["learned", "joint/seed-0"] == pytest.approx(result.mean, abs=1e-12)
-    assert scores["scripted", ""] == pytest.approx(result.heuristic_mean, abs=1e-12)
+    assert scores["scripted", ""] == pytest.approx(result.scripted_mean, abs=1e-12)
     assert {row["same_task"] for row in stored(tables)} == {"True"}
     # 200 turns teach nobody to distil: what its own benches come to with the scripted manager is far less.
     assert scores["scripted", "joint/seed-0"] < 0.5 * scores["scripted", ""]
     written = write_laboratory(tables, tmp_path / "out")
     assert written is not None
     gain = scores["learned", "joint/seed-0"] - scores["scripted", "joint/seed-0"]
-    assert float(rows_of(written.page)["heuristic; learned: dit", "joint"][1]) == pytest.approx(gain, abs=6e-4)
+    assert float(rows_of(written.page)["scripted; learned: dit", "joint"][1]) == pytest.approx(gain, abs=6e-4)
 
 
 def test_a_brief_table_is_of_shipped_scenarios_or_of_others(tmp_path: Path) -> None:
@@ -376,7 +380,7 @@ def test_a_brief_table_is_of_shipped_scenarios_or_of_others(tmp_path: Path) -> N
     store(tmp_path, {"manager/seed-0": 0.75})
     head, rule, learned, *others = brief_table(tmp_path, shipped=True)
     cells = [cell.strip() for cell in learned.split("|")[1:-1]]
-    assert cells[:5] == ["`wurtz_dodecane`", "heuristic", "manager", "0.750", "0.500"]
+    assert cells[:5] == ["`wurtz_dodecane`", "scripted", "manager", "0.750", "0.500"]
     assert len(others) == 3
     assert {line.count("|") for line in (head, rule, learned, *others)} == {10}
     assert brief_table(tmp_path, shipped=False) == [head, rule]

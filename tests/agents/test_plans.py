@@ -34,7 +34,7 @@ from chemlab.roles.manager_actions import ManagerActions
 
 runner = CliRunner()
 EVERY_STORED = slow_but(
-    stored_plans(), *(path for path in stored_plans() if path.stem.endswith(".heuristic") or "_safe" in path.stem)
+    stored_plans(), *(path for path in stored_plans() if path.stem.endswith(".scripted") or "_safe" in path.stem)
 )
 
 
@@ -65,7 +65,7 @@ class Watched:
 def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -> tuple[Watched, IntArray]:
     """(what a manager played over scripted benches in so many episodes, their goals)."""
     labs = Laboratories(scenario, count)
-    policies = make_policies("heuristic", labs)
+    policies = make_policies("scripted", labs)
     policies["manager_0"] = taped = Watched(manager(labs) if callable(manager) else manager, labs)
     play_laboratory(labs, policies, None, seed)
     return taped, labs.state.goal[:, 0].copy()
@@ -90,7 +90,7 @@ def test_the_search_finds_what_is_best_of_all_plans() -> None:
     for member in labs.members:
         labs.seed(int(member), 0)
     labs.reset(labs.members)
-    policies = make_policies("heuristic", labs)
+    policies = make_policies("scripted", labs)
     policies["manager_0"] = Playback(labs.actions, plans)
     Players(labs, list(policies.values())).play_on(labs.members)
     scores = labs.result(labs.members)
@@ -153,7 +153,7 @@ def test_a_plan_is_blind() -> None:
     wait = labs.actions.encode("wait")
     taped, _ = watched("wurtz_dodecane", plan_for, 8)
     assert all(actions == taped.actions[0] for actions in taped.actions)
-    policies = make_policies("heuristic@0.2", labs, seed=5)
+    policies = make_policies("scripted@0.2", labs, seed=5)
     policies["manager_0"] = noisy = Watched(plan_for(labs), labs)
     scores = play_laboratory(labs, policies, None, 0).returns
     assert np.ptp(scores) > 0.0
@@ -242,29 +242,29 @@ def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
     assert scores.mean() == pytest.approx(stored.evaluation["value"], abs=1e-9)
 
 
-@pytest.mark.parametrize(("benches", "least"), [("heuristic", 0.97), ("pretrained-alone", 0.92)])
+@pytest.mark.parametrize(("benches", "least"), [("scripted", 0.97), ("pretrained-isolated", 0.92)])
 def test_the_plan_for_dodecane_beats_the_scripted_manager(benches: str, least: float) -> None:
     """A fixed plan solves the paper's laboratory."""
     labs = Laboratories("wurtz_dodecane", 50)
     scores = {
         manager: play_laboratory(labs, make_policies(f"{benches},manager={manager}", labs), None, 100).returns
-        for manager in ("plan", "heuristic")
+        for manager in ("plan", "scripted")
     }
     assert scores["plan"].mean() >= least
-    assert scores["plan"].mean() >= scores["heuristic"].mean()
+    assert scores["plan"].mean() >= scores["scripted"].mean()
 
 
 def test_plans_by_name(tmp_path: Path) -> None:
     """``plan`` takes the plan that is stored for whoever operates the benches; a file may be named, too."""
     labs = Laboratories("wurtz_dodecane", 1)
-    by_name = make_policies("plan", labs)["manager_0"], make_policies("heuristic,manager=plan", labs)["manager_0"]
-    by_file = make_policies(f"pretrained,manager=plan:{plan_file('wurtz_dodecane', 'heuristic')}", labs)["manager_0"]
-    pretrained = make_policies("pretrained-alone,manager=plan", labs)["manager_0"]
+    by_name = make_policies("plan", labs)["manager_0"], make_policies("scripted,manager=plan", labs)["manager_0"]
+    by_file = make_policies(f"pretrained,manager=plan:{plan_file('wurtz_dodecane', 'scripted')}", labs)["manager_0"]
+    pretrained = make_policies("pretrained-isolated,manager=plan", labs)["manager_0"]
     for policy, benches in (
-        (by_name[0], "heuristic"),
-        (by_name[1], "heuristic"),
-        (by_file, "heuristic"),
-        (pretrained, "pretrained-alone"),
+        (by_name[0], "scripted"),
+        (by_name[1], "scripted"),
+        (by_file, "scripted"),
+        (pretrained, "pretrained-isolated"),
     ):
         assert isinstance(policy, ConstantPlan)
         np.testing.assert_array_equal(policy._steps, plan_for(labs, benches)._steps)
@@ -292,11 +292,11 @@ def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list
 def test_a_plan_that_does_not_fit_is_refused() -> None:
     """Another laboratory's plan names actions that are not there, or goals that it has no plan for."""
     with pytest.raises(ValueError, match="does not fit this laboratory"):
-        plan_for(Laboratories("salt_from_oil"), str(plan_file("wurtz_dodecane", "heuristic")))
+        plan_for(Laboratories("salt_from_oil"), str(plan_file("wurtz_dodecane", "scripted")))
     with pytest.raises(ValueError, match="may ask for 5-methylundecane"):
-        plan_for(Laboratories("wurtz_any"), str(plan_file("wurtz_dodecane", "heuristic")))
-    with pytest.raises(ValueError, match="chemlab plan wurtz_dodecane --benches hasty --out"):
-        plan_for(Laboratories("wurtz_dodecane"), "hasty")
+        plan_for(Laboratories("wurtz_any"), str(plan_file("wurtz_dodecane", "scripted")))
+    with pytest.raises(ValueError, match="chemlab plan wurtz_dodecane --benches scripted:unsafe --out"):
+        plan_for(Laboratories("wurtz_dodecane"), "scripted:unsafe")
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -310,8 +310,8 @@ def test_the_command(tmp_path: Path) -> None:
     as_json = runner.invoke(app, [*arguments, "--json"])
     content = json.loads(as_json.stdout)
     assert content == json.loads(file.read_text())
-    assert content["command"] == "chemlab plan salt_from_oil --benches heuristic --budget 400 --seed 0 --episodes 5"
-    run = runner.invoke(app, ["run", "salt_from_oil", "--policy", f"heuristic,manager=plan:{file}", "--json"])
+    assert content["command"] == "chemlab plan salt_from_oil --benches scripted --budget 400 --seed 0 --episodes 5"
+    run = runner.invoke(app, ["run", "salt_from_oil", "--policy", f"scripted,manager=plan:{file}", "--json"])
     assert json.loads(run.stdout)["score"] == pytest.approx(content["evaluation"]["value"], abs=0.02)
     assert runner.invoke(app, ["plan", "salt_from_oil", "--budget", "some"]).exit_code == 2
 
@@ -326,10 +326,10 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
     scenario = load_scenario("wurtz_two_lines")
     for seed in range(3):
         labs = Laboratories(scenario, 1)
-        expected = play_laboratory(labs, make_policies("heuristic", labs), None, seed).returns
+        expected = play_laboratory(labs, make_policies("scripted", labs), None, seed).returns
         context = tuple(scenario.goals[goal] for goal in labs.state.goal[0])
         trials = module._Trials(scenario, context, [seed], 1)
-        tapes = module._record(trials, "heuristic")
+        tapes = module._record(trials, "scripted")
         again = module._replay(trials, [[tape[0] for tape in tapes]])
         assert again[0, 0] == pytest.approx(expected[0], abs=1e-12)
 

@@ -93,11 +93,11 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     except ValueError as error:
         reason = {
             "pretrained": "no pretrained policy fits",
-            "pretrained-alone": "no pretrained policy fits",
+            "pretrained-isolated": "no pretrained policy fits",
             "trained": "no pretrained policy fits",
             "plan": "none is stored",
-            "forgetful": "has nothing to forget",
-            "serial": "has no orders to choose from",
+            "scripted:memoryless": "has nothing to forget",
+            "scripted:fifo": "has no orders to choose from",
         }
         if policy not in reason or reason[policy] not in str(error):
             raise
@@ -148,11 +148,11 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
     labs = Laboratories(unscripted)
     said = r"'fil' plays random legal actions: .* kind 'filtration_bench:FiltrationBench' .*reaction, extraction"
     with pytest.warns(UserWarning, match=said) as caught:
-        policies = make_policies("heuristic", labs, seed=5)
+        policies = make_policies("scripted", labs, seed=5)
     assert len(caught) == 1, "of two agents, too"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        make_policies("hasty", labs)
+        make_policies("scripted:unsafe", labs)
     assert isinstance(policies["fil_0"], RandomPolicy)
     assert not isinstance(policies["dit_0"], RandomPolicy)
     mask = np.zeros((6000, 2), dtype=np.int8)
@@ -165,8 +165,8 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
 def test_a_laboratory_with_such_a_bench_is_played_to_its_end(unscripted: Scenario) -> None:
     env = raw_env(unscripted)
     with pytest.warns(UserWarning, match="plays random legal actions"):
-        result = play_episode(env, make_policies("heuristic", env.laboratories, 0), 0)
+        result = play_episode(env, make_policies("scripted", env.laboratories, 0), 0)
     assert result.status == "submitted"
     alone = raw_env("fictitious")
-    without = play_episode(alone, make_policies("heuristic", alone.laboratories, 0), 0)
+    without = play_episode(alone, make_policies("scripted", alone.laboratories, 0), 0)
     assert result.score == pytest.approx(without.score), "the manager does without it"

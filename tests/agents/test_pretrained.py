@@ -260,7 +260,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
 def test_benches_that_learned_in_laboratories_are_for_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     bench = bench_of(DIT)
-    ship(made_up(bench, seed=1, scenario="wurtz_any", starts="lab", background="heuristic"), tmp_path, "in_laboratory")
+    ship(made_up(bench, seed=1, scenario="wurtz_any", starts="lab", background="scripted"), tmp_path, "in_laboratory")
     ship(made_up(bench, seed=2), tmp_path, "paper")
     ship(made_up(bench, seed=3, starts="both"), tmp_path, "vessels")
     assert pretrained_for(bench).card.name == "paper"
@@ -270,21 +270,21 @@ def test_benches_that_learned_in_laboratories_are_for_them(tmp_path: Path, monke
 
 def test_trained_managers_keep_the_benches_they_learned_over() -> None:
     labs = Laboratories("wurtz_dodecane")
-    played = {name: make_policies(name, labs) for name in ("trained", "pretrained", "pretrained-alone")}
+    played = {name: make_policies(name, labs) for name in ("trained", "pretrained", "pretrained-isolated")}
     cards = {
         name: {agent: one.card.name for agent, one in policies.items() if isinstance(one, PretrainedPolicy)}
         for name, policies in played.items()
     }
     benches = {"rxn_0": "wurtz_rxn", "ext_0": "wurtz_ext_lab", "dit_0": "wurtz_dit_lab"}
     assert cards["trained"] == {"manager_0": "wurtz_dodecane_manager", **benches}
-    assert cards["pretrained-alone"] == benches
+    assert cards["pretrained-isolated"] == benches
     assert cards["pretrained"] == {"rxn_0": "wurtz_rxn", "ext_0": "wurtz_any_ext", "dit_0": "wurtz_any_dit"}
 
 
 def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     env = raw_env("wurtz_dodecane")
-    policies = make_policies("heuristic", env.laboratories, 0)
+    policies = make_policies("scripted", env.laboratories, 0)
     for agent, bench in zip(env.laboratories.bench_agents, env.laboratories.benches, strict=True):
         ship(made_up(bench), tmp_path, bench.key)
         policies[agent] = pretrained_for(bench)

@@ -1,4 +1,4 @@
-"""Safety as constrained learning needs it: who is careful has no cost, who is hasty has, and every cost adds up.
+"""Safety as constrained learning needs it: who is careful has no cost, who is not has, and every cost adds up.
 
 A cost is the weighted sum of safety events; weights and price are read from the scenario file, not from the code.
 """
@@ -44,11 +44,11 @@ def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]],
     return tuple(found)
 
 
-# -- careful and hasty ----------------------------------------------------------------------------------------------
+# -- careful and unsafe ----------------------------------------------------------------------------------------------
 
 
 def test_the_careful_have_no_accident() -> None:
-    for result, turns in episodes("heuristic"):
+    for result, turns in episodes("scripted"):
         assert result.safety_events == {}, f"seed {result.seed}"
         assert all(turn.info["cost"] == 0.0 and not turn.info["events"].any() for turn in turns)
         assert result.costs["safety"] == 0.0
@@ -60,7 +60,7 @@ def test_the_careful_have_no_accident() -> None:
 def test_the_hasty_have_accidents() -> None:
     """Each time something happens; over all seeds sodium meets water, the valve opens and a vessel boils dry."""
     totals = dict.fromkeys(SAFETY_EVENTS, 0.0)
-    for result, turns in episodes("hasty"):
+    for result, turns in episodes("scripted:unsafe"):
         assert result.safety_events, f"seed {result.seed}"
         assert result.costs["safety"] > 0.0
         assert sum(turn.info["cost"] for turn in turns) > 0.0
@@ -69,12 +69,12 @@ def test_the_hasty_have_accidents() -> None:
     for kind in ("metal_in_water_mol", "relief_valve_mol", "boiled_dry"):
         assert totals[kind] > 0.0, kind
     # Haste does not pay where accidents are priced.
-    hasty = np.mean([result.score for result, _ in episodes("hasty")])
-    careful = np.mean([result.score for result, _ in episodes("heuristic")])
+    hasty = np.mean([result.score for result, _ in episodes("scripted:unsafe")])
+    careful = np.mean([result.score for result, _ in episodes("scripted")])
     assert careful > hasty + 0.3
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "hasty"])
+@pytest.mark.parametrize("policy", ["scripted", "scripted:unsafe"])
 def test_the_score_is_charged(policy: str) -> None:
     scenario = load_scenario(SAFE)
     price = scenario.safety.reward_price
@@ -98,7 +98,7 @@ def test_without_a_price_accidents_are_counted_and_not_charged() -> None:
     values = load_scenario(SAFE).model_dump()
     values["safety"]["reward_price"] = 0.0
     env = raw_env(load_scenario(values))
-    result = play_episode(env, make_policies("hasty", env.laboratories), 0)
+    result = play_episode(env, make_policies("scripted:unsafe", env.laboratories), 0)
     assert weighted(result.safety_events) > 0.0
     assert result.costs["safety"] == 0.0
 
@@ -161,7 +161,7 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
 def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
     """``lab_cost`` is of everybody's events in the step; ``cost`` of the agent's own, and part of it."""
-    env = focal_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "hasty"})
+    env = focal_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "scripted:unsafe"})
     labs, rng = env.laboratories, np.random.default_rng(1)
     submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if agent == "manager_0" else ()
     own = everybody = 0.0
@@ -187,8 +187,8 @@ def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
 def test_batches_report_the_same_costs() -> None:
     """The batched view's and the batched laboratories' costs are those of the single ones."""
     views = (
-        focal_vector_env(3, SAFE, "ext_0", {"manager": "hasty"}),
-        [focal_env(SAFE, "ext_0", {"manager": "hasty"}) for _ in range(3)],
+        focal_vector_env(3, SAFE, "ext_0", {"manager": "scripted:unsafe"}),
+        [focal_env(SAFE, "ext_0", {"manager": "scripted:unsafe"}) for _ in range(3)],
     )
     batch, singles = views
     rng = np.random.default_rng(2)

@@ -26,7 +26,7 @@ import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.learners import load_learner
-from chemlab.agents.policies import bench_heuristic, make_policies
+from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
@@ -375,7 +375,7 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
 
 def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
     task = BenchTask("wurtz_dodecane", "dit", ("NaCl", "dodecane"))
-    policy = bench_heuristic(task.workplace)
+    policy = scripted_bench(task.workplace)
     returns = task.returns(policy, 2, 50)
     np.testing.assert_array_equal(returns, task.returns(policy, 2, 50))
     env = BenchEnv("wurtz_dodecane", "dit")
@@ -567,8 +567,8 @@ def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: p
     said = r"'fil' of wurtz_dodecane: .* empty vessel, .* no \[benches.fil.start\]; give it contents .moles by mat"
     with pytest.warns(UserWarning, match=said):
         result = train(TrainArguments.of(short), tmp_path / "empty")
-    assert result.heuristic_mean is None
-    assert Run(tmp_path / "empty").evaluations()[0].heuristic_by_goal is None
+    assert result.scripted_mean is None
+    assert Run(tmp_path / "empty").evaluations()[0].scripted_by_goal is None
 
 
 def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
@@ -676,11 +676,11 @@ def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
 def test_a_role_of_a_laboratory_is_a_task() -> None:
     """What the scripted manager and a scripted bench come to is what whole episodes say."""
     env = raw_env("wurtz_dodecane")
-    results = [play_episode(env, make_policies("heuristic", env.laboratories), seed) for seed in (4, 5)]
+    results = [play_episode(env, make_policies("scripted", env.laboratories), seed) for seed in (4, 5)]
     manager = LaboratoryTask("wurtz_dodecane")
-    assert manager.returns(manager.policy("heuristic"), 2, 4).tolist() == [[result.score for result in results]]
+    assert manager.returns(manager.policy("scripted"), 2, 4).tolist() == [[result.score for result in results]]
     bench = LaboratoryTask("wurtz_dodecane", "ext_0")
     expected = [result.rewards["ext_0"] for result in results]
-    assert bench.returns(bench.policy("heuristic"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    assert bench.returns(bench.policy("scripted"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
     with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
         LaboratoryTask("wurtz_dodecane", goals=("gold",))

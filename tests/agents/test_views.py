@@ -88,7 +88,7 @@ def test_ids_make_batches() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in policy_names() if name not in ("trained", "plan", "forgetful", "serial")]
+    "name", [name for name in policy_names() if name not in ("trained", "plan", "scripted:memoryless", "scripted:fifo")]
 )
 def test_one_name_is_for_everybody(name: str) -> None:
     policies = chosen(name)
@@ -100,8 +100,8 @@ def test_one_name_is_for_everybody(name: str) -> None:
 
 def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> None:
     mine, ours = Constant(40), Constant(40)
-    policies = chosen({"ext_1": mine, "ext": ours, "rxn": "random", "manager": "hasty"})
-    scripted = make_policies("heuristic", Laboratories(LINES))
+    policies = chosen({"ext_1": mine, "ext": ours, "rxn": "random", "manager": "scripted:unsafe"})
+    scripted = make_policies("scripted", Laboratories(LINES))
     assert policies["ext_1"] is mine
     assert policies["ext_0"] is ours
     assert isinstance(policies["rxn_0"], RandomPolicy)
@@ -160,7 +160,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
     """Playing the manager's view with the scripted manager is playing the scripted laboratory."""
     env = focal_env("wurtz_any")
     labs = env.laboratories
-    manager = agent_policy("heuristic", labs, 0)
+    manager = agent_policy("scripted", labs, 0)
     observation, info = env.reset(seed=3)
     while True:
         step = labs.state.actions.copy()
@@ -172,12 +172,14 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
     from chemlab.envs.aec import raw_env
 
     whole = raw_env("wurtz_any")
-    result = play_episode(whole, make_policies("heuristic", whole.laboratories), 3)
+    result = play_episode(whole, make_policies("scripted", whole.laboratories), 3)
     assert info["score"] == result.score
     assert named_costs(info) == result.costs
 
 
-@pytest.mark.parametrize("background", [name for name in policy_names() if name not in ("forgetful", "serial")])
+@pytest.mark.parametrize(
+    "background", [name for name in policy_names() if name not in ("scripted:memoryless", "scripted:fifo")]
+)
 def test_a_used_view_plays_like_a_new_one(background: str) -> None:
     """Whatever was played before: the same seed is the same episode, policies' memories and streams included."""
 

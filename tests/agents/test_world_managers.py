@@ -10,11 +10,11 @@ import pytest
 from helpers import mapping
 
 from chemlab.agents.player import play_laboratory
-from chemlab.agents.policies import make_policies, manager_heuristic
+from chemlab.agents.policies import make_policies, scripted_manager
 from chemlab.agents.scripted.campaign import CampaignManager, _foreseen, has_unknown_rate
 from chemlab.agents.scripted.foresee import foresees
 from chemlab.agents.scripted.identify import IdentifyingManager, has_unlabelled_vessels
-from chemlab.agents.scripted.reaction import ReactionHeuristic
+from chemlab.agents.scripted.reaction import ScriptedReaction
 from chemlab.agents.scripted.schedule import SchedulingManager, has_orders_to_schedule
 from chemlab.agents.scripted.upkeep import UpkeepManager, has_wearing_lines
 from chemlab.config.materials import DataError
@@ -53,7 +53,7 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         scenario = load_scenario(name)
         if foresees(scenario):
             continue  # tests/agents/test_foresee.py
-        manager = manager_heuristic(Laboratories(scenario))
+        manager = scripted_manager(Laboratories(scenario))
         assert isinstance(manager, IdentifyingManager) == has_unlabelled_vessels(scenario) == (name == "unlabelled")
         assert isinstance(manager, CampaignManager) == (has_unknown_rate(scenario) is not None) == (name == "campaign")
         assert isinstance(manager, UpkeepManager) == has_wearing_lines(scenario) == (name == "failing")
@@ -65,7 +65,7 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
 
 
 def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
-    labs, watched = played("unlabelled", "heuristic", 40)
+    labs, watched = played("unlabelled", "scripted", 40)
     halide = {
         "dodecane": "1-chlorohexane",
         "5,6-dimethyldecane": "2-chlorohexane",
@@ -90,18 +90,18 @@ def test_nobody_looks_where_it_costs_more_than_it_is_worth() -> None:
     values = mapping("unlabelled")
     for instrument in values["instruments"].values():
         instrument["price"] = 0.39
-    labs, watched = played("unlabelled", "heuristic", 5, values)
+    labs, watched = played("unlabelled", "scripted", 5, values)
     first = [labs.actions.decode(actions[0])[0] for actions in watched.played]
     assert first == ["start"] * 5
     # As much as any one of eight vessels holds what is needed: two of them do.
-    manager = manager_heuristic(labs)
+    manager = scripted_manager(labs)
     assert isinstance(manager, IdentifyingManager)
 
 
 def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     """Bayes by hand: one vessel of eight is seen to hold the first halide, so of the other seven one does."""
     labs = Laboratories("unlabelled")
-    manager: Any = manager_heuristic(labs)
+    manager: Any = scripted_manager(labs)
     labs.seed(0, 0)
     labs.reset(labs.members)
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
@@ -145,7 +145,7 @@ def test_batches_are_foreseen_as_two_first_order_steps_go() -> None:
 
 def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
     looks: dict[str, np.ndarray[Any, Any]] = {}
-    for policy in ("heuristic", "forgetful"):
+    for policy in ("scripted", "scripted:memoryless"):
         labs, watched = played("campaign", policy, 30)
         counts = np.zeros((30, 4))
         for member, actions in enumerate(watched.played):
@@ -154,14 +154,16 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
                 counts[member, min(batch, 3)] += kind == MEASURE
                 batch += kind == SUBMIT
         looks[policy] = counts.mean(axis=0)
-    assert looks["heuristic"][0] > 3.0 * looks["heuristic"][1:].mean()
-    assert looks["forgetful"][1:].mean() > 2.0 * looks["heuristic"][1:].mean()
+    assert looks["scripted"][0] > 3.0 * looks["scripted"][1:].mean()
+    assert looks["scripted:memoryless"][1:].mean() > 2.0 * looks["scripted"][1:].mean()
 
 
 @pytest.mark.slow
 def test_earlier_looks_are_worth_remembering() -> None:
     """What a vessel showed before the last portion tells more of its kinetics than what it shows after it."""
-    scores = [played("selectivity", policy, 200)[0].result(np.arange(200)) for policy in ("heuristic", "forgetful")]
+    scores = [
+        played("selectivity", policy, 200)[0].result(np.arange(200)) for policy in ("scripted", "scripted:memoryless")
+    ]
     gained = scores[0] - scores[1]
     assert gained.mean() > 2.0 * gained.std() / np.sqrt(200.0)
 
@@ -170,7 +172,7 @@ def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
     for name in ("campaign", "unlabelled", "failing", "rush", "relay"):
         labs = Laboratories(name, 2, split="test")
-        players = Players(labs, list(make_policies("heuristic", labs, 0).values()))
+        players = Players(labs, list(make_policies("scripted", labs, 0).values()))
         for member in range(2):
             labs.seed(member, 7 + member)
         labs.reset(labs.members)
@@ -189,14 +191,16 @@ def test_memories_are_put_back() -> None:
 def test_who_lapses_goes_on(scenario: str) -> None:
     """Also where what was meant to be submitted is there still, when all should be over."""
     labs = Laboratories(scenario, 12, split="test")
-    played = play_laboratory(labs, make_policies("heuristic,manager=heuristic@0.3", labs, 1), None, 0)
+    played = play_laboratory(labs, make_policies("scripted,manager=scripted@0.3", labs, 1), None, 0)
     assert labs.state.status.all()
     assert np.isfinite(played.returns).all()
 
 
 def test_nobody_forgets_who_has_nothing_to_remember() -> None:
-    with pytest.raises(ValueError, match="forgetful: the scripted manager of unlabelled has nothing to forget"):
-        make_policies("forgetful", Laboratories("unlabelled"))
+    with pytest.raises(
+        ValueError, match="scripted:memoryless: the scripted manager of unlabelled has nothing to forget"
+    ):
+        make_policies("scripted:memoryless", Laboratories("unlabelled"))
 
 
 # -- lines that fail --------------------------------------------------------------------------------------------------
@@ -219,7 +223,7 @@ def counted(labs: Laboratories, watched: Watched) -> dict[str, float]:
 
 def test_a_line_that_is_known_is_not_looked_at() -> None:
     """Its batches are taken off within what the specification allows, by the clock alone."""
-    labs, watched = played("failing", "heuristic", 4, failing(gain=0.8))
+    labs, watched = played("failing", "scripted", 4, failing(gain=0.8))
     assert counted(labs, watched) == {"measure": 0.0, "calibrate": 0.0, "repair": 0.0, "submit": 6.0}
     assert (labs.state.submitted[..., 1] >= 0.76).all()
 
@@ -229,10 +233,10 @@ def test_particles_follow_the_vessel() -> None:
     values = failing(spread=0.5)
     values["instruments"]["gas_chromatograph"] |= {"noise": 0.0, "drift": None}
     labs = Laboratories(load_scenario(values))
-    manager: Any = manager_heuristic(labs)
+    manager: Any = scripted_manager(labs)
     labs.seed(0, 3)
     labs.reset(labs.members)
-    players = Players(labs, [manager, *list(make_policies("heuristic", labs, 0).values())[1:]])
+    players = Players(labs, [manager, *list(make_policies("scripted", labs, 0).values())[1:]])
     while labs.state.ticks[0] < 30:
         players.play_pass(labs.members)
     belief = manager._kept[0]
@@ -255,7 +259,7 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
             bench["wear"]["repair_price"] *= 100.0 if case == "no repair" else 1.0
         if case == "no calibration":
             values["instruments"]["gas_chromatograph"]["drift"]["price"] = 2.0 * values["limits"]["budget"]
-        labs, watched = played("failing", "heuristic", 25, values)
+        labs, watched = played("failing", "scripted", 25, values)
         scores[case], counts = labs.result(labs.members), counted(labs, watched)
         assert (counts["repair"] > 1.0) == (case != "no repair")
         assert (counts["calibrate"] > 1.0) == (case != "no calibration")
@@ -266,7 +270,7 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
 
 def test_nobody_takes_orders_in_turn_who_has_no_choice() -> None:
     with pytest.raises(ValueError, match="serial: the scripted manager of campaign has no orders to choose from"):
-        make_policies("serial", Laboratories("campaign"))
+        make_policies("scripted:fifo", Laboratories("campaign"))
 
 
 # -- orders over time -------------------------------------------------------------------------------------------------
@@ -291,7 +295,7 @@ def test_where_reagent_is_short_the_orders_that_pay_best_are_met() -> None:
     """Three runs for five orders: the three dearest; who takes them as they come takes the first three."""
     prices = [0.5, 1.0, 0.25, 3.0, 2.0]
     values = known_shop("rush", 5, price=prices, amount_at_least_mol=[1.0] * 5)
-    for policy, dearest in (("heuristic", [1, 3, 4]), ("serial", [0, 1, 2])):
+    for policy, dearest in (("scripted", [1, 3, 4]), ("scripted:fifo", [0, 1, 2])):
         labs, _ = played("rush", policy, 3, values)
         for member in range(3):
             assert np.flatnonzero(labs.state.paid[member]).tolist() == dearest
@@ -300,13 +304,13 @@ def test_where_reagent_is_short_the_orders_that_pay_best_are_met() -> None:
 
 def test_an_order_that_cannot_be_met_in_time_is_let_go() -> None:
     values = known_shop("rush", 3, within=[19.0, 30.0, 30.0], price=[5.0, 1.0, 1.0])
-    labs, _ = played("rush", "heuristic", 2, values)
+    labs, _ = played("rush", "scripted", 2, values)
     assert (labs.state.paid > 0.0).tolist() == [[False, True, True]] * 2
 
 
 def test_a_near_deadline_gets_the_quick_grade() -> None:
     values = known_shop("relay", 1, within=[25.0])
-    labs, watched = played("relay", "heuristic", 2, values)
+    labs, watched = played("relay", "scripted", 2, values)
     for actions in watched.played:
         starts = [labs.actions.decode(a) for a in actions if labs.actions.decode(a)[0] == "start"]
         slot = starts[0][2]
@@ -320,7 +324,7 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
     for factor in (0.1, 1.0, 10.0):
         labs.seed(0, np.random.SeedSequence(0))
         labs.reset(labs.members, world={"first_limit": factor})
-        agent: Any = ReactionHeuristic(labs.benches[0])  # type: ignore[arg-type]
+        agent: Any = ScriptedReaction(labs.benches[0])  # type: ignore[arg-type]
         for action in (labs.actions.encode("start", "rxn_0", 0, "F", "full"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         row, hottest = labs.experiments[0].places[0, 0], 0.0

@@ -10,7 +10,7 @@ import pytest
 from helpers import mapping
 
 import chemlab  # noqa: F401 - registers the single benches
-from chemlab.agents.policies import RandomPolicy, bench_heuristic, is_scripted
+from chemlab.agents.policies import RandomPolicy, is_scripted, scripted_bench
 from chemlab.config.materials import DataError
 from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
@@ -197,7 +197,7 @@ def scripted(careful: bool = True) -> tuple[float, float, float]:
     """(score, yield, purity) of the script; what it leaves in CV."""
     batch = begun()
     assert is_scripted(batch.bench)
-    score = float(play(batch, bench_heuristic(batch.bench, careful))[0])
+    score = float(play(batch, scripted_bench(batch.bench, careful))[0])
     amounts = batch.shelf.amounts[0, 0]
     mol = float(amounts[batch.shelf.layout.index(GOAL)])
     return score, mol / CRUDE_MOL, mol / float(amounts.sum())

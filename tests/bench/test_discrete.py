@@ -61,7 +61,7 @@ def test_a_scripted_agent_loses_nothing_where_its_actions_are_in_the_table() -> 
     scenario = load_scenario("wurtz_dodecane")
     for goal in scenario.goals:
         ours, theirs = (
-            BenchTarget(scenario.with_actions(kind), "rxn").play("heuristic", goal, 4, 0).returns
+            BenchTarget(scenario.with_actions(kind), "rxn").play("scripted", goal, 4, 0).returns
             for kind in ("discrete", "native")
         )
         np.testing.assert_array_equal(ours, theirs)
@@ -81,7 +81,7 @@ def test_every_view_takes_it_and_the_laboratory_goes_on_as_it_would() -> None:
     for kind in ("native", "discrete"):
         labs = Laboratories(load_scenario("wurtz_dodecane").with_actions(kind), 1)
         env = raw_env(labs.scenario)
-        result = play_episode(env, make_policies("heuristic", env.laboratories, 0), 5)
+        result = play_episode(env, make_policies("scripted", env.laboratories, 0), 5)
         scores.append(result.score)
     assert scores[0] == scores[1]
 
@@ -90,7 +90,7 @@ def test_records_of_it_are_verified(tmp_path: Path) -> None:
     env = raw_env(actions="discrete")
     path = tmp_path / "episode.jsonl"
     with Recorder(path, env.laboratories) as recorder:
-        policies = make_policies("heuristic,rxn=random", env.laboratories, 1)
+        policies = make_policies("scripted,rxn=random", env.laboratories, 1)
         play_episode(env, policies, 1, recorder=recorder)
     assert verify_record(path, env.scenario).status == "ok"
     assert verify_record(path).status == "foreign"  # the shipped scenario has the numbers

@@ -11,7 +11,7 @@ import pytest
 from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
-from chemlab.agents.policies import Policy, bench_heuristic
+from chemlab.agents.policies import Policy, scripted_bench
 from chemlab.config.scenario import Scenario, load_scenario
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.laboratory import raw_env
@@ -212,7 +212,7 @@ def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None
     ):
         batch.seed(0, 1)
         batch.reset(batch.members, batch.scenario.goals.index("5-methylundecane"))
-        scores.append(play(batch, bench_heuristic(batch.bench)))
+        scores.append(play(batch, scripted_bench(batch.bench)))
         batches.append(batch)
     assert model.partitions > 10
     assert model.profiles > 10

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from helpers import mapping
 
-from chemlab.agents.policies import Policy, RandomPolicy, bench_heuristic
+from chemlab.agents.policies import Policy, RandomPolicy, scripted_bench
 from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.lab.experiments import ExperimentBatch
@@ -164,35 +164,35 @@ def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, fl
         shape = batch.bench.action_space.shape
         size = shape[0] if shape else 0
         found[goal] = float(
-            play(batch, bench_heuristic(batch.bench) if policy == "heuristic" else RandomPolicy(size, i)).mean()
+            play(batch, scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)).mean()
         )
     return found
 
 
 def test_reaction_returns_are_the_papers() -> None:
-    """Over the seven Wurtz goals: heuristic 0.62 +- 0.02, random 0.44 +- 0.03 (100 episodes each)."""
-    heuristic, random = (means("rxn", "wurtz_dodecane", 100, policy) for policy in ("heuristic", "random"))
-    assert len(heuristic) == 7
-    assert np.mean(list(heuristic.values())) == pytest.approx(0.62, abs=0.02)
+    """Over the seven Wurtz goals: scripted 0.62 +- 0.02, random 0.44 +- 0.03 (100 episodes each)."""
+    scripted, random = (means("rxn", "wurtz_dodecane", 100, policy) for policy in ("scripted", "random"))
+    assert len(scripted) == 7
+    assert np.mean(list(scripted.values())) == pytest.approx(0.62, abs=0.02)
     assert np.mean(list(random.values())) == pytest.approx(0.44, abs=0.03)
-    assert all(heuristic[goal] > random[goal] for goal in heuristic)
+    assert all(scripted[goal] > random[goal] for goal in scripted)
 
 
 def test_fictitious_returns_are_the_papers() -> None:
-    """Over the five goals the heuristic earns 0.83 +- 0.03; E, F, G, H are near their limit of 1 and I is hard."""
-    heuristic = means("rxn", "fictitious", 100, "heuristic")
-    assert np.mean(list(heuristic.values())) == pytest.approx(0.83, abs=0.03)
-    assert min(heuristic[goal] for goal in "EFGH") > 0.8
-    assert heuristic["I"] < 0.5
+    """Over five goals the scripted policy earns 0.83 +- 0.03; E, F, G, H are near their limit of 1 and I is hard."""
+    scripted = means("rxn", "fictitious", 100, "scripted")
+    assert np.mean(list(scripted.values())) == pytest.approx(0.83, abs=0.03)
+    assert min(scripted[goal] for goal in "EFGH") > 0.8
+    assert scripted["I"] < 0.5
     random = means("rxn", "fictitious", 100, "random")
-    assert all(heuristic[goal] > random[goal] for goal in heuristic)
+    assert all(scripted[goal] > random[goal] for goal in scripted)
 
 
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "salt_from_oil"])
 def test_extraction_heuristic_gains_on_every_goal(scenario: str) -> None:
     """Washing earns more than 0.05 whatever the goal, and more than random actions."""
-    heuristic, random = (means("ext", scenario, 30, policy) for policy in ("heuristic", "random"))
-    for goal, score in heuristic.items():
+    scripted, random = (means("ext", scenario, 30, policy) for policy in ("scripted", "random"))
+    for goal, score in scripted.items():
         assert score > 0.05, goal
         assert score > random[goal], goal
 
@@ -259,7 +259,7 @@ def test_distillation_heuristic_is_near_the_best_fixed_sequence(scenario: str, g
     for member in batch.members:
         batch.seed(int(member), int(member))
     begin(batch, goal, contents)
-    mean = play(batch, bench_heuristic(batch.bench)).mean()
+    mean = play(batch, scripted_bench(batch.bench)).mean()
     best = best_fixed_sequence(scenario, goal, contents)
     assert best > 0.6  # the search is no straw man: the most there is to gain is 0.8 or a little more
     assert mean >= 0.95 * best

@@ -177,10 +177,10 @@ def test_a_limit_terminates() -> None:
 @pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])
 def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
     """With the scripted policy of the learning roles the episode is the one that scripted policies play alone."""
-    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": roles, "background": "heuristic"})
+    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": roles, "background": "scripted"})
     alone = raw_env("wurtz_dodecane")
     alone.reset(seed=7)
-    everybody = make_policies("heuristic", alone.laboratories)
+    everybody = make_policies("scripted", alone.laboratories)
     labs = alone.laboratories
     while labs.state.status[0] == 0:
         agent = alone.agent_selection
@@ -189,7 +189,7 @@ def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
         seen = alone.observe(agent)[None]
         alone.step(everybody[agent].act(seen, None if mask is None else mask[None], turns, labs.members)[0])
     observations, _ = env.reset(seed=7)
-    learners, labs, over = make_policies("heuristic", env.laboratory.laboratories), env.laboratory.laboratories, False
+    learners, labs, over = make_policies("scripted", env.laboratory.laboratories), env.laboratory.laboratories, False
     while not over:
         (agent,) = observations
         assert role_of(agent) in roles

@@ -52,11 +52,11 @@ def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None
     """The manager moves alone, with what the scripted one would play: the scripted laboratory's scores."""
     env = TorchLaboratory(3, "wurtz_two_lines", roles=["manager"])
     labs = Laboratories(env.scenario, 3)
-    expected = play_laboratory(labs, make_policies("heuristic", labs), None, 7)
+    expected = play_laboratory(labs, make_policies("scripted", labs), None, 7)
     assert list(env.group_map) == ["manager"]
     assert {key for key in env.observation_spec.keys() if key != "state"} == {"manager"}  # noqa: SIM118
     seen = env._batch.laboratories
-    manager = agent_policy("heuristic", seen, 0)
+    manager = agent_policy("scripted", seen, 0)
     env.set_seed(7)
     now, scores = env.reset(), np.full(3, np.nan)
     while np.isnan(scores).any():

@@ -106,7 +106,7 @@ def easier_scenario(lines: Lines, path: Path) -> Iterator[Path]:
         data["scenario"]["theoretical_maximum_mol"] = {
             goal: mol / 2 for goal, mol in data["scenario"]["theoretical_maximum_mol"].items()
         }
-        yield store(path, record(path, restore_scenario(data, "easier"), header["seed"], "heuristic"))
+        yield store(path, record(path, restore_scenario(data, "easier"), header["seed"], "scripted"))
 
 
 def paid_more(lines: Lines, path: Path) -> Iterator[Path]:
@@ -136,7 +136,7 @@ def invented_world(lines: Lines, path: Path) -> Iterator[Path]:
         return
     values = json.loads(record(path, header["scenario"]["scenario"]["name"], header["seed"] + 1)[0])
     options = {"world": values["hidden"]["world"]["values"]}
-    asked = record(path, header["scenario"]["scenario"]["name"], header["seed"], "heuristic", options)
+    asked = record(path, header["scenario"]["scenario"]["name"], header["seed"], "scripted", options)
     for seed in (None, header["seed"]):
         forged = json.loads(asked[0])
         forged |= {"seed": seed, "options": {}}

@@ -243,7 +243,7 @@ def try_rows(folder: Path, rng: np.random.Generator) -> None:
 
 def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
     """A benchmark's leaderboard, to which lines are added."""
-    line: dict[str, Any] = {"scenario": "failing", "scenario_hash": "0" * 16, "policy": "heuristic", "value": 0.5}
+    line: dict[str, Any] = {"scenario": "failing", "scenario_hash": "0" * 16, "policy": "scripted", "value": 0.5}
     line |= {"scores": [0.5, None], "train_scores": [0.1, 0.2], "runs": 2, "seeds": 2, "episodes": 1, "score": 0.5}
     line |= {"low": 0.4, "high": None, "split": "test", "records": [{"file": "records/a.jsonl", "seed": 1}]}
     board = {"kind": "leaderboard", "format": 1, "lines": [line, {**line, "value": None}, {**line, "policy": "a"}]}

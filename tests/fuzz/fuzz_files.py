@@ -467,7 +467,7 @@ def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tup
             # Compiles kernels, which must not count as a hang: a scripted episode needs all of them.
             env, path = raw_env(name), Path(folder) / f"{name}.jsonl"
             with Recorder(path, env.laboratories) as recorder:
-                play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, recorder=recorder)
+                play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
             assert verify_record(path).status == "ok"
 
     def one(folder: Path, kind: str, rng: np.random.Generator) -> str:

@@ -39,8 +39,8 @@ from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline
 from chemlab.render.replay import replay_page
 
 SOURCES = (
-    ("salt_from_oil", "heuristic", None), ("wurtz_dodecane", "random", 40), ("wurtz_safe", "heuristic", 25),
-    ("failing", "heuristic", 40), ("rush", "random", 30), ("relay", "heuristic", 30), ("crude", "heuristic", 20),
+    ("salt_from_oil", "scripted", None), ("wurtz_dodecane", "random", 40), ("wurtz_safe", "scripted", 25),
+    ("failing", "scripted", 40), ("rush", "random", 30), ("relay", "scripted", 30), ("crude", "scripted", 20),
 )  # fmt: skip
 """Scenario, policy, and after how many lines the record is torn: short ones, so that many can be tried. Between them
 they have every kind of table: wear, drift, orders over time, grades, what benches are told and report, a tier of its

@@ -551,16 +551,16 @@ def play_and_count(env: raw_env, act: Any) -> tuple[dict[str, float], dict[str, 
     return seen, paid, scored
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "random", "restless"])
+@pytest.mark.parametrize("policy", ["scripted", "random", "restless"])
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_no_reward_is_lost(name: str, policy: str) -> None:
     """What agents see = what the environment pays = scores of experiments and the manager's result."""
     env = raw_env(name)
     rng = np.random.default_rng(1)
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
 
     def act(inner: raw_env, agent: str, observation: Any) -> Any:
-        if policy != "heuristic":
+        if policy != "scripted":
             return random_legal(inner, rng, submit=policy == "random")
         number = inner.possible_agents.index(agent)
         step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
@@ -571,7 +571,7 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
     seen, paid, scored = play_and_count(env, act)
     assert seen == pytest.approx(paid, rel=1e-12, abs=1e-12)
     assert paid == pytest.approx(scored, rel=1e-12, abs=1e-12)
-    if policy == "heuristic":
+    if policy == "scripted":
         assert scored["manager_0"] > 0.0
         # A world may have no use for a bench.
         assert env.scenario.world.draws or all(scored[f"{key}_0"] != 0.0 for key in env.scenario.benches)
@@ -581,7 +581,7 @@ def test_a_cooperative_laboratory_shares_the_managers_result() -> None:
     values = mapping(WURTZ)
     values["rewards"] = {"bench_local": 0.5, "bench_team": 0.25, "manager_local": 0.75, "manager_team": 0.0}
     env = raw_env(load_scenario(values))
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
 
     def act(inner: raw_env, agent: str, observation: Any) -> Any:
         number = inner.possible_agents.index(agent)

@@ -85,7 +85,7 @@ def digests(names: Iterable[str]) -> dict[str, str]:
     return {
         f"{name} {policy}": episode(raw_env(name), policy, seed)
         for name in names
-        for policy, seed in (("random", 3), ("heuristic", 4))
+        for policy, seed in (("random", 3), ("scripted", 4))
     }
 
 
@@ -106,10 +106,10 @@ def test_another_process_plays_the_same_episodes(names: Sequence[str]) -> None:
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == here
-    assert all(here[f"{name} random"] != here[f"{name} heuristic"] for name in names)
+    assert all(here[f"{name} random"] != here[f"{name} scripted"] for name in names)
 
 
-@pytest.mark.parametrize("policy", ["random", "heuristic"])
+@pytest.mark.parametrize("policy", ["random", "scripted"])
 @pytest.mark.parametrize("name", slow_but(scenario_names(), "fictitious", "wurtz_two_lines"))
 def test_a_used_environment_plays_like_a_new_one(name: str, policy: str) -> None:
     env = raw_env(name)
@@ -252,7 +252,7 @@ def busy_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Gene
     return int(rng.choice(legal))
 
 
-MANAGERS = {"hasty": hasty_manager, "busy": busy_manager}
+MANAGERS = {"scripted:unsafe": hasty_manager, "busy": busy_manager}
 
 
 def focal_beginnings(name: str, agent: str, style: str, mode: AutoresetMode, members: int) -> list[list[str]]:
@@ -267,7 +267,7 @@ def focal_beginnings(name: str, agent: str, style: str, mode: AutoresetMode, mem
             actions = np.array([MANAGERS[style](infos["action_mask"][m], labs, rng) for m in range(members)])
         else:
             shape = (members, *labs.action_space(env.focal).shape)  # type: ignore[misc]
-            actions = np.full(shape, 0.5) if style == "hasty" else rng.random(shape)
+            actions = np.full(shape, 0.5) if style == "scripted:unsafe" else rng.random(shape)
         seen, _, terminated, truncated, infos = env.step(actions)
         assert not truncated.any()
         begun = {AutoresetMode.NEXT_STEP: waiting, AutoresetMode.SAME_STEP: terminated}.get(mode, terminated)

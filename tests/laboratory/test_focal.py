@@ -45,7 +45,7 @@ CASES = [
     ("wurtz_two_lines", "dit_0"),
     ("fictitious", "manager_0"),
 ]
-BACKGROUNDS = ("heuristic", "random")
+BACKGROUNDS = ("scripted", "random")
 MEMBERS = [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
 
 
@@ -204,13 +204,13 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
         episodes += over
         for was, now in zip(env.laboratories.snapshot()[:3], hand.labs.snapshot()[:3], strict=True):
             np.testing.assert_array_equal(was, now)
-    assert episodes > 0 or (background == "heuristic" and agent == "manager_0")
+    assert episodes > 0 or (background == "scripted" and agent == "manager_0")
 
 
 @pytest.mark.parametrize("rewards", ["cooperative", "mixed"])
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "dit_0"])
 def test_the_view_pays_any_mix(agent: str, rewards: str) -> None:
-    env, hand = focal_env(WURTZ, agent, rewards=rewards), ByHand(WURTZ, agent, "heuristic", rewards=rewards)
+    env, hand = focal_env(WURTZ, agent, rewards=rewards), ByHand(WURTZ, agent, "scripted", rewards=rewards)
     rng = np.random.default_rng(1)
     env.reset(seed=2)
     hand.reset(2)
@@ -232,7 +232,7 @@ def test_the_view_pays_any_mix(agent: str, rewards: str) -> None:
 @pytest.mark.parametrize("name", [WURTZ, "wurtz_any", "wurtz_two_lines", "wurtz_scarce", "salt_from_oil"])
 def test_the_managers_return_is_the_score(name: str) -> None:
     env = focal_env(name)
-    manager = make_policies("heuristic", env.laboratories)["manager_0"]
+    manager = make_policies("scripted", env.laboratories)["manager_0"]
     for seed in range(3):
         observation, info = env.reset(seed=seed)
         total, over, step = 0.0, False, 0
@@ -257,7 +257,7 @@ def test_the_managers_return_is_the_score(name: str) -> None:
 def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     """What follows a step is discounted by gamma to the elapsed ticks: the same as gamma to the tick of the turn."""
     gamma = 0.97
-    env, hand = focal_env(WURTZ, agent), ByHand(WURTZ, agent, "heuristic")
+    env, hand = focal_env(WURTZ, agent), ByHand(WURTZ, agent, "scripted")
     rng = np.random.default_rng(3)
     env.reset(seed=4)
     hand.reset(4)
@@ -356,7 +356,7 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
 # -- batches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("background", slow_but(BACKGROUNDS, "heuristic"))
+@pytest.mark.parametrize("background", slow_but(BACKGROUNDS, "scripted"))
 @pytest.mark.parametrize(
     ("name", "agent", "mode"),
     slow_but(
@@ -458,7 +458,7 @@ def test_random_members_do_not_play_alike() -> None:
 
 
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("background", ["heuristic", "random"])
+@pytest.mark.parametrize("background", ["scripted", "random"])
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0"])
 def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
     batch = focal_vector_env(3, WURTZ, agent, background)
@@ -487,7 +487,7 @@ def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
     np.testing.assert_array_equal(single.step(action)[0], other_single.step(action)[0])
 
 
-@pytest.mark.parametrize("background", ["heuristic", "random", "hasty"])
+@pytest.mark.parametrize("background", ["scripted", "random", "scripted:unsafe"])
 @pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
 def test_states_can_be_put_back(agent: str, background: str) -> None:
     """Everything goes on from a state as it did, policies with a memory included, in any equally made batch."""
@@ -641,9 +641,9 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
         ({"policies": None}, ValueError, ["nobody plays rxn_0, ext_0, dit_0", "none"]),
         ({"policies": {"rxn_0": anything}}, ValueError, ["nobody plays ext_0, dit_0", "given rxn_0"]),
         (
-            {"policies": {"rxn_0": anything, "ext_0": "heuristic", "dit_0": anything}},
+            {"policies": {"rxn_0": anything, "ext_0": "scripted", "dit_0": anything}},
             TypeError,
-            ["ext_0", "predict", "'heuristic'"],
+            ["ext_0", "predict", "'scripted'"],
         ),
         ({"policies": {"rxn_0": anything, "ext_0": None, "dit_0": anything}}, TypeError, ["ext_0", "None"]),
         ({"rewards": "selfish"}, ValueError, ["'selfish'", "individual, cooperative, mixed"]),
@@ -676,7 +676,7 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
 
 @pytest.mark.parametrize(("name", "agent"), CASES)
 def test_gymnasium_finds_nothing_wrong(name: str, agent: str) -> None:
-    check_env(focal_env(name, agent, "heuristic" if agent == "manager_0" else "random"), skip_render_check=True)
+    check_env(focal_env(name, agent, "scripted" if agent == "manager_0" else "random"), skip_render_check=True)
 
 
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0"])

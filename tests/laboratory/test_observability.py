@@ -423,7 +423,7 @@ def test_readings_that_are_left_out_change_nothing_else() -> None:
     assert pictured, "something was measured that the one sees and the other does not"
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "hasty"])
+@pytest.mark.parametrize("policy", ["scripted", "scripted:unsafe"])
 def test_scripted_managers_play_with_what_they_see(policy: str) -> None:
     """What they do not look at makes no difference; without what they look at they do as without the instrument."""
 

@@ -289,7 +289,7 @@ def test_wrong_scenarios_say_what_is_wrong(key: str, value: Any, parts: list[str
 def test_the_scripted_manager_keeps_both_lines_busy() -> None:
     env = raw_env(LINES)
     labs = env.laboratories
-    policies = make_policies("heuristic", labs)
+    policies = make_policies("scripted", labs)
     kinds = [bench.key for bench in labs.benches]
     together = dict.fromkeys(kinds, 0)
 
@@ -403,7 +403,7 @@ def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
     """The focal agent's return, single and batched, from the scores its infos report and the laboratory's result."""
     mix, name = mix_of(rewards), "wurtz_dodecane"
     env, batch = focal_env(name, agent, rewards=rewards), focal_vector_env(1, name, agent, rewards=rewards)
-    policy = make_policies("heuristic", env.laboratories)[agent]
+    policy = make_policies("scripted", env.laboratories)[agent]
     labs = env.laboratories
     observation, _ = env.reset(seed=1)
     batch.reset(seed=1)

@@ -106,10 +106,10 @@ def everything(labs: Any, member: int) -> list[np.ndarray[Any, Any]]:
 def test_every_view_of_a_seed_has_the_same_world() -> None:
     spec = scenario()
     aec, rounds = raw_env(spec), parallel_env(spec)
-    focal = FocalEnv(spec, policies=lambda labs: make_policies("heuristic", labs))
+    focal = FocalEnv(spec, policies=lambda labs: make_policies("scripted", labs))
     batched, several = (
         BatchedLaboratory(3, spec),
-        FocalVectorEnv(3, spec, policies=lambda labs: make_policies("heuristic", labs)),
+        FocalVectorEnv(3, spec, policies=lambda labs: make_policies("scripted", labs)),
     )
     bench, benches = BenchEnv(spec, "rxn"), BenchVectorEnv(3, spec, "rxn", threads=2)
     for seed in (0, 17):
@@ -406,7 +406,7 @@ def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int
     env = raw_env(spec, split=split)
     options = None if world is None else {"world": world}
     with Recorder(path, env.laboratories) as recorder:
-        play_episode(env, make_policies("heuristic", env.laboratories), 6, options=options, recorder=recorder)
+        play_episode(env, make_policies("scripted", env.laboratories), 6, options=options, recorder=recorder)
     number, values = worlds(env)
     header = json.loads(path.read_text().splitlines()[0])
     assert header["hidden"]["world"] == {"number": number, "values": values}

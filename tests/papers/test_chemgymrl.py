@@ -92,7 +92,7 @@ def write_traces(folder: Path, **changed: Any) -> None:
     rows = []
     results = read_results(folder)
     for key, spec in EXPERIMENTS.items():
-        for label in ("heuristic", "random", *spec.algorithms):
+        for label in ("scripted", "random", *spec.algorithms):
             cell = results.cell(key, label)
             run, step = ("", "") if cell is None else source_of(cell)
             for goal, case in itertools.product(
@@ -181,7 +181,7 @@ def test_radar_shows_relative_returns(tmp_path: Path) -> None:
     best, mean = (lines_of(axes) for axes in figure.axes)
     np.testing.assert_allclose(best["PPO (2 runs)"], [1.2, 1.0, 0.8, 0.6, 0.1, 1.2])
     np.testing.assert_allclose(mean["PPO (2 runs)"], [1.1, 0.9, 0.7, 0.5, 0.0, 1.1], atol=1e-12)
-    assert (best["heuristic"] == 1.0).all()
+    assert (best["scripted"] == 1.0).all()
 
 
 def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
     ):
         found = drawn(tmp_path, stem)
         axes = found.figure.axes[0]
-        assert (lines_of(axes)["heuristic"] == HEURISTIC).all()
+        assert (lines_of(axes)["scripted"] == HEURISTIC).all()
         np.testing.assert_allclose(lines_of(axes)["PPO (2 runs)"], 2.0)
         assert len(axes.collections) == 1  # the band of PPO; one run of A2C has none
         extent = axes.collections[0].get_paths()[0].get_extents()
@@ -210,7 +210,7 @@ def test_actions_by_goal(full: Path) -> None:
     """A row for each policy, a column for each action, a curve for each goal."""
     figure = drawn(full, "figure_09_fictitious_rxn_actions").figure
     assert len(figure.axes) == 5 * 6
-    assert [axes.get_ylabel() for axes in figure.axes[::6]] == ["PPO", "A2C", "SAC", "TD3", "heuristic"]
+    assert [axes.get_ylabel() for axes in figure.axes[::6]] == ["PPO", "A2C", "SAC", "TD3", "scripted"]
     titles = ["temperature", "volume", "add A", "add B", "add C", "add D"]
     assert [axes.get_title() for axes in figure.axes[:6]] == titles
     for column, axes in enumerate(figure.axes[:6]):
@@ -297,7 +297,7 @@ def test_statements_are_whole() -> None:
     assert len({(claim.figure, claim.says) for claim in claims}) == len(claims) == 43
     for claim in claims:
         spec = EXPERIMENTS[claim.experiment]
-        policies = {*spec.algorithms, "heuristic", "random"}
+        policies = {*spec.algorithms, "scripted", "random"}
         values = {*spec.goals, *"ABCD", "with NaCl", "without NaCl"}
         for test in claim.tests:
             right = test.right if isinstance(test.right, Reference) else Reference()
@@ -326,7 +326,7 @@ def test_statements_follow_the_results(tmp_path: Path) -> None:
     assert found[5, "A2C comes close to the heuristic only for NaCl"].holds is True
     assert found[5, "heuristic, mean return"].holds is False  # 0.5 is not 0.62
     gain = found[10, "the best PPO-XL policies exceed the heuristic, on average"]
-    assert (gain.holds, gain.ours) == (True, "PPO-XL: 0.575, heuristic 0.500, best run 0.600")
+    assert (gain.holds, gain.ours) == (True, "PPO-XL: 0.575, scripted 0.500, best run 0.600")
     assert found[10, "DQN ends with a negative return"].holds is True
     assert found[10, "PPO outperforms the heuristic"].holds is None
     # PPO has been trained, the others not: one that does not agree is enough.
@@ -369,13 +369,13 @@ def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
     assert (found.holds, found.variants, found.ours) == (
         False,
         ("PPO-entropy",),
-        "PPO: 0.450, heuristic 0.500, best run 0.450; PPO-entropy: 0.600, heuristic 0.500, best run 0.600",
+        "PPO: 0.450, scripted 0.500, best run 0.450; PPO-entropy: 0.600, scripted 0.500, best run 0.600",
     )
     page = write_page(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
     assert "| **no** (PPO-entropy: yes) |" in page.read_text()
     assert list(results.cells["wurtz_ext"]) == ["ppo", "ppo-entropy"]
     lines = drawn(tmp_path, "figure_10_wurtz_ext_curves").figure.axes[0].get_lines()
-    assert [line.get_label() for line in lines] == ["PPO (1 run)", "PPO-entropy (1 run)", "heuristic"]
+    assert [line.get_label() for line in lines] == ["PPO (1 run)", "PPO-entropy (1 run)", "scripted"]
     assert len({line.get_color() for line in lines}) == 3
 
 
@@ -552,7 +552,7 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
     write_run(tmp_path, "wurtz_dit", "ppo", 2, 1.5)
     results = read_results(tmp_path)
     assert results.trace("wurtz_dit", "ppo") is None
-    assert results.trace("wurtz_dit", "heuristic") is not None
+    assert results.trace("wurtz_dit", "scripted") is not None
     assert f"{TRACE_FILE}: Wurtz DiT, PPO: not of the best policy" in results.left_out[1]
     write_traces(tmp_path, fingerprint="another")
     results = read_results(tmp_path)
@@ -628,10 +628,10 @@ def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert len(told) == 4
     found = read_results(tmp_path).traces
     rxn, dit = found["fictitious_rxn"], found["wurtz_dit"]
-    assert np.shape(rxn["heuristic"]["E"][""].actions) == (20, 6)
+    assert np.shape(rxn["scripted"]["E"][""].actions) == (20, 6)
     random = np.array([goal[""].actions for goal in rxn["random"].values()])
     assert abs(random.mean() - 0.5) < 0.03  # uniform in [0, 1]
-    cases = dit["heuristic"]["dodecane"]
+    cases = dit["scripted"]["dodecane"]
     assert set(cases) == {"with NaCl", "without NaCl"}
     for trace in cases.values():
         assert EXPERIMENTS["wurtz_dit"].action_names[trace.actions[-1]] == "end the experiment"
@@ -658,15 +658,15 @@ def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pyt
     run_files.write_run(runs / "lab" / "seed-0", "wurtz_dodecane", "rxn_0", {"dodecane": 0.5})
     told: list[str] = []
     published.collect_all(runs, told.append)
-    assert told == [f"{spec.title}: {p}" for spec in EXPERIMENTS.values() for p in ("heuristic", "random")] + [
+    assert told == [f"{spec.title}: {p}" for spec in EXPERIMENTS.values() for p in ("scripted", "random")] + [
         "Wurtz DiT: ppo"
     ]
     results = read_results(tmp_path / "tables")
     assert results.left_out == []
     assert list(results.cells["wurtz_dit"]) == ["ppo", "dqn"]
-    assert results.traces["wurtz_dit"].keys() == {"heuristic", "random", "ppo", "dqn"}
+    assert results.traces["wurtz_dit"].keys() == {"scripted", "random", "ppo", "dqn"}
     assert results.traces["wurtz_dit"]["dqn"] == before
-    assert results.heuristic_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
+    assert results.scripted_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
     assert [run.name for run in read_runs(tmp_path / "laboratory")] == ["lab/seed-0"]
 
 

@@ -34,10 +34,10 @@ def test_the_table_is_what_evaluate_says(tmp_path: Path) -> None:
     expected = []
     for starts in ("paper", "lab"):
         target = find_target("chemlab/WurtzExtraction-v0", starts=starts)
-        found = evaluate(target, ["wurtz_ext", "heuristic"], 3, RESULT_SEED, baseline="wurtz_ext")["policies"]
+        found = evaluate(target, ["wurtz_ext", "scripted"], 3, RESULT_SEED, baseline="wurtz_ext")["policies"]
         expected.append([row["mean"]["value"] for row in found])
     laboratory = find_target("wurtz_dodecane")
-    scripted, mixed = evaluate(laboratory, ["heuristic,ext=wurtz_ext"], 3, RESULT_SEED)["policies"]
+    scripted, mixed = evaluate(laboratory, ["scripted,ext=wurtz_ext"], 3, RESULT_SEED)["policies"]
     expected.append([row["measures"]["reward ext_0"] for row in (mixed, scripted)])
     expected.append([row["mean"]["value"] for row in (mixed, scripted)])
     cells = [f"{trained:.3f} ({beside:.3f})" for trained, beside in expected]

@@ -1,4 +1,4 @@
-"""Scenes that tests look at: heuristic episodes, laboratories of awkward sizes, single benches."""
+"""Scenes that tests look at: scripted episodes, laboratories of awkward sizes, single benches."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
-from chemlab.agents.policies import bench_heuristic, make_policies
+from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.config.scenario import Scenario, load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
@@ -27,7 +27,7 @@ _EVERY = 7
 
 @functools.lru_cache(maxsize=len(scenario_names()))
 def episode(name: str) -> tuple[Scene, ...]:
-    """A heuristic episode of a shipped scenario: its first scene, some in between, its last."""
+    """A scripted episode of a shipped scenario: its first scene, some in between, its last."""
     env = raw_env(name)
     env.reset(seed=0)
     scenes, turns = [laboratory_scene(env.laboratories)], 0
@@ -38,7 +38,7 @@ def episode(name: str) -> tuple[Scene, ...]:
         if turns % _EVERY == 0:
             scenes.append(laboratory_scene(env.laboratories))
 
-    play_episode(env, make_policies("heuristic", env.laboratories, 0), 0, watch=watch)
+    play_episode(env, make_policies("scripted", env.laboratories, 0), 0, watch=watch)
     return (*scenes, laboratory_scene(env.laboratories))
 
 
@@ -47,7 +47,7 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
     """An experiment on a single bench: its first scene, some in between, the one after its end."""
     env = BenchEnv(name, key)
     observation, info = env.reset(seed=1)
-    policy = bench_heuristic(env.bench)
+    policy = scripted_bench(env.bench)
     scenes, over, step = [bench_scene(env.batch)], False, 0
     while not over:
         mask = info.get("action_mask")

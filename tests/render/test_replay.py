@@ -26,7 +26,7 @@ from chemlab.render.replay import replay_data, replay_page
 runner = CliRunner()
 
 
-def record(path: Path, scenario: str | Scenario = "wurtz_dodecane", policy: str = "heuristic", seed: int = 0) -> Path:
+def record(path: Path, scenario: str | Scenario = "wurtz_dodecane", policy: str = "scripted", seed: int = 0) -> Path:
     """A recorded episode."""
     env = raw_env(scenario)
     with Recorder(path, env.laboratories) as recorder:
@@ -108,7 +108,7 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
     assert any("dodecane" in turn["outcome"] for turn in decisions if turn["kind"] == "measure")
 
 
-@pytest.mark.parametrize("policy", ["heuristic", "random"])
+@pytest.mark.parametrize("policy", ["scripted", "random"])
 @pytest.mark.parametrize("name", slow_but(scenario_names(), "fictitious", "wurtz_two_lines"))
 def test_pages_are_small(name: str, policy: str, tmp_path: Path) -> None:
     found = read_record(record(tmp_path / "a.jsonl", name, policy, 1))

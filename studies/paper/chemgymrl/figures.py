@@ -97,7 +97,7 @@ def _radar(results: Results, key: str) -> Drawn:
         axes = figure.add_axes((0.11 + 0.5 * place, 0.21, 0.28, 0.57), projection="polar")
         axes.set_theta_zero_location("N")
         around = np.linspace(0.0, 2.0 * np.pi, 200)
-        handles = axes.plot(around, np.ones_like(around), color="black", lw=1.3, ls=(0, (5, 3)), label="heuristic")
+        handles = axes.plot(around, np.ones_like(around), color="black", lw=1.3, ls=(0, (5, 3)), label="scripted")
         for label, ratios in drawn.items():
             look = algorithm_style(label, list(cells))
             handles += axes.plot(
@@ -120,7 +120,7 @@ def _radar(results: Results, key: str) -> Drawn:
     figure.suptitle(f"{title}: return for each goal over the scripted policy's", y=0.985)
     text = (
         "Each run is represented by its best policy. Ratios below 0 are drawn as 0. The dashed ring is 1, the scripted "
-        "policy (heuristic)."
+        "policy."
     )
     _note(figure, text, missing)
     return Drawn(figure, missing)
@@ -155,10 +155,10 @@ def _curves(results: Results, key: str) -> Drawn:
             axes.fill_between(steps / 1000.0, mean - band, mean + band, color=look["color"], alpha=0.18, linewidth=0.0)
         else:
             single_runs.append(display_name(label))
-    references = [cell.heuristic_mean() for cell in cells.values()]
+    references = [cell.scripted_mean() for cell in cells.values()]
     known = [value for value in references if value is not None]
     if known:
-        axes.axhline(float(np.mean(known)), color="black", lw=1.3, ls=(0, (5, 3)), label="heuristic")
+        axes.axhline(float(np.mean(known)), color="black", lw=1.3, ls=(0, (5, 3)), label="scripted")
     random = results.played_mean(key, "random")
     if random is not None:
         axes.axhline(random, color="#777777", lw=1.2, ls=":", label="random actions")
@@ -190,8 +190,8 @@ def _traced(results: Results, key: str) -> tuple[list[str], list[str]]:
     if not played:
         return [], ["traces (python -m studies.paper --collect RUNS makes them)"]
     algorithms = EXPERIMENTS[key].algorithms
-    others = [label for label in played if label not in (*algorithms, "heuristic", "random")]
-    shown = [label for label in (*algorithms, *others, "heuristic") if label in played]
+    others = [label for label in played if label not in (*algorithms, "scripted", "random")]
+    shown = [label for label in (*algorithms, *others, "scripted") if label in played]
     absent = [display_name(label) for label in algorithms if label not in shown]
     return shown, [f"traces of {', '.join(absent)}"] if absent else []
 

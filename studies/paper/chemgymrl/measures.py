@@ -62,7 +62,7 @@ def _ends(cell: Cell, over_runs: Callable[[FloatArray], float], least: int = 1) 
 
 
 def _share(cell: Cell) -> float | None:
-    reference = cell.heuristic_mean()
+    reference = cell.scripted_mean()
     return None if reference is None else float(cell.means().mean()) / reference
 
 
@@ -73,7 +73,7 @@ def _converged(cell: Cell, last: float | None = None) -> float | None:
     Evaluations have every goal equally often. In training, chance alone moves the mean by more than that, since
     returns differ most by goal.
     """
-    reference, count = cell.heuristic_mean(), min(len(run.evaluations) for run in cell.runs)
+    reference, count = cell.scripted_mean(), min(len(run.evaluations) for run in cell.runs)
     if count < 2 or reference is None:
         return None
     mean = np.mean([[evaluation.mean for evaluation in run.evaluations[:count]] for run in cell.runs], axis=0)
@@ -87,7 +87,7 @@ def _converged(cell: Cell, last: float | None = None) -> float | None:
 
 def _mean_return(results: Results, key: str, policy: str) -> Values | None:
     """Of a policy that learns nothing."""
-    value = results.heuristic_mean(key) if policy == "heuristic" else results.played_mean(key, policy)
+    value = results.scripted_mean(key) if policy == "scripted" else results.played_mean(key, policy)
     return None if value is None else {"": value}
 
 
@@ -148,7 +148,7 @@ def _in_common(results: Results, key: str, label: str) -> Values | None:
 
 def _by_start(results: Results, key: str, label: str) -> Values | None:
     """Return over the scripted policy's by starting state, over the goals that meet both."""
-    ours, scripted = results.trace(key, label), results.trace(key, "heuristic")
+    ours, scripted = results.trace(key, label), results.trace(key, "scripted")
     goals = [goal for goal, cases in (ours or {}).items() if set(_SALT) <= cases.keys()]
     if ours is None or scripted is None or not goals:
         return None
@@ -166,8 +166,8 @@ MEASURES: dict[str, Measure] = {
     "mean of runs": Measure(_of_cell(lambda cell: float(cell.means().mean())), _plain),
     "best run": Measure(_of_cell(lambda cell: float(cell.means().max())), _plain),
     "lowest run": Measure(_of_cell(lambda cell: float(cell.means().min())), _plain),
-    "heuristic": Measure(_of_cell(Cell.heuristic_mean), _plain),
-    "share of heuristic": Measure(_of_cell(_share), lambda value: f"{value:.2f}"),
+    "scripted": Measure(_of_cell(Cell.scripted_mean), _plain),
+    "share of scripted": Measure(_of_cell(_share), lambda value: f"{value:.2f}"),
     "best run by goal": Measure(_of_cell(Cell.best_ratios), _plain),
     "mean of runs by goal": Measure(_of_cell(Cell.mean_ratios), _plain),
     "any run by goal": Measure(_of_cell(lambda cell: _by_goal(cell, lambda r: r.max(axis=0))), _plain),
@@ -181,5 +181,5 @@ MEASURES: dict[str, Measure] = {
     "wait for I": Measure(partial(_wait, goal="I"), lambda v: f"{v:.0f} steps" if np.isfinite(v) else "never"),
     "ends the experiment": Measure(_ends_itself, lambda value: "ends it" if value else "runs to the limit"),
     "in common": Measure(_in_common, lambda value: f"{value:.2f}"),
-    "over heuristic by start": Measure(_by_start, _plain),
+    "over scripted by start": Measure(_by_start, _plain),
 }

@@ -22,7 +22,7 @@ def paper_table(results: Results) -> list[str]:
     """The lines of a Markdown table: the paper's experiments, by algorithm the mean over runs of each one's best policy
     with its interval, the scripted policy first."""
     labels = dict.fromkeys(label for key in EXPERIMENTS for label in results.cells[key])
-    scripted = [results.heuristic_mean(key) for key in EXPERIMENTS]
+    scripted = [results.scripted_mean(key) for key in EXPERIMENTS]
     rows = [["scripted", *("" if mean is None else number_text(mean) for mean in scripted)]]
     for label in labels:
         cells = [results.cell(key, label) for key in EXPERIMENTS]

@@ -120,7 +120,7 @@ class Results:
 
     Attributes:
         cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
-        traces: by experiment key, policy (``heuristic``, ``random`` or an algorithm's label), goal and starting state
+        traces: by experiment key, policy (``scripted``, ``random`` or an algorithm's label), goal and starting state
             ('' where there is one only); without what is of another bench, or of another policy than the best now.
         left_out: what is in neither (runs, traces), and why.
     """
@@ -157,10 +157,10 @@ class Results:
         ]
         return sum(means) / len(means)
 
-    def heuristic_mean(self, experiment: str) -> float | None:
+    def scripted_mean(self, experiment: str) -> float | None:
         """Mean return of the scripted policy, as the runs' evaluations have it."""
-        known = [mean for cell in self.cells[experiment].values() if (mean := cell.heuristic_mean()) is not None]
-        return sum(known) / len(known) if known else self.played_mean(experiment, "heuristic")
+        known = [mean for cell in self.cells[experiment].values() if (mean := cell.scripted_mean()) is not None]
+        return sum(known) / len(known) if known else self.played_mean(experiment, "scripted")
 
 
 def read_results(folder: Path = TABLES) -> Results:

@@ -49,7 +49,7 @@ def collect_traces(
     rows: list[dict[str, Any]] = []
     for key, cells in results.cells.items():
         experiment = EXPERIMENTS[key]
-        sources = {"heuristic": ("heuristic", "", ""), "random": ("random", "", "")}
+        sources = {"scripted": ("scripted", "", ""), "random": ("random", "", "")}
         for label, cell in cells.items():
             if cell.best.folder is None:
                 rows += [row for row in before if (row["experiment"], row["policy"]) == (key, label)]

@@ -47,8 +47,8 @@ def mean_score(found: tuple[EpisodeResult, ...]) -> float:
 
 @pytest.mark.parametrize("name", DODECANE)
 def test_dodecane_is_made_purely(name: str) -> None:
-    """LABORATORY.md: the heuristic manager submits at least 0.40 mol at a purity of at least 0.95."""
-    found = results(name, "heuristic", 100)
+    """LABORATORY.md: the scripted manager submits at least 0.40 mol at a purity of at least 0.95."""
+    found = results(name, "scripted", 100)
     assert {result.goal for result in found} == {"dodecane"}
     assert all(result.status == "submitted" for result in found)
     good = sum(result.submitted_mol >= 0.40 and result.purity >= 0.95 for result in found)
@@ -71,7 +71,7 @@ def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
     if (audit := AUDITS / f"{name}.json").exists():
         found = json.loads(audit.read_text(encoding="utf-8"))
         margin = min(0.3, 0.5 * (found["clairvoyant"]["score"] - found["random"]["score"]))
-    scripted, random = (mean_score(results(name, policy, 21, "test")) for policy in ("heuristic", "random"))
+    scripted, random = (mean_score(results(name, policy, 21, "test")) for policy in ("scripted", "random"))
     assert scripted > random + margin
 
 
@@ -80,14 +80,14 @@ def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
 def test_there_are_worlds_with_nothing_to_sell(name: str, seed: int) -> None:
     """Nobody earns anything there, not even a planner that knows the world."""
     labs = Laboratories(name, 1)
-    assert play_laboratory(labs, make_policies("heuristic", labs), None, seed).returns[0] < 0.0
+    assert play_laboratory(labs, make_policies("scripted", labs), None, seed).returns[0] < 0.0
     best, _ = best_in_episode(labs.scenario, seed, "train", 240, {})
     assert best <= 0.0
 
 
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_scripted_chemists_are_safe(name: str) -> None:
-    for result in results(name, "heuristic", 21):
+    for result in results(name, "scripted", 21):
         assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
         assert result.safety_events.get("spill_l", 0.0) == 0.0
         assert result.safety_events.get("relief_valve_mol", 0.0) == 0.0
@@ -103,7 +103,7 @@ def test_random_actions_are_not_safe() -> None:
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_heuristics_play_legal_actions_alone(name: str) -> None:
     env = raw_env(name)
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
     turns: list[PlayedTurn] = []
     for seed in range(7):
         result = play_episode(env, policies, seed, watch=turns.append)
@@ -114,10 +114,10 @@ def test_heuristics_play_legal_actions_alone(name: str) -> None:
 
 def test_a_result_is_what_was_played() -> None:
     env = raw_env("wurtz_dodecane")
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
     turns: list[PlayedTurn] = []
-    result = play_episode(env, policies, 3, "heuristic", watch=turns.append)
-    assert (result.scenario, result.policy, result.seed, result.goal) == ("wurtz_dodecane", "heuristic", 3, "dodecane")
+    result = play_episode(env, policies, 3, "scripted", watch=turns.append)
+    assert (result.scenario, result.policy, result.seed, result.goal) == ("wurtz_dodecane", "scripted", 3, "dodecane")
     assert result.manager_actions == sum(turn.agent == "manager_0" for turn in turns)
     assert result.score == pytest.approx(
         result.submitted_mol * result.purity / 0.5 - sum(result.costs.values()), rel=1e-12
@@ -154,7 +154,7 @@ class Recorder:
 def recorded(name: str, seeds: range) -> list[list[Call]]:
     """Every call of a policy in scripted episodes, by episode."""
     env = raw_env(name)
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
     found = []
     for seed in seeds:
         calls: list[Call] = []
@@ -168,7 +168,7 @@ def test_heuristics_need_no_laboratory(name: str) -> None:
     """Given what they were given, they decide the same when laboratory, shelf and experiments are gone."""
     episodes = recorded(name, range(3))
     env = raw_env(name)
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
     gone = [
         weakref.ref(thing) for thing in (env, env.laboratories, env.laboratories.shelf, *env.laboratories.experiments)
     ]
@@ -189,7 +189,7 @@ def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
     """Episodes side by side in one batch, whose members come and go, get the actions each gets alone."""
     episodes = recorded(name, range(4))
     env = raw_env(name)
-    policies = make_policies("heuristic", env.laboratories)
+    policies = make_policies("scripted", env.laboratories)
     batched = 0
     for agent in env.possible_agents:
         logs = [[call for call in calls if call[0] == agent] for calls in episodes]
@@ -211,8 +211,8 @@ def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
 def test_step_zero_makes_a_policy_forget(name: str) -> None:
     """Policies in the middle of an episode play the next one like fresh ones."""
     env = raw_env(name)
-    used = make_policies("heuristic", env.laboratories)
-    fresh = make_policies("heuristic", env.laboratories)
+    used = make_policies("scripted", env.laboratories)
+    fresh = make_policies("scripted", env.laboratories)
     play_episode(env, used, 0)
     # Broken off: a few turns only.
     env.reset(seed=1)
@@ -235,7 +235,7 @@ def test_the_manager_does_the_same_in_every_process() -> None:
         "from chemlab.agents.evaluate.play import LaboratoryTarget\n"
         "from chemlab.config.scenario import load_scenario\n"
         "target = LaboratoryTarget(load_scenario('wurtz_any'))\n"
-        "played = target.play('pretrained,manager=heuristic', '4,5-diethyloctane', 1, 2_000_023)\n"
+        "played = target.play('pretrained,manager=scripted', '4,5-diethyloctane', 1, 2_000_023)\n"
         "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"
     )
     said = [

@@ -1,0 +1,34 @@
+"""Former names of policies, which are accepted for one release."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+__all__ = ["current_name"]
+
+_FORMER = {
+    "heuristic": "scripted",
+    "hasty": "scripted:unsafe",
+    "direct": "scripted:no-extraction",
+    "forgetful": "scripted:memoryless",
+    "serial": "scripted:fifo",
+    "pretrained-alone": "pretrained-isolated",
+}
+_NAMED = re.compile(rf"(?<![^,=])({'|'.join(_FORMER)})(?![^,@])")
+_noticed: set[str] = set()
+
+
+def current_name(policy: str) -> str:
+    """Replace former names in a policy (``ROLE=POLICY`` exceptions included); a notice on stderr names each once."""
+
+    def replace(found: re.Match[str]) -> str:
+        old = found[0]
+        if old not in _noticed:
+            _noticed.add(old)
+            print(
+                f"policy {old!r} is now called {_FORMER[old]!r}; the old name ends with this release", file=sys.stderr
+            )
+        return _FORMER[old]
+
+    return _NAMED.sub(replace, policy)
