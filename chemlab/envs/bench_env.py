@@ -91,7 +91,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         actions: str | None = None,
     ) -> None:
         self._set_render_mode(render_mode)
-        spec = load_scenario(scenario).with_actions(actions)
+        self.scenario = spec = load_scenario(scenario).with_actions(actions)
         self.batch = ExperimentBatch(spec, bench, 1, goals, starts, reaction_model, separation_model, split)
         self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space

@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from ..config.scenario import Scenario
     from ..render.scene import Scene
 
 __all__ = ["RENDER_MODES", "Rendered"]
 
-RENDER_MODES = ("ansi", "rgb_array", "human")
+RENDER_MODES = ("ansi", "rgb_array", "rgb_array_true", "human")
+"""``rgb_array_true`` shows true contents where a scenario has hidden parameters; the others what people would see."""
 
 
 class Rendered:
@@ -22,6 +24,7 @@ class Rendered:
 
     metadata: dict[str, Any]
     render_mode: str | None
+    scenario: Scenario
     _viewer: Any = None
 
     def _set_render_mode(self, mode: str | None) -> None:
@@ -35,7 +38,7 @@ class Rendered:
 
     @abstractmethod
     def _scene(self) -> Scene:
-        """What pictures show."""
+        """The present scene, with true contents."""
 
     def _show(self) -> None:
         """After every reset and step: a window follows by itself."""
@@ -43,8 +46,10 @@ class Rendered:
             self.render()
 
     def render(self) -> str | npt.NDArray[np.uint8] | None:
-        """As the render mode says: ``ansi`` a text, ``rgb_array`` a picture [540, 960, 3], ``human`` the same picture
-        in a window.
+        """Return a text (mode ``ansi``) or a picture [540, 960, 3] (``rgb_array``), or show it in a window (``human``).
+
+        In a scenario with hidden parameters these show what a person in the laboratory would see: fill levels and
+        layers, but not of what. ``rgb_array_true`` shows the true contents.
 
         Raises:
             ImportError: Pillow, or for a window pygame, is not installed; the message names the extra.
@@ -55,10 +60,13 @@ class Rendered:
         if self.render_mode == "ansi":
             return self._text()
         from ..render.frames import Viewer
+        from ..render.scene import visible_scene
 
         if self._viewer is None:
             self._viewer = Viewer(self.render_mode, self.metadata["render_fps"])
-        frame: npt.NDArray[np.uint8] | None = self._viewer.show(self._scene())
+        frame: npt.NDArray[np.uint8] | None = self._viewer.show(
+            self._scene() if self.render_mode == "rgb_array_true" else visible_scene(self._scene(), self.scenario)
+        )
         return frame
 
     def close(self) -> None:

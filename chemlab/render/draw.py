@@ -537,7 +537,8 @@ class _Painter:
         """Draw a vessel with its layers, camera picture, thermometer and a line of figures."""
         canvas = self.canvas
         middle = (rect.left + rect.right) / 2
-        lines = [f"{_number(vessel.volume_l)}/{_number(vessel.capacity_l)} L", f"{vessel.temperature_k:.0f} K"]
+        kelvin = "" if vessel.temperature_k is None else f"{vessel.temperature_k:.0f} K"
+        lines = [f"{_number(vessel.volume_l)}/{_number(vessel.capacity_l)} L", kelvin]
         if text_width(lines[0], canvas.px(10.0)) > rect.width * canvas.scale:
             lines[0] = f"{_number(vessel.volume_l)} L"
         if rect.height < 90.0:
@@ -629,6 +630,8 @@ class _Painter:
         self.canvas.pen.rectangle((box.left - 1, box.top - 1, box.left + picture.width, box.bottom), outline=TRACK)
 
     def _thermometer(self, vessel: VesselPicture, left: int, top: int, bottom: int) -> None:
+        if vessel.temperature_k is None:
+            return
         low, high = self.scene.temperature_range_k
         share = min(max((vessel.temperature_k - low) / (high - low), 0.0), 1.0)
         wide = max(self.canvas.px(4.0), 2)

@@ -1,8 +1,9 @@
 """Scenes: plain data that describe a picture of a laboratory. They are read from the state arrays without changing
 them.
 
-A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``.
-Pictures and pages are drawn from scenes alone, so a replay only stores ``as_dict()``.
+A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
+:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes alone, so
+a replay only stores ``as_dict()``.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
 vessel is air. If the contents are not separated, ``VesselPicture.mixture`` holds the share of every liquid in equal
@@ -48,11 +49,14 @@ __all__ = [
     "laboratory_scene",
     "material_pictures",
     "vessel_scene",
+    "visible_scene",
 ]
 
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
 """A profile within this distance of the stacked layers is drawn as stacked layers."""
+_UNKNOWN = ("#b9cbd8", "#dbe6ee", "#c9d3bf", "#e6dfcf")
+"""Colours of layers whose materials are not known, from the bottom up."""
 _SHOWN_MOL = 5e-6
 """Amount in mol below which a material is not drawn."""
 
@@ -91,7 +95,8 @@ class VesselPicture:
     capacity_l: float
     volume_l: float
     """volume in litres of the contents without air"""
-    temperature_k: float
+    temperature_k: float | None
+    """None if nothing shows it"""
     settling: float
     """0 when fully mixed, 1 when separated"""
     layers: tuple[LayerPicture, ...]
@@ -536,6 +541,52 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
                 )
             )
     return SlotPicture(s, vessel, labs.bench_agents[holder] if holder >= 0 else None, origin, tuple(readings))
+
+
+def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
+    """A scene without what only a measurement would tell: materials of layers, solutes, temperatures on the shelf, and
+    fill levels beyond their resolution. Where the scenario has no hidden parameters, the scene as it is.
+
+    Args:
+        scene: with the true contents.
+        scenario: of the scene.
+    """
+    if not scenario.world.draws:
+        return scene
+    shelf = tuple(
+        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_closed(slot.vessel, scenario.shelf.gauge))
+        for slot in scene.shelf
+    )
+    return dataclasses.replace(scene, shelf=shelf, benches=tuple(_visible_bench(bench) for bench in scene.benches))
+
+
+def _closed(vessel: VesselPicture, resolution: float) -> VesselPicture:
+    """A vessel of which nothing shows but its fill level."""
+    volume, step = vessel.volume_l, resolution * vessel.capacity_l
+    if step > 0.0:
+        volume = round(volume / step) * step
+    layers = (LayerPicture("", "liquid", volume, _UNKNOWN[0]),) if volume > 0.0 else ()
+    return dataclasses.replace(
+        vessel, volume_l=volume, temperature_k=None, settling=1.0, layers=layers, mixture=(), contents=(), camera=()
+    )
+
+
+def _visible_bench(bench: BenchPicture) -> BenchPicture:
+    """A bench whose vessels show their layers, but not of what; before its agent's first turn, nothing of them."""
+    if bench.busy and bench.step == 0 and not bench.turn:
+        return dataclasses.replace(bench, vessels=tuple(_closed(vessel, 0.0) for vessel in bench.vessels), seen=())
+    vessels = tuple(
+        dataclasses.replace(
+            vessel,
+            layers=tuple(
+                LayerPicture("", layer.phase, layer.volume_l, _UNKNOWN[number % len(_UNKNOWN)])
+                for number, layer in enumerate(vessel.layers)
+            ),
+            contents=(),
+        )
+        for vessel in bench.vessels
+    )
+    return dataclasses.replace(bench, vessels=vessels)
 
 
 def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:

@@ -16,7 +16,14 @@ from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
-from chemlab.render.scene import MIXTURE_SLICES, VesselPicture, bench_scene, laboratory_scene, material_pictures
+from chemlab.render.scene import (
+    MIXTURE_SLICES,
+    VesselPicture,
+    bench_scene,
+    laboratory_scene,
+    material_pictures,
+    visible_scene,
+)
 from chemlab.sandbox import Flask
 
 WURTZ = load_scenario("wurtz_any")
@@ -256,3 +263,39 @@ def test_materials_have_tags_and_colours_of_their_own(name: str) -> None:
     assert all(0 < len(tag) <= 4 for tag in tags)
     colors = [picture.color for picture in pictures]
     assert len(set(colors)) == len(colors)
+
+
+def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
+    """Worlds that look alike give one picture; that of the true contents tells them apart, and says so by its mode."""
+
+    def pictures(mode: str) -> set[bytes]:
+        env = raw_env("unlabelled", render_mode=mode)
+        found = set()
+        for seed in range(4):
+            env.reset(seed=seed, options={"goal": "dodecane"})
+            frame = env.render()
+            assert isinstance(frame, np.ndarray)
+            found.add(frame.tobytes())
+        return found
+
+    assert len(pictures("rgb_array")) == 1
+    assert len(pictures("rgb_array_true")) == 4
+    wurtz = raw_env("wurtz_dodecane")
+    wurtz.reset(seed=0)
+    scene = laboratory_scene(wurtz.laboratories)
+    assert visible_scene(scene, wurtz.scenario) is scene
+
+
+def test_a_bench_shows_nothing_before_its_first_turn() -> None:
+    """Starting and recalling a bench is no free look at a vessel's layers and channels."""
+    env = raw_env("unlabelled")
+    env.reset(seed=0)
+    env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
+    (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
+    assert bench.seen == ()
+    assert [layer.material for layer in bench.vessels[0].layers] == [""]
+    assert bench.vessels[0].contents == ()
+    env.step(env.laboratories.actions.encode("wait"))
+    (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
+    assert bench.seen
+    assert bench.vessels[0].contents == ()
