@@ -2,7 +2,7 @@
 them.
 
 A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
-:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes alone, so
+:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes only;
 a replay only stores ``as_dict()``.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
