@@ -1,8 +1,7 @@
-"""Put the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
+"""Write the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
 
-One is made by ``chemlab audit SCENARIO --out docs/results/audits/SCENARIO.json``, of scenarios that draw worlds with
-``--budget full``; with ``--all`` this makes all of them that are missing, or were made of a scenario that has changed
-since.
+An audit is made by ``chemlab audit SCENARIO --out docs/results/audits/SCENARIO.json``, with ``--budget full`` for
+scenarios with hidden parameters. ``--all`` makes every audit that is missing or older than its scenario.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ _NUMBERS = {
     "headroom": "headroom",
     "noise": "noise",
 }
-"""Measures, and what the table calls them."""
+"""Measures and their column heads."""
 
 
 def audits() -> list[dict[str, Any]]:
-    """The committed audits, by name of scenario; those of worlds first."""
+    """Return the committed audits by name of scenario; scenarios with hidden parameters come first."""
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))]
     return sorted(found, key=lambda audit: (not load_scenario(audit["scenario"]).world.draws, audit["scenario"]))
 
@@ -46,7 +45,7 @@ def audits() -> list[dict[str, Any]]:
 def _cells(audit: dict[str, Any]) -> list[str]:
     numbers = []
     for name in _NUMBERS:
-        # Where no trained policy comes along, the scripted one is the best, and audits from before do not say so.
+        # Without a bundled policy the scripted one is the best; older audits do not state it.
         measure = audit.get(name, audit["reference"])
         worths = measure.values() if name == "worth_of_bench" else [measure]
         numbers.append(min((one["value"] for one in worths if one["value"] is not None), default=None))
@@ -60,21 +59,21 @@ def _cells(audit: dict[str, Any]) -> list[str]:
 
 
 def table() -> list[str]:
-    """The committed audits as a Markdown table."""
+    """Return the committed audits as a Markdown table."""
     heads = ["scenario", *_NUMBERS.values(), "episodes", "gates not met"]
     rows = [heads, ["---"] + ["--:"] * (len(heads) - 2) + ["---"], *(_cells(audit) for audit in audits())]
     return [f"| {' | '.join(row)} |" for row in rows]
 
 
 def stale() -> list[str]:
-    """Shipped scenarios without an audit of what they are now."""
+    """Return bundled scenarios without a current audit."""
     hashes = {audit["scenario"]: audit["scenario_hash"] for audit in audits()}
     return [name for name in scenario_names() if hashes.get(name) != scenario_hash(load_scenario(name))]
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--all", action="store_true", help="make what is missing or out of date first")
+    parser.add_argument("--all", action="store_true", help="first make audits that are missing or out of date")
     for name in stale() if parser.parse_args().all else ():
         print(f"audit of {name}", flush=True)
         budget = "full" if load_scenario(name).world.draws else "small"

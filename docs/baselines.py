@@ -1,16 +1,14 @@
-"""Put the tables of the committed baselines into docs/protocol.md and README.md: ``python docs/baselines.py``.
+"""Write the tables of the committed baselines into docs/protocol.md and README.md: ``python docs/baselines.py``.
 
-With ``--play RESULTS [SCENARIO ...]`` it first has ``chemlab benchmark`` play what was trained there
-(``studies/baselines/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``): of each learner and scenario every
-run that
-is finished, all episodes, as a row of its own. What has been played is kept in ``RESULTS/benchmark``; its leaderboard,
-which begins as the committed one, is copied to ``docs/results/leaderboard.json``, and its records of what comes along
-to ``docs/results/records``. So seeds that have been trained elsewhere, or earlier, stay: the table has a learner's runs
-together.
+``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` on the trained policies in RESULTS
+(``studies/baselines/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``). Each finished run of each learner and
+scenario plays all episodes and gives one row. Played episodes are kept in ``RESULTS/benchmark``. Its leaderboard starts
+as a copy of the committed one and is copied back to ``docs/results/leaderboard.json``; records of bundled policies go
+to ``docs/results/records``. Rows of runs that were trained elsewhere or earlier are kept.
 
-With ``--scores [SCENARIO ...]`` it plays again what needs no training run and no search (random legal actions, the
-scripted agents, the policies in the package) and stores the score of each of their episodes in the committed lines,
-which move where the scores have changed. ``chemlab verify docs/results/leaderboard.json`` computes these again.
+``--scores [SCENARIO ...]`` replays the rows that need neither training nor search (random legal actions, scripted
+agents, bundled policies) and stores the score of each episode in the committed rows, whose values change with the
+scores. ``chemlab verify docs/results/leaderboard.json`` recomputes them.
 """
 
 from __future__ import annotations
@@ -70,9 +68,9 @@ LEARNERS = {
     "joint/together": "IPPO",
     "joint/together-state": "MAPPO",
 }
-"""Folders of runs below RESULTS, behind the scenario's name, and what the tables call them."""
+"""Folders of runs below RESULTS/SCENARIO, and their names in the tables."""
 _ELSEWHERE = ("manager_0/over-benches",)
-"""Those of two scenarios alone, which only the table of efforts has."""
+"""Learners of two scenarios only, which appear only in the table of training effort."""
 _EVERYWHERE = {f"{folder} (best)": name for folder, name in LEARNERS.items() if folder not in _ELSEWHERE}
 _KINDS = ("best", "last")
 _SEED = re.compile(r"/seed-\d+(?= \()")
@@ -86,15 +84,15 @@ _HIDDEN = {
     "gain": "condition of the equipment",
     "arrives": "orders to come",
 }
-"""Hidden parameters by their kind, in README's words; kinds that are drawn together with one of these have none."""
+"""Hidden parameters by kind, in README's words; kinds drawn together with another kind have no entry."""
 REPLAYED = ("random", "scripted", *_SHIPPED)
-"""Rows that anybody can play again without training or searching."""
+"""Rows that can be replayed without training or search."""
 
 
 def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Lines of the committed leaderboard by scenario and row, as ``LEARNERS`` has them: of a learner one of each run.
+    """Return the rows of the committed leaderboard by scenario and name (``LEARNERS``), one per training run.
 
-    Where a folder of runs, which have shared the episodes, has more of them, its line alone.
+    For a folder whose runs shared the episodes, only its common row is returned.
     """
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for line in leaderboard_lines(LEADERBOARD):
@@ -108,7 +106,7 @@ def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
 
 
 def _lines() -> dict[tuple[str, str], dict[str, Any]]:
-    """The same with runs that differ in their seeds as one line; intervals are over runs."""
+    """Return the rows with runs that differ only in their seeds merged into one; intervals are over runs."""
     return {row: _joined(lines) if len(lines) > 1 else lines[0] for row, lines in _runs().items()}
 
 
@@ -134,13 +132,13 @@ def _cell(line: dict[str, Any] | None) -> str:
 
 
 def markdown(rows: list[list[str]]) -> list[str]:
-    """A table's lines; the first row is its head, the first column words, the others numbers."""
+    """Return the lines of a table; the first row is the head, the first column text, the others numbers."""
     head, *body = rows
     return [f"| {' | '.join(row)} |" for row in [head, ["---"] + ["--:"] * (len(head) - 1), *body]]
 
 
 def table() -> list[str]:
-    """The committed baselines as a Markdown table: best by validation of everything that learns."""
+    """Return the committed baselines as a Markdown table, with the best learner by validation score."""
     lines = _lines()
     names = {**_SCRIPTED, **_EVERYWHERE, "people": "people"}
     rows = [["scenario", _ENDS[0], *names.values(), _ENDS[1]]]
@@ -151,7 +149,7 @@ def table() -> list[str]:
 
 
 def tasks() -> list[str]:
-    """README's table of scenarios with hidden parameters: what is hidden, and the best policy of each kind."""
+    """Return README's table of scenarios: hidden parameters, and the best policy of each kind."""
     lines = _lines()
     learners = {**_EVERYWHERE, **{name: name for name in _SHIPPED}}
     rows = []
@@ -169,10 +167,10 @@ def tasks() -> list[str]:
 
 
 def overall() -> list[str]:
-    """All scenarios together, each with the same weight, of whoever is there in every one; the best first.
+    """Return scores over all scenarios with equal weights, of policies present in every scenario, best first.
 
-    Intervals are over runs, within scenarios; where a scenario has a single line there are none. Interquartile means
-    need equally many runs in each.
+    Intervals are over runs within scenarios; if a scenario has a single row there are none. Interquartile means need
+    equally many runs in each.
     """
     runs, scenarios = _runs(), world_scenarios()
     scripted = [runs[scenario, "scripted"][0]["value"] for scenario in scenarios]
@@ -196,7 +194,7 @@ def overall() -> list[str]:
 
 
 def effort() -> list[str]:
-    """What each learner took, and what became of its last checkpoint and of its score in training worlds."""
+    """Return the training effort of each learner, the score of its last checkpoint and its score in training worlds."""
     lines = _lines()
     heads = ["runs", "steps of each", "hours in all", *_KINDS, "best, less scripted", "test less train (best)"]
     rows = [["scenario and learner", *heads]]
@@ -208,14 +206,14 @@ def effort() -> list[str]:
             gap = best["generalization"] or {"value": float("nan")}
             numbers = [str(best["runs"]), f"{best['steps']:,}", f"{best['hours']:.2f}"]
             scores = [f"{one['value']:.2f}" for one in (best, last)]
-            over = best.get("over_baseline")  # lines of before do not say
+            over = best.get("over_baseline")  # older rows have no such entry
             more = interval_text(over, 3, "+") if over else ""
             rows.append([f"`{scenario}`, {name}", *numbers, *scores, more, f"{gap['value']:+.2f}"])
     return markdown(rows)
 
 
 def shipped() -> list[str]:
-    """What comes along beside the scripted agents: benches (pretrained), benches and a manager (trained)."""
+    """Return the table of bundled trained policies: benches (pretrained), benches and a manager (trained)."""
     lines = _lines()
     rows = [["scenario", "scripted", *_SHIPPED, *(f"{name} / scripted" for name in _SHIPPED)]]
     for scenario in world_scenarios():
@@ -229,7 +227,7 @@ def shipped() -> list[str]:
 
 
 def finished(results: Path, scenario: str) -> list[str]:
-    """Folders below ``results`` of runs that are finished; tells of the others."""
+    """Return folders of finished runs below ``results``; print the unfinished ones."""
     chosen = []
     for folder in (f"{scenario}-{learner}" for learner in LEARNERS):
         runs = find_runs(results / folder) if (results / folder).is_dir() else []
@@ -243,7 +241,7 @@ def finished(results: Path, scenario: str) -> list[str]:
 
 
 def _play(results: Path, scenarios: list[str], budget: str) -> None:
-    """Have the command play everything that has been trained to its end; what others have played stays in the table."""
+    """Run the benchmark on every finished run; rows of other policies stay in the table."""
     own = results / "benchmark" / "leaderboard.json"
     if LEADERBOARD.exists() and not own.exists():
         own.parent.mkdir(parents=True, exist_ok=True)
@@ -251,7 +249,7 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
     for scenario in scenarios:
         chosen = [word for folder in finished(results, scenario) for word in ("--policy", folder)]
         along = [word for name in ("scripted", *_SHIPPED) for word in ("--policy", name)]
-        # Of what everybody has, there is a record beside the table, too.
+        # Records of bundled policies are stored beside the table.
         for policies, records in ((chosen + along, "0"), (along, "1")):
             words = ["benchmark", scenario, *policies, "--budget", budget, "--records", records, "--processes", "1"]
             command = [sys.executable, "-m", "chemlab", *words, "--out", "benchmark"]
@@ -263,10 +261,10 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
 
 
 def add_scores(scenarios: list[str]) -> None:
-    """Play again the rows that need no training run and no search, and store the scores of their episodes.
+    """Replay the rows that need neither training nor search, and store the scores of their episodes.
 
-    Where the mean has changed (another processor, changed physics), the line moves with it, its interval by as much;
-    random play's mean moves all lines of its scenario. Records of changed episodes are played again.
+    If the mean has changed (another processor, changed physics), the row's value and interval are shifted by the
+    difference. A changed mean of random play shifts all rows of its scenario. Records of changed episodes are replayed.
     """
     lines = leaderboard_lines(LEADERBOARD)
     for line in lines:
@@ -295,7 +293,7 @@ def add_scores(scenarios: list[str]) -> None:
 
 
 def _move(line: dict[str, Any], zero: float | None) -> float:
-    """Bring a line's value and interval to its mean score, and its scale to random play's; returns the change."""
+    """Update a row's value and interval for its mean score and the scale's zero; return the change."""
     scale = line["scale"]
     scale["random"] = scale["random"] if zero is None else zero
     value = (line["score"] - scale["random"]) / (scale["clairvoyant"] - scale["random"])
@@ -310,7 +308,7 @@ def _shift(estimate: dict[str, Any], change: float) -> None:
 
 
 def _recorded(file: Path, line: dict[str, Any], seed: int) -> float:
-    """Score of a line's record, which is played again where its actions come to another one than it says."""
+    """Return the score of a row's record; re-record it if its actions now give another score."""
     if record_again(file, changed=line["policy"] == "plan"):
         words = ["run", line["scenario"], "--policy", line["policy"], "--split", line["split"], "--seed", str(seed)]
         command = [sys.executable, "-m", "chemlab", *words, "--record", str(file), "--force", "--json"]
@@ -321,7 +319,7 @@ def _recorded(file: Path, line: dict[str, Any], seed: int) -> float:
 
 
 def _replayed(line: dict[str, Any], split: str) -> list[float]:
-    """A row's scores, in the parts in which the benchmark plays them."""
+    """Return a row's scores in the parts in which the benchmark plays them."""
     spec, budget = load_scenario(line["scenario"]), budget_of(line["budget"])
     parts = np.array_split(np.arange(budget.episodes), 1 if line["policy"] == "random" else line["seeds"])
     jobs = [
@@ -338,9 +336,9 @@ def _replayed(line: dict[str, Any], split: str) -> list[float]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--play", type=Path, metavar="RESULTS", help="play what has been trained there first")
-    parser.add_argument("--scores", action="store_true", help="store scores of what can be played again at once")
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="to play (default: all that draw worlds)")
+    parser.add_argument("--play", type=Path, metavar="RESULTS", help="first play the policies trained there")
+    parser.add_argument("--scores", action="store_true", help="replay rows without training runs")
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="to play (default: with hidden parameters)")
     parser.add_argument("--budget", default="full", help="of chemlab benchmark (default: %(default)s)")
     asked = parser.parse_args()
     if asked.play is not None:

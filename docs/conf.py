@@ -1,4 +1,4 @@
-"""Sphinx settings: ``python -m sphinx -W -b html docs docs/_build`` makes the pages, with a warning being an error."""
+"""Sphinx settings: ``python -m sphinx -W -b html docs docs/_build`` builds the pages; warnings are errors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-# Kernels are documented and called as the plain functions they are: nothing is compiled to build pages.
+# Document and call kernels as plain functions, so that building pages compiles nothing.
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -45,7 +45,7 @@ autodoc_default_options = {
     "exclude-members": "model_config, model_post_init",
 }
 autodoc_type_aliases = {name: name for name in ("FloatArray", "IntArray", "BoolArray", "StreamArray", "Background")}
-# Optional and large: the pages need only the names.
+# Optional, large packages: the pages need only their names.
 autodoc_mock_imports = [
     "stable_baselines3",
     "sb3_contrib",
@@ -60,28 +60,30 @@ autodoc_mock_imports = [
     "benchmarl",
 ]
 
-# References that lead nowhere are errors where they are ours; there are no other projects' indexes without a network.
+# Broken references to this project are errors; indexes of other projects would need network access.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!chemlab\.).*"),
-    # Not public: they have no page.
+    # Private modules without a page.
     (
         r"py:(class|obj)",
         r"chemlab\..*\.(_\w+|A|F|M|T|Arguments|Declared|Header|Environment|Drawn|ManagerRole|Chemistry\w+Fields)",
     ),
     (r"py:class", r"chemlab\.agents\.executors\.(J|Value)"),  # type variables
 ]
-suppress_warnings = ["ref.python"]  # Sphinx takes the names in a list of attributes for references
+suppress_warnings = ["ref.python"]  # Sphinx takes names in a list of attributes for references
 
 
 def whole_sentence(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Keep Napoleon from taking the words before a colon in an attribute's first line for its type: it looks for a
-    type in the first line alone, which is an empty comment here."""
+    """Keep Napoleon from parsing the words before a colon in an attribute's first line as its type.
+
+    Napoleon looks for a type only in the first line, which becomes an empty comment.
+    """
     if what in ("attribute", "property", "data"):
         lines[:0] = ["..", ""]
 
 
 def setup(app: Sphinx) -> None:
-    """Make the pages that come from the code, and read attributes before Napoleon does."""
+    """Generate pages from the code, and preprocess attribute docstrings before Napoleon."""
     setup_pages(app)
     app.connect("autodoc-process-docstring", whole_sentence, priority=400)

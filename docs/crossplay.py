@@ -1,7 +1,7 @@
-"""Put the tables of the committed crossplay into docs/protocol.md: ``python docs/crossplay.py``.
+"""Write the tables of the committed crossplay into docs/protocol.md: ``python docs/crossplay.py``.
 
-With ``--play RESULTS SCENARIO ...`` it first has ``chemlab crossplay`` play what was trained there to its end
-(``docs/baselines.py`` says by what), with the scale of the benchmark that is kept there.
+``--play RESULTS SCENARIO ...`` first runs ``chemlab crossplay`` on the finished training runs in RESULTS (see
+``docs/baselines.py``), with the scale of the benchmark stored there.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _WORDS = {"scripted@0.1": "epsilon-random"}
 
 
 def found() -> list[dict[str, Any]]:
-    """The committed crossplay, by name of scenario."""
+    """Return the committed crossplay by name of scenario."""
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))]
 
 
 def _called(scenario: str, policy: str) -> str:
-    """What the tables call a policy."""
+    """Return a policy's name in the tables."""
     for folder, words in LEARNERS.items():
         learner, _, run = policy.removeprefix(f"{scenario}-").rpartition("/")
         if learner == folder:
@@ -40,7 +40,7 @@ def _called(scenario: str, policy: str) -> str:
 
 
 def matrices() -> list[str]:
-    """A matrix for each scenario, managers by benches; bold: have learned together, or were written for one another."""
+    """Return a matrix of managers by benches for each scenario; bold: trained together or written for one another."""
     lines: list[str] = []
     for one in found():
         scenario = one["scenario"]
@@ -57,7 +57,7 @@ def matrices() -> list[str]:
 
 
 def drops() -> list[str]:
-    """Scores of learned policies with their own and with unseen partners."""
+    """Return scores of learned policies with their own and with unseen partners."""
     rows = [["scenario and who", "with its partner", "with unseen partners", "drop"]]
     for one in found():
         for drop in one["drops"]:
@@ -68,7 +68,7 @@ def drops() -> list[str]:
 
 
 def _play(results: Path, scenario: str) -> None:
-    """Have the command play everything that has been trained to its end in a scenario."""
+    """Run the crossplay of every finished training run of a scenario."""
     words = ["crossplay", scenario]
     for name in PARTNERS:
         words += ["--manager", name, "--benches", name]
@@ -86,8 +86,8 @@ def _play(results: Path, scenario: str) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--play", type=Path, metavar="RESULTS", help="play what has been trained there first")
-    parser.add_argument("scenario", nargs="*", help="of which (default: those that are committed)")
+    parser.add_argument("--play", type=Path, metavar="RESULTS", help="first play the policies trained there")
+    parser.add_argument("scenario", nargs="*", help="scenarios to play (default: the committed ones)")
     asked = parser.parse_args()
     if asked.play is not None:
         for name in asked.scenario or [one["scenario"] for one in found()]:

@@ -1,8 +1,7 @@
-"""Pages that are made from the code: environments, scenarios, the scenario file's keys, the command, the interface.
+"""Generated pages: environments, scenarios, keys of scenario files, commands and API.
 
-Sphinx calls this before it reads the pages (see ``conf.py``); nothing here is copied by hand. Tables of observations
-and actions come from the channels and action tables that build the spaces, texts from docstrings, scenarios from
-their files.
+Sphinx calls this before it reads the pages (see ``conf.py``). Tables of observations and actions come from the channels
+and action tables that build the spaces, texts from docstrings, and scenarios from their files.
 """
 
 from __future__ import annotations
@@ -70,10 +69,10 @@ __all__ = ["pages", "setup_pages"]
 HERE = Path(__file__).parent
 OUT = "generated"
 EXAMPLE = "wurtz_dodecane"
-_NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.", "chemlab.openchem")  # the package itself has all of its names
+_NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.", "chemlab.openchem")  # the package itself exports all of its names
 _YET_PUBLIC = tuple(f"chemlab.openchem.{name}" for name in ("difficulty", "generate", "invented", "networks"))
 _TIERS = tuple(PHYSICS_TIERS.values())
-"""Their laws stand where they are written."""
+"""Their physical laws are documented on their own pages."""
 Rows = Iterable[Sequence[Any]]
 
 
@@ -81,7 +80,7 @@ Rows = Iterable[Sequence[Any]]
 
 
 def _table(head: Sequence[str], rows: Rows, right: Sequence[int] = ()) -> str:
-    """A Markdown table; ``right`` are the columns of numbers. Empty without rows."""
+    """Return a Markdown table; ``right`` are the columns of numbers. Empty without rows."""
     lines = ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
     if not lines:
         return ""
@@ -102,7 +101,7 @@ def _codes(texts: Iterable[object]) -> str:
 
 
 def _markdown(docstring: str) -> str:
-    """A module's docstring as a page's text: it is Markdown already, but for references and levels of headings."""
+    """Convert a module's docstring to a page's text: it is Markdown except for references and heading levels."""
     text = re.sub(r":(class|func|meth|mod|data):`", r"{py:\1}`", docstring)
     text = re.sub(r"``([^`]+)``", r"`\1`", text)
     text = re.sub(r"::$", ":", text, flags=re.M)
@@ -116,7 +115,7 @@ def _examples(found: re.Match[str]) -> str:
 
 
 def _docstring(module: str) -> str:
-    """A module's docstring, without running the module: it may need what is not installed."""
+    """Return a module's docstring without importing the module, whose dependencies may be missing."""
     spec = importlib.util.find_spec(module)
     assert spec is not None, f"{module} was found before"
     assert spec.origin is not None, f"{module} has a file"
@@ -148,12 +147,12 @@ def _bench_tables(bench: Bench, level: str) -> str:
 
 
 def _spaces_of_all(labs: Laboratories) -> str:
-    """Every agent's spaces: a table of sizes, then the manager's parts and each kind of bench's."""
+    """Return every agent's spaces: a table of sizes, then the manager's parts, then each kind of bench."""
     spec = labs.scenario
     parts = [
         f"## Spaces in `{spec.name}`",
         "",
-        "Other scenarios have other numbers; each scenario's page has its own.",
+        "Sizes depend on the scenario; each scenario's page lists its own.",
         "",
         _facts(facts.agent_table(labs)),
         f"### Observation of `{MANAGER_AGENT}`: Box({labs.observation_sizes[0]})",
@@ -168,7 +167,7 @@ def _spaces_of_all(labs: Laboratories) -> str:
 
 
 def _bench_ids() -> str:
-    """Tables of every registered single bench."""
+    """Return tables of every registered single bench."""
     parts = []
     for name, spec in gymnasium.registry.items():
         if spec.entry_point == "chemlab.envs.bench_env:BenchEnv" and "bench" in spec.kwargs:
@@ -201,7 +200,7 @@ def _environment(title: str, module: str, more: str, objects: Sequence[str]) -> 
 def _environments() -> dict[str, str]:
     labs = Laboratories(EXAMPLE)
     lab = "chemlab.laboratory"
-    same = "## Spaces\n\nThose of the AEC environment: see [there](laboratory.md).\n"
+    same = "## Spaces\n\nThe spaces are those of the [AEC environment](laboratory.md).\n"
     wrappers = _markdown(_docstring(f"{lab}.wrappers")).split("\n", 1)[1]
     return {
         "laboratory": _environment("Laboratory (AEC)", f"{lab}.aec", _spaces_of_all(labs), ["env", "raw_env"]),
@@ -219,7 +218,7 @@ def _environments() -> dict[str, str]:
 
 
 def _results() -> dict[str, list[list[str]]]:
-    """Raw scores of scripted and random agents by scenario: rows of cells, the policy first."""
+    """Return raw scores of scripted and random agents by scenario, as rows with the policy first."""
     found: dict[str, list[list[str]]] = {}
     for page in (HERE / "results" / "scripted.md", HERE / "syntheses.md"):
         text = page.read_text(encoding="utf-8")
@@ -271,7 +270,7 @@ AUDITS = HERE / "results" / "audits"
 
 
 def _audit(spec: Scenario) -> dict[str, Any] | None:
-    """What ``chemlab audit`` has found, if it was asked."""
+    """Return a scenario's committed audit, or None."""
     path = AUDITS / f"{spec.name}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
@@ -284,9 +283,9 @@ def _audit_section(spec: Scenario) -> list[str]:
     gates = ", ".join(
         f"{name} {'met' if met else 'not met'}" for name, met in found["gates"].items() if met is not None
     )
-    said = "A constant plan solves it. " if found["gates"]["blind"] is False else ""
+    said = "An open-loop policy solves it. " if found["gates"]["blind"] is False else ""
     return [
-        "## What it asks for",
+        "## Required abilities",
         "",
         f"{said}0 is random legal play, 1 a planner that knows each episode "
         f"(`chemlab audit {spec.name} --budget {found['budget']}`, {found['budget_episodes']} episodes, chemlab "
@@ -299,7 +298,7 @@ def _audit_section(spec: Scenario) -> list[str]:
 
 
 def _audit_cells(spec: Scenario) -> tuple[str, str, str]:
-    """Blind, reference and headroom, for the table of scenarios."""
+    """Return open-loop score, scripted score and headroom for the table of scenarios."""
     found = _audit(spec)
     if found is None:
         return "", "", ""
@@ -317,7 +316,7 @@ def _scenario_page(spec: Scenario) -> str:
         *facts.goal_words(spec),
         "",
         _facts(facts.agent_table(labs)),
-        "## What there is",
+        "## Initial state and prices",
         "",
         f"A shelf of {spec.shelf.slots} slots; an episode begins with",
         "",
@@ -328,8 +327,8 @@ def _scenario_page(spec: Scenario) -> str:
         "Prices are in units of the score: 1 is the theoretical maximum of the product, pure.",
         "",
         _facts(facts.instrument_table(labs)),
-        *(["## What is not told", "", _facts(facts.world_table(spec))] if spec.world.draws else []),
-        *(["## What wears", "", *facts.wear_words(spec)] if facts.wear_words(spec) else []),
+        *(["## Hidden parameters", "", _facts(facts.world_table(spec))] if spec.world.draws else []),
+        *(["## Degradation", "", *facts.wear_words(spec)] if facts.wear_words(spec) else []),
         "## Limits, costs, rewards",
         "",
         facts.limit_words(spec),
@@ -361,7 +360,7 @@ def _scenario_page(spec: Scenario) -> str:
             _bench_tables(bench, "####"),
         ]
     file = Path(spec.origin)
-    parts += [_chemistry(spec), "## File", "", f"`{file.name}`, as it is:", ""]
+    parts += [_chemistry(spec), "## File", "", f"`{file.name}`:", ""]
     parts += ["```toml", file.read_text(encoding="utf-8").rstrip(), "```", ""]
     return "\n".join(parts)
 
@@ -397,30 +396,30 @@ def _scenarios() -> dict[str, str]:
             _table(
                 (
                     "scenario",
-                    "what it is",
+                    "description",
                     "benches",
                     "goals",
                     "scripted score",
                     "random score",
                     "blind",
                     "reference",
-                    "worth of measuring",
+                    "value of measuring",
                 ),
                 rows,
                 range(3, 9),
             ),
             "The first scores are raw scores, means of 100 episodes ([table](../../results/scripted.md)). The last",
             "three are normalized scores of an [audit](../../worlds.md#audit): where the open-loop policy comes close",
-            "to the scripted one, nothing has to be observed.",
+            "to the scripted one, observations are not needed.",
             "[What a score means](../../glossary.md#what-a-score-means).",
             "",
             "## Syntheses",
             "",
-            "Scenarios after publications, beside the benchmark; what they were held against:",
+            "Scenarios that reproduce publications, in addition to the benchmark; their validation:",
             "[Syntheses](../../syntheses.md).",
             "",
             _table(
-                ("synthesis", "what it is", "scripted score", "random score"),
+                ("synthesis", "description", "scripted score", "random score"),
                 [
                     (f"[`{s.name}`]({s.name}.md)", s.summary, *(scores.get(s.name, {}).get(p, "") for p in _PLAYED))
                     for s in syntheses
@@ -471,7 +470,7 @@ _FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
 
 
 def _type(hint: Any) -> str:
-    """A field's type in words."""
+    """Return a field's type in words."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if hint is type(None):
         return "nothing"
@@ -502,7 +501,7 @@ _SIGNS = {
 
 
 def _bounds(field: pydantic.fields.FieldInfo) -> str:
-    """A field's bounds in words, with those of a list's or a table's values."""
+    """Return a field's bounds in words, including those of a list's or a table's values."""
     texts = _limits(field.metadata)
     hint = field.annotation
     while len(typing.get_args(hint)) and typing.get_origin(hint) in (tuple, dict, typing.Annotated):
@@ -524,11 +523,11 @@ def _limits(metadata: Iterable[Any]) -> list[str]:
 
 
 def _kinds() -> str:
-    """The data files of the bench kinds, as they are."""
+    """Return the data files of the bench kinds."""
     parts = [
-        "## What a kind of bench has",
+        "## Defaults of the bench kinds",
         "",
-        "Where a scenario's `[benches.KEY]` does not say otherwise, key by key.",
+        "Defaults of a scenario's `[benches.KEY]`, key by key.",
         "",
     ]
     for path in sorted((Path(chemlab.__file__).parent / "data" / "benches").glob("*.toml")):
@@ -593,7 +592,7 @@ def _command_page() -> str:
 
 
 def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
-    """(words, command) of everything below a group of commands."""
+    """Yield (words, command) of every command of a group."""
     for word, below in getattr(found, "commands", {}).items():
         if hasattr(below, "commands"):
             yield from _commands(f"{name} {word}", below)
@@ -605,10 +604,10 @@ def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
 
 
 def _modules() -> list[str]:
-    """Every public module that says what it offers."""
+    """Return every public module with ``__all__``."""
     found = []
     for package in ("chemlab", "chemlab.agents"):
-        # Its own folder alone: in a checkout the path of chemlab has the checkout's other folders on it, too.
+        # Search only the package's own folder: in a checkout its path contains other folders of the checkout as well.
         spec = importlib.util.find_spec(package)
         assert spec is not None, f"{package} is there"
         assert spec.origin is not None, f"{package} has a file"
@@ -655,12 +654,12 @@ def _interface() -> dict[str, str]:
     lines = [
         "# Interface",
         "",
-        "Every public module, from its docstrings. Data flows down this list, and never up.",
+        "Every public module, from its docstrings. Modules import only from modules above them in this list.",
         "",
     ]
     for title, members in packages.items():
         rows = [(f"[`{name}`]({name}.md)", _first_sentence(name)) for name in members]
-        lines += [f"## {title}", "", _table(("module", "what it is"), rows)]
+        lines += [f"## {title}", "", _table(("module", "description"), rows)]
         lines += ["```{toctree}", ":hidden:", "", *members, "```", ""]
     found["index"] = "\n".join(lines)
     return found
@@ -675,7 +674,7 @@ def _first_sentence(module: str) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Every page that is made from the code: {path below ``docs/generated``: Markdown}."""
+    """Return every generated page as {path below ``docs/generated``: Markdown}."""
     found = {f"environments/{name}.md": text for name, text in _environments().items()}
     found |= {f"scenarios/{name}.md": text for name, text in _scenarios().items()}
     found |= {f"api/{name}.md": text for name, text in _interface().items()}
@@ -691,13 +690,13 @@ def _write_pages(app: Sphinx) -> None:
     for name, text in made.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        # What has not changed is not written, so that Sphinx need not read it again.
+        # Unchanged pages are not rewritten, so that Sphinx need not read them again.
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
 
 def _fit_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """A module's docstring is Markdown and stands on its page already; others may have Markdown's tables in them."""
+    """Remove module docstrings, which have their own pages, and convert Markdown tables in other docstrings."""
     if what == "module":
         lines.clear()
         return
@@ -721,8 +720,7 @@ def _fit_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
 def _fit_signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """Arrays as people write them, ``ndarray[float32]``; the fields of a model stand below it, with their bounds in the
-    page of keys."""
+    """Simplify array annotations to ``ndarray[float32]``; omit the fields of a model, which the page of keys lists."""
     if isinstance(obj, type) and issubclass(obj, pydantic.BaseModel):
         return "(**values)", None
 
@@ -737,7 +735,7 @@ def _fit_signature(
 
 
 def setup_pages(app: Sphinx) -> dict[str, Any]:
-    """What ``conf.py`` hands to Sphinx."""
+    """Register the hooks of ``conf.py`` with Sphinx."""
     app.connect("builder-inited", _write_pages)
     app.connect("autodoc-process-docstring", _fit_docstring)
     app.connect("autodoc-process-signature", _fit_signature)

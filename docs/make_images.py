@@ -1,7 +1,7 @@
-"""Make the pictures that README and the documentation show: ``python docs/make_images.py``.
+"""Make the pictures of README and documentation: ``python docs/make_images.py``.
 
-One scripted episode of wurtz_dodecane (seed 0), drawn by ``render()``: a still of its middle and an animation of the
-whole. Needs the extra ``plot``.
+They show one scripted episode of wurtz_dodecane (seed 0), drawn by ``render()``: a still from its middle and an
+animation of the whole episode. Needs the extra ``plot``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Frame = npt.NDArray[np.uint8]
 
 
 def record(scenario: str, seed: int) -> tuple[list[Frame], list[Turn]]:
-    """The picture after every turn of a scripted episode, and the turns."""
+    """Return the picture after every turn of a scripted episode, and the turns."""
     env = raw_env(scenario, render_mode="rgb_array")
     frames: list[Frame] = []
     turns: list[Turn] = []
@@ -39,7 +39,7 @@ def record(scenario: str, seed: int) -> tuple[list[Frame], list[Turn]]:
 
 
 def animation(frames: list[Frame], path: Path) -> None:
-    """Evenly chosen frames as an animated WebP; the first and the last stay longer."""
+    """Write evenly chosen frames as an animated WebP; the first and the last are shown longer."""
     chosen = [frames[round(i)] for i in np.linspace(0, len(frames) - 1, FRAMES)]
     images = [Image.fromarray(frame).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS) for frame in chosen]
     milliseconds = [1500, *[300] * (FRAMES - 2), 4000]
@@ -55,7 +55,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     frames, turns = record(arguments.scenario, arguments.seed)
-    # A vessel that stands in two layers says most: after the last settling, else the middle of the episode.
+    # Show a vessel with two layers: the state after the last settling, else the middle of the episode.
     settled = [i for i, turn in enumerate(turns) if turn.meaning.startswith("settle")]
     middle = settled[-1] if settled else len(frames) // 2
     still = Image.fromarray(frames[middle]).quantize(128, dither=Image.Dither.NONE)

@@ -1,6 +1,6 @@
-"""Put what a page's code prints into the page: ``python docs/printed.py [PAGE ...]``.
+"""Write the output of a page's code into the page: ``python docs/printed.py [PAGE ...]``.
 
-A ``text`` block right after a ``python`` block is what that one prints. Tests run the same code and compare
+A ``text`` block right after a ``python`` block is the output of that block. Tests run the same code and compare
 (tests/test_sandbox.py).
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 __all__ = ["PAGES", "printed"]
 
 PAGES = ("sandbox.md",)
-"""Pages of this folder that have such blocks."""
+"""Pages of this folder with such blocks."""
 _BLOCKS = re.compile(r"(?P<code>```python\n(?P<source>(?:(?!```).)*)```\n\n```text\n)(?:(?!```).)*```", re.S)
 
 
@@ -27,7 +27,7 @@ def _run(source: str) -> str:
 
 
 def printed(page: str) -> str:
-    """The text of a page, with what its code prints now."""
+    """Return the text of a page with the current output of its code."""
     return _BLOCKS.sub(lambda found: f"{found['code']}{_run(found['source'])}```", page)
 
 

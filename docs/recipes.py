@@ -1,6 +1,6 @@
-"""Put the table of the recipes' results into docs/recipes.md: ``python docs/recipes.py``.
+"""Write the table of the recipes' results into docs/recipes.md: ``python docs/recipes.py``.
 
-One is made by ``python recipes/NAME.py --out recipes/results/NAME.json``; the exact command stands in each.
+A result is made by ``python recipes/NAME.py --out recipes/results/NAME.json``; each recipe states the exact command.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ _LAST = ("plain PPO", "scripted")
 
 
 def recipes() -> list[Path]:
-    """The recipes, by name."""
+    """Return the recipes by name."""
     return sorted(path for path in RECIPES.glob("*.py") if path.stem != "recipe_parts")
 
 
 def _paradigm(path: Path) -> str:
-    """The first line of a recipe's documentation."""
+    """Return the first line of a recipe's docstring."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return text.partition("\n")[0].rstrip(".")
 
 
 def _cell(outcome: dict[str, Any] | None) -> str:
-    """Mean over seeds, the seeds' range where there are several, and what it cost where it cost something."""
+    """Format the mean over seeds, the range if there are several seeds, and the cost if it is not 0."""
     if outcome is None:
         return ""
     spread = f" ({min(outcome['by_seed']):.3f} to {max(outcome['by_seed']):.3f})" if len(outcome["by_seed"]) > 1 else ""
@@ -65,7 +65,7 @@ def _rows(path: Path) -> list[str]:
 
 
 def _gain(outcomes: dict[str, Any]) -> str:
-    """What the paradigm, which comes first, has over plain PPO: return, and cost where that changes."""
+    """Return the gain of the paradigm, which comes first, over plain PPO: return, and cost if that changes."""
     if _LAST[0] not in outcomes:
         return ""
     own, plain = next(iter(outcomes.values())), outcomes[_LAST[0]]
@@ -74,7 +74,7 @@ def _gain(outcomes: dict[str, Any]) -> str:
 
 
 def table() -> list[str]:
-    """The recipes' results as a Markdown table."""
+    """Return the recipes' results as a Markdown table."""
     heads = ["recipe", "where", "scored", *_LAST, "gained over PPO", "steps", "seeds x episodes"]
     rows = [heads, ["---"] * 3 + ["--:"] * (len(heads) - 3), *(_rows(path) for path in recipes())]
     return [f"| {' | '.join(row)} |" for row in rows]

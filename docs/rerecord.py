@@ -1,8 +1,8 @@
-"""Record the committed episodes again, for the present format of records: ``python docs/rerecord.py [FILE ...]``.
+"""Convert the committed records to the current format: ``python docs/rerecord.py [FILE ...]``.
 
-The recorded actions are played on the simulator. Another processor may change the last digits of a score. A record
-with another score than that is left as it is, and the command ends with 1: such an episode has to be played by its
-policies again (``docs/baselines.py --play``).
+The recorded actions are replayed on the simulator. Another processor may change the last digits of a score. A record
+whose score changes otherwise is not replaced, and the command exits with 1: its policies have to play the episode again
+(``docs/baselines.py --play``).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ RECORDS = Path(__file__).parent / "results" / "records"
 
 
 def record_again(path: Path, trust: bool = False, changed: bool = False) -> str:
-    """Replace a record by one of the same actions; returns why it is left as it is, or nothing.
+    """Replace a record by one of the same actions; return the reason if it is not replaced, or an empty string.
 
-    With ``changed`` the score may be another one: of policies whose actions do not depend on what they observe.
+    ``changed`` allows another score, for policies whose actions do not depend on observations.
     """
     record = read_record(path)
     if record.end is None or record.broken is not None:
-        return "is not whole"
+        return "is truncated"
     record.header["format"] = FORMAT
     header = record.checked_header()
     draft = path.with_name(f"{path.name}.again")
@@ -39,7 +39,7 @@ def record_again(path: Path, trust: bool = False, changed: bool = False) -> str:
         again = read_record(draft)
         was, now = (float(one["end"]["score"]) if one else math.nan for one in (record.end, again.end))
         if not changed and not math.isclose(was, now, rel_tol=1e-9, abs_tol=1e-9):
-            return f"has the score {was!r}, and would have {now!r}"
+            return f"has the score {was!r}, but its actions now give {now!r}"
         draft.replace(path)
     except (RecordError, ValueError) as error:
         return str(error)

@@ -309,6 +309,29 @@ def test_pages_are_in_plain_words(page: Path) -> None:
     assert script("studies/tools/words.py").findings(page) == []
 
 
+NOT_YET = (
+    "agents/evaluate",
+    "agents/rllib",
+    "agents/train",
+    *(f"agents/{name}.py" for name in ("background", "episodes", "human", "learners", "player", "policies")),
+    *(f"agents/{name}.py" for name in ("pretrained", "runs", "sb3")),
+    "chemlab",
+    "recipes",
+)
+"""Folders and files whose words are still to be revised."""
+DONE = ("chemlab/render", *(f"chemlab/record/{name}.py" for name in ("__init__", "format", "replay", "verify")))
+"""Revised parts of these."""
+
+
+def test_code_is_in_plain_words() -> None:
+    """Outside the lists above, no docstring has a refused word or begins with a question word."""
+    words = script("studies/tools/words.py")
+    files = {path: path.relative_to(ROOT).as_posix() for path in words.code()}
+    checked = [path for path, name in files.items() if name.startswith(DONE) or not name.startswith(NOT_YET)]
+    assert len(checked) > 80
+    assert [line for path in checked for line in words.findings(path)] == []
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_commands_are_valid_shell() -> None:
     """Bash itself reads every command of README and the pages; ``shlex`` accepts what bash refuses."""

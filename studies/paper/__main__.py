@@ -1,12 +1,12 @@
-"""Make every published figure, table and page of results from tables: ``python -m studies.paper``.
+"""Make every published figure, table and page of results from stored tables: ``python -m studies.paper``.
 
-| Tables | Made into |
+| Tables | Output |
 |---|---|
 | `studies/paper/chemgymrl/results/` | `docs/results/summary.md`, figures, first table of `docs/results.md` |
 | `studies/baselines/results/` | `docs/results/laboratory.md` with curves, the other tables of `docs/results.md` |
 
-``--collect RUNS`` first makes those tables from training runs, as ``chemlab sweep`` leaves them, and plays their best
-checkpoints; what the tables have of other runs stays. Needs the extra ``plot``, and for collecting ``train``.
+``--collect RUNS`` first makes these tables from training runs of ``chemlab sweep`` and plays their best checkpoints;
+rows of other runs are kept. Needs the extra ``plot``, and ``train`` for collecting.
 """
 
 from __future__ import annotations
@@ -29,16 +29,14 @@ from .shipped import benches_table, collect_benches
 ROOT = Path(__file__).parents[2]
 LABORATORY = ROOT / "studies" / "baselines" / "results"
 PAGES = {ROOT / "docs" / "results.md": ("paper", "managers", "benches", "measuring")}
-"""Files with marks, between which the tables stand."""
+"""Files with marks, between which the tables are written."""
 
 
 def main() -> None:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m studies.paper", description=(__doc__ or "").partition("\n\n")[0])
-    parser.add_argument(
-        "--collect", type=Path, metavar="RUNS", help="make the tables anew of these training runs first"
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="where figures and pages go")
+    parser.add_argument("--collect", type=Path, metavar="RUNS", help="first make the tables from these training runs")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="folder of figures and pages")
     arguments = parser.parse_args()
     try:
         for page, marks in PAGES.items():
@@ -56,7 +54,7 @@ def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
     """Make the tables from a folder of training runs.
 
     Raises:
-        ValueError: the folder is not there, or a run in it cannot be played.
+        ValueError: the folder does not exist, or a run in it cannot be played.
         ImportError: Stable-Baselines3 is not installed.
     """
     ours = [run for run in read_runs(runs) if run.result is not None and experiment_of(run) is not None]
@@ -71,11 +69,11 @@ def collect_all(runs: Path, watch: Callable[[str], None]) -> None:
 
 
 def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
-    """Make everything from the tables; what is missing, and which pages were written, a line each.
+    """Make all outputs from the tables; return one line for each missing result and each written page.
 
     Raises:
-        ValueError: a table is missing or not what was written, has runs of a bench that has changed since, or a page
-            lacks its marks.
+        ValueError: a table is missing or malformed, has runs of a bench that has changed since, or a page lacks its
+            marks.
         ImportError: matplotlib is not installed.
     """
     results = read_results(TABLES)

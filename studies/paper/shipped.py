@@ -1,6 +1,7 @@
-"""Shipped bench policies where they were trained and where they are used: single benches and the laboratory.
+"""Bundled bench policies on the benches they were trained on and in the laboratory.
 
-:func:`collect_benches` plays, and stores means in ``benches.csv``; :func:`benches_table` makes the table from it alone.
+:func:`collect_benches` plays them and stores means in ``benches.csv``; :func:`benches_table` makes the table from this
+file alone.
 """
 
 from __future__ import annotations
@@ -26,24 +27,24 @@ _COLUMNS = ("name", "scenario", "bench", "starts", "episodes", "seed", "chemlab"
 
 
 def bench_policies() -> list[PretrainedPolicy]:
-    """The policies that come with chemlab, but managers."""
+    """Return the bundled bench policies."""
     policies = [load_pretrained(name) for name in pretrained_names()]
     return [policy for policy in policies if policy.card.bench != MANAGER_ROLE]
 
 
 def collect_benches(folder: Path, episodes: int = EPISODES, watch: Callable[[str], None] | None = None) -> None:
-    """Play every shipped bench policy, and the scripted one, on its single bench and in its scenario's laboratory.
+    """Play every bundled bench policy, and the scripted one, on its single bench and in its scenario's laboratory.
 
     In the laboratory all other roles are scripted, so that only the bench's policy differs. All play the same seeds,
-    which neither training nor the choice of the checkpoint has seen.
+    which were used neither in training nor in the choice of the checkpoint.
 
     The table has two rows for each policy, of the ``trained`` and of the ``scripted`` player, with means over goals:
-    return by starting state (``paper``, ``lab``), and in the laboratory the return of the bench's agents together
+    return by starting state (``paper``, ``lab``), and in the laboratory the summed return of the bench's agents
     (``reward``) and the manager's ``score``.
 
     Args:
-        folder: where the table goes.
-        episodes: for each goal of the bench, and of the laboratory.
+        folder: folder of the table.
+        episodes: episodes per goal, on the bench and in the laboratory.
         watch: called with each policy's name when it has been played.
     """
     rows: list[dict[str, Any]] = []
@@ -76,10 +77,10 @@ def _means(scenario: str, bench: str, policy: str, episodes: int) -> dict[str, f
 
 
 def benches_table(folder: Path) -> list[str]:
-    """The lines of a Markdown table of ``benches.csv``.
+    """Return the lines of a Markdown table of ``benches.csv``.
 
     Raises:
-        ValueError: the file is not there, or is not what was written.
+        ValueError: the file does not exist or is malformed.
     """
     rows = read_table(folder / _FILE, _COLUMNS)
     if not rows:

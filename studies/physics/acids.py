@@ -1,4 +1,4 @@
-"""pH of standard buffers: what was assigned to them, and a charge balance with and without activity coefficients.
+"""pH of standard buffers: assigned values, and charge balances with and without activity coefficients.
 
     python studies/physics/acids.py        # writes studies/physics/acids.csv
 
@@ -22,7 +22,7 @@ _DEBYE_HUECKEL = 0.509
 
 @dataclass(frozen=True)
 class Acid:
-    """An acid at mol/kg in all its forms; ``charge`` is that of its most acid form."""
+    """An acid at mol/kg in all its forms; ``charge`` is that of its fully protonated form."""
 
     total: float
     pka: tuple[float, ...]
@@ -31,7 +31,7 @@ class Acid:
 
 @dataclass(frozen=True)
 class Buffer:
-    """A solution: its acids, and the mol/kg of singly charged ions that take no part."""
+    """A solution: its acids, and the mol/kg of singly charged spectator ions."""
 
     name: str
     acids: tuple[Acid, ...]
@@ -62,7 +62,7 @@ BUFFERS = (
 
 
 def forms(acid: Acid, hydrogen_activity: float, gamma: dict[int, float]) -> list[tuple[int, float]]:
-    """(charge, mol/kg) of each form of an acid."""
+    """Return (charge, mol/kg) of each form of an acid."""
     weights, product = [], 1.0
     for lost in range(len(acid.pka) + 1):
         if lost:
@@ -74,7 +74,7 @@ def forms(acid: Acid, hydrogen_activity: float, gamma: dict[int, float]) -> list
 
 
 def ph(buffer: Buffer, activities: bool) -> float:
-    """pH = -log10 a(H+) by the balance of charge."""
+    """Return pH = -log10 a(H+) from the charge balance."""
     strength = 0.1
 
     def gammas() -> dict[int, float]:

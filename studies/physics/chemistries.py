@@ -1,16 +1,15 @@
-"""Random chemistries: do they load, conserve atoms and play, and how many does the general script solve?
+"""Random chemistries: loading, conservation of atoms, playability, and the share that the general script solves.
 
-    python studies/physics/chemistries.py                     # 1,000 of each tier; writes
-    studies/physics/chemistries.csv
-    python studies/physics/chemistries.py --physics real      # the same of one tier; the other's rows stay
-    python studies/physics/chemistries.py --number 30         # fewer, nothing is written
+    python studies/physics/chemistries.py                   # 1,000 of each backend, to studies/physics/chemistries.csv
+    python studies/physics/chemistries.py --physics real    # one backend only; the other's rows stay
+    python studies/physics/chemistries.py --number 30       # fewer, nothing is written
 
-Chemistry i has seed i and the difficulty easy, medium or hard in turn. Each is generated, its files are written and
-loaded again, its hardest goal is played once by the scripted agents (what ``chemlab run`` plays), and its reaction
-bench under constant conditions (``chemlab difficulty``). ``atoms`` is the largest change of any element, relative to
-what there is of it, from the stock to what was submitted, thrown away and is left. ``solved``: a score of half of what
-there would be for all of the goal, pure, for nothing; ``solved_of_yield``: half of that times the yield that constant
-conditions reach. Scores, purities, yields and selectivities are medians, but for the yield that 5 % stay below.
+Chemistry i has seed i and the difficulty easy, medium or hard in turn. Each is generated, and its files are written and
+loaded again. The scripted agents play its hardest goal once (as ``chemlab run`` does), and its reaction bench is run
+under constant conditions (``chemlab difficulty``). ``atoms`` is the largest relative change of any element, from the
+initial stock to the submitted, discarded and remaining material. ``solved`` means a score of at least half of the score
+for all of the goal, pure, without costs; ``solved_of_yield`` means half of that times the yield under constant
+conditions. Scores, purities, yields and selectivities are medians, except the yield's 5 % quantile.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ Row = tuple[str, float, float, float, float, float, float]
 
 
 def scripted(spec: Scenario) -> tuple[Played, FloatArray, FloatArray]:
-    """(an episode of the scripted agents for the hardest goal, [E] mol of each element before it, and after)."""
+    """Play one scripted episode for the hardest goal; return it with [E] mol of each element before and after."""
     labs = Laboratories(spec, 1)
     labs.reset(labs.members)
     atoms = element_matrix(spec)
@@ -52,7 +51,9 @@ def scripted(spec: Scenario) -> tuple[Played, FloatArray, FloatArray]:
 
 
 def play(physics: str, seed: int) -> Row:
-    """Difficulty, then score, purity, yield and selectivity under constant conditions, change of atoms, seconds."""
+    """Return difficulty, then score, purity, yield and selectivity under constant conditions, change of atoms,
+    seconds.
+    """
     begun = time.perf_counter()
     difficulty = list(LEVELS)[seed % len(LEVELS)]
     with tempfile.TemporaryDirectory() as folder:
@@ -67,7 +68,7 @@ def play(physics: str, seed: int) -> Row:
 
 
 def rows(physics: str, number: int, jobs: Executor) -> Iterator[tuple[object, ...]]:
-    """A row of the table for each difficulty."""
+    """Yield a row of the table for each difficulty."""
     played = list(jobs.map(play, [physics] * number, range(number)))
     for difficulty in LEVELS:
         numbers = np.array([row[1:] for row in played if row[0] == difficulty])
@@ -86,7 +87,7 @@ def rows(physics: str, number: int, jobs: Executor) -> Iterator[tuple[object, ..
 
 
 def main() -> None:
-    """Play, print the table, and write it if it is of all."""
+    """Run the command; the table is written only if it is complete."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--number", type=int, default=NUMBER)
     parser.add_argument("--processes", type=int)

@@ -1,11 +1,11 @@
-"""What `chemlab material` finds of common compounds, against values that it did not use.
+"""Results of `chemlab material` for common compounds, compared with values it did not use.
 
-    python studies/physics/compounds.py     # writes studies/physics/compounds.csv, compounds_blind.csv and
-    compounds_worst.csv
+    python studies/physics/compounds.py     # writes compounds.csv, compounds_blind.csv and compounds_worst.csv
 
-`compounds.csv`: of each field how many compounds have it measured, estimated or not at all, and how far what was taken
-is from the median of what the other compilations say. `compounds_blind.csv`: the same for estimates from the structure
-alone, against what compilations say. `compounds_worst.csv`: the ten largest deviations of each kind.
+`compounds.csv`: for each field, the numbers of compounds with a measured value, an estimate or neither, and the
+deviation of the chosen value from the median of the other compilations. `compounds_blind.csv`: the same for estimates
+from the structure alone, compared with the compilations. `compounds_worst.csv`: the ten largest deviations of each
+kind.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ ABSOLUTE = {"formation_enthalpy": ("kJ/mol", 1000.0)}
 
 
 def number_of(found: Properties, field: str) -> Value | None:
-    """A field's number; of a vapour pressure that at four fifths of the boiling point."""
+    """Return a field's number; for a vapour pressure, its value at 0.8 of the boiling point."""
     value = getattr(found, field)
     if field == "vapor_pressure" and value is not None:
         boils = found.boiling_point
@@ -71,19 +71,19 @@ def number_of(found: Properties, field: str) -> Value | None:
 
 
 def others(found: Properties, field: str, used: Value) -> list[float]:
-    """What compilations that were not used say of a field."""
+    """Return the values of a field in unused compilations."""
     return [v for key, v in found.compilations(field).items() if f"[{key}]" not in used.source]
 
 
 def deviation(field: str, number: float, expected: float) -> float:
-    """In %, or in the unit of an absolute field."""
+    """Return the deviation in %, or in the unit of an absolute field."""
     if field in ABSOLUTE:
         return (number - expected) / ABSOLUTE[field][1]
     return 100.0 * (number / expected - 1.0)
 
 
 def rows_of(names: list[str], blind: bool) -> Iterator[tuple[str, str, str, float | None]]:
-    """(compound, field, measured, estimate or missing, deviation)"""
+    """Yield (compound, field, measured/estimate/missing, deviation)."""
     for name in names:
         compound = compound_of(name)
         known = Properties(compound)
@@ -91,10 +91,10 @@ def rows_of(names: list[str], blind: bool) -> Iterator[tuple[str, str, str, floa
         for field in FIELDS:
             if field == "fusion_enthalpy" and known.state != "s":
                 continue
-            # Without a melting point nothing is known to be a solid.
+            # Without a melting point a compound is not known to be a solid.
             if blind and (field == "melting_point" or known.state != "l"):
                 continue
-            # What is taken for a gas is of no use.
+            # A compound taken for a gas is not usable.
             value = number_of(taken, field) if taken.state == known.state or not blind else None
             if value is None:
                 yield name, field, "missing", None
@@ -105,7 +105,7 @@ def rows_of(names: list[str], blind: bool) -> Iterator[tuple[str, str, str, floa
 
 
 def summary(rows: list[tuple[str, str, str, float | None]]) -> Iterator[tuple[object, ...]]:
-    """A line for each field."""
+    """Yield a line for each field."""
     for field in FIELDS:
         mine = [row for row in rows if row[1] == field]
         if not mine:

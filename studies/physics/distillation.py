@@ -1,4 +1,4 @@
-"""Simple distillation by Rayleigh's equation with UNIFAC activity coefficients: what a pot keeps at which purity.
+"""Simple distillation by Rayleigh's equation with UNIFAC activity coefficients: recovery in the pot by purity.
 
     python studies/physics/distillation.py        # writes studies/physics/distillation.csv
 
@@ -22,14 +22,14 @@ CHARGES: dict[str, dict[str, float]] = {
 }
 """Moles in the pot."""
 PURITIES = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999, 0.9999)
-"""Mole fractions of the last component named, in the pot."""
+"""Mole fractions in the pot of the last component named."""
 _STEP = 0.004
 """Share of the pot's content that boils off in one Runge-Kutta step."""
 _LEAST = 1e-3
 
 
 def rayleigh(charge: dict[str, float]) -> Iterator[tuple[float, Array]]:
-    """(K, mol) of the pot as it boils down."""
+    """Yield (K, mol) of the pot during evaporation."""
     names = list(charge)
     mol = np.array(list(charge.values()))
 
@@ -51,7 +51,7 @@ def rayleigh(charge: dict[str, float]) -> Iterator[tuple[float, Array]]:
 
 
 def main() -> None:
-    """Write the curves, and print the figures that the tier's design names."""
+    """Write the curves, and print the figures used in the backend's design."""
     rows = []
     for title, charge in CHARGES.items():
         names = list(charge)

@@ -1,10 +1,10 @@
-"""Where solutes go between water and an organic solvent, highly dilute in phases saturated with each other.
+"""Distribution of solutes at infinite dilution between water and an organic solvent, saturated with each other.
 
     python studies/physics/distribution.py        # writes studies/physics/distribution.csv
 
 log10 of c(organic) / c(aqueous) = log10 of gamma(aq) V(aq) / (gamma(org) V(org)), V being a phase's mean molar volume.
-Judges are UNIFAC in both forms by thermo, and what was measured where a value is known; ``shipped`` is the same sum
-with chemlab's NRTL pairs.
+References are both forms of UNIFAC by thermo, and measured values if known; ``shipped`` is the same sum with chemlab's
+NRTL pairs.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ MEASURED: dict[tuple[str, str], tuple[float, str]] = {
 
 
 def saturated(solvent: str) -> tuple[Array, Array]:
-    """Mole fractions of (solvent, water) in the organic and in the aqueous phase."""
+    """Return the mole fractions of (solvent, water) in the organic and in the aqueous phase."""
     poor, rich = liquid_phases(lambda x: activity_coefficients((solvent, "water"), ROOM_K, [x, 1.0 - x]))
     return np.array([rich, 1.0 - rich]), np.array([poor, 1.0 - poor])
 
 
 def shipped_coefficients(names: Sequence[str], temperature_k: float, fractions: Sequence[float]) -> Array:
-    """[n] activity coefficients by the pairs that come with chemlab."""
+    """Return [n] activity coefficients by the bundled pairs."""
     table = pair_table(names, shipped_pairs())
     return np.exp(log_activity_coefficients(np.asarray(fractions), table.tau(temperature_k), table.alpha))
 
@@ -65,7 +65,7 @@ Law = Callable[[Sequence[str], float, Sequence[float]], Array]
 
 
 def log_k(solute: str, solvent: str, phases: tuple[Array, Array], law: Law) -> float:
-    """log10 of the ratio of concentrations, organic over aqueous."""
+    """Return log10 of the ratio of concentrations, organic over aqueous."""
     out = []
     for phase in phases:
         gamma = law((solute, solvent, "water"), ROOM_K, [_SPARE, *(phase * (1.0 - _SPARE)).tolist()])[0]
@@ -75,7 +75,7 @@ def log_k(solute: str, solvent: str, phases: tuple[Array, Array], law: Law) -> f
 
 
 def main() -> None:
-    """Write the table and print how far the shipped pairs are from UNIFAC."""
+    """Write the table and print the deviations of the bundled pairs from UNIFAC."""
     rows: list[tuple[Any, ...]] = []
     off: list[float] = []
     for solvent in SOLVENTS:

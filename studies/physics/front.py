@@ -1,13 +1,12 @@
-"""Purity and recovery of the distillation bench of `wurtz_real`: what stays in the pot, by where the cut is made.
+"""Purity and recovery of the distillation bench of `wurtz_real`: residue in the pot as a function of the cut.
 
-    python studies/physics/front.py                        # scripted cuts: writes studies/physics/front.csv and the
-    figure
-    python studies/physics/front.py --trained FOLDER       # trained agents, too: trains those that are not in the
-    folder yet python studies/physics/front.py --figure               # docs/images/front.png from the table as it is
+    python studies/physics/front.py                      # scripted cuts: writes front.csv and the figure
+    python studies/physics/front.py --trained FOLDER     # trained agents as well; missing ones are trained
+    python studies/physics/front.py --figure             # docs/images/front.png from the existing table
 
 Scripted: the pot is heated in steps of 1 kJ until it reaches a temperature, with columns of several numbers of
-theoretical stages. Trained: an agent by PPO for each purity that is asked for (`studies/physics/front.toml`), which
-begins with nothing; of its checkpoints the one that was best in its evaluations.
+theoretical stages. Trained: one PPO agent for each required purity (`studies/physics/front.toml`), trained from
+scratch; the checkpoint with the best evaluation is used.
 """
 
 from __future__ import annotations
@@ -37,29 +36,29 @@ TABLE, FIGURE = HERE / "front.csv", HERE.parent / "docs" / "images" / "front.png
 BENCH, POT = "dit", 0
 STAGES = (1, 2, 5, 15)
 REFLUX = 3.0
-"""mol run back for each that leaves, where there is a column."""
+"""Reflux: mol returned per mol distilled, with a column."""
 CUTS_K = np.concatenate([np.arange(400.0, 480.0, 5.0), np.arange(480.0, 489.5, 0.5)])
 WATER = 0.3
-"""mol in the charge of `wurtz_real`."""
+"""mol of water in the charge of `wurtz_real`."""
 HEATING_KJ = 1.0
 MOST_STEPS = 2_000
 EPISODES = 50
 STEPS = 300_000
-"""Of training, for each purity."""
+"""Training steps for each purity."""
 
 
 def asked(**bench: Any) -> Scenario:
-    """The scenario, with another column."""
+    """Return the scenario with another column."""
     values = {"base": str(HERE / "front.toml"), "name": "front", "benches": {BENCH: bench}} if bench else None
     return load_scenario(values or HERE / "front.toml")
 
 
 class Pots:
-    """Distillations side by side, without an environment around them.
+    """Distillations side by side, without an environment.
 
     Args:
         spec: the scenario.
-        count: N.
+        count: number of distillations N.
     """
 
     def __init__(self, spec: Scenario, count: int) -> None:
@@ -71,23 +70,23 @@ class Pots:
         self.begun = self.kept()[0]
 
     def kept(self) -> tuple[FloatArray, FloatArray]:
-        """[N] mol of the goal in each pot, and its mole fraction there."""
+        """Return [N] mol of the goal in each pot, and its mole fraction there."""
         return pot(self.bench, self.batch.shelf, self.batch.experiments, self.members)
 
     def observe(self) -> ObservationArray:
-        """[N, numbers] what agents see."""
+        """Return the observations [N, numbers]."""
         out = np.zeros((len(self.members), *self.bench.observation_space.shape), dtype=np.float32)
         self.bench.observe(self.batch.shelf, self.batch.experiments, self.members, out)
         return out
 
 
 def row(by: str, at: float, purity: float, recovery: float) -> dict[str, Any]:
-    """A line of the table."""
+    """Return a row of the table."""
     return {"by": by, "at": f"{at:g}", "purity": f"{purity:.4f}", "recovery": f"{recovery:.4f}"}
 
 
 def scripted(stages: int, water: float = 0.0) -> Iterator[dict[str, Any]]:
-    """A pot for each cut, heated until it is that hot; ``water`` mol of it are in the charge."""
+    """Yield a row for each cut temperature to which a pot is heated; the charge has ``water`` mol of water."""
     start = {"start": {"contents": {"water": water}}} if water else {}
     pots = Pots(asked(stages=stages, reflux=REFLUX, step_limit=MOST_STEPS, **start), len(CUTS_K))
     heats = dict(zip(pots.bench.options.process[0].magnitudes, range(1_000), strict=False))
@@ -105,7 +104,7 @@ def scripted(stages: int, water: float = 0.0) -> Iterator[dict[str, Any]]:
 
 
 def run_of(folder: Path, grade: str) -> Path:
-    """The run of an agent that is asked for one purity; begun or gone on with where it has not ended."""
+    """Return the training run for one required purity; start or resume it if it is not finished."""
     folder.mkdir(parents=True, exist_ok=True)
     others = [f"grades.{name}" for name in asked().grades if name != grade]
     scenario = folder / f"{grade}.toml"
@@ -131,7 +130,7 @@ def run_of(folder: Path, grade: str) -> Path:
 
 
 def trained(folder: Path) -> Iterator[dict[str, Any]]:
-    """What agents keep that are asked for a purity each, in the mean."""
+    """Yield the mean recovery of agents trained for one purity each."""
     for name, grade in asked().grades.items():
         run = run_of(folder, name)
         pots = Pots(load_scenario(folder / f"{name}.toml"), EPISODES)
@@ -150,7 +149,7 @@ def trained(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def draw() -> None:
-    """The table as a figure."""
+    """Draw the table as a figure."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -171,10 +170,10 @@ def draw() -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trained", type=Path, metavar="FOLDER", help="where runs of trained agents are, or will be")
-    parser.add_argument("--figure", action="store_true", help="draw the table as it is")
+    parser.add_argument("--trained", type=Path, metavar="FOLDER", help="folder of the training runs")
+    parser.add_argument("--figure", action="store_true", help="draw the existing table")
     chosen = parser.parse_args()
     if not chosen.figure:
         rows = [line for stages in STAGES for line in scripted(stages)]

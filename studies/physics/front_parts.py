@@ -1,4 +1,4 @@
-"""What the agents of `front.toml` are paid for."""
+"""Rewards of the agents in `front.toml`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["kept", "pot"]
 
 
 def pot(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> tuple[FloatArray, FloatArray]:
-    """[B] mol of the goal in the pots, and its mole fraction there."""
+    """Return [B] mol of the goal in the pots, and its mole fraction there."""
     amounts = shelf.rows[experiments.places[members, 0], AMOUNTS : AMOUNTS + len(bench.layout.materials)]
     goals = [bench.layout.index(bench.goals.names[goal]) for goal in experiments.goal[members]]
     mol = amounts[np.arange(len(members)), goals]
@@ -21,8 +21,10 @@ def pot(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray)
 
 
 def kept(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
-    """[B] at the end, mol of the goal in the pot, if it is as pure there as the grade asks for, in place of the bench's
-    own score, which counts what has been distilled over, too."""
+    """Return [B] mol of the goal in the pot at the end if it has the required purity, else 0.
+
+    It replaces the bench's own score, which also counts the distillate.
+    """
     mol, purity = pot(bench, shelf, experiments, members)
     grade = experiments.grade[members]
     gain = bench.measure(shelf, experiments, members) - experiments.baseline[members]

@@ -1,9 +1,9 @@
-"""What water and an organic solvent take up of each other, and the vapour pressure over both layers.
+"""Mutual solubility of water and organic solvents, and the vapour pressure over both layers.
 
     python studies/physics/layers.py        # writes studies/physics/layers.csv
 
-Equal activities in both liquids; the partial pressures of either layer are those of both. UNIFAC (Dortmund) of thermo,
-and chemlab's NRTL pairs, beside what was measured.
+Equal activities in both liquids; the partial pressures of either layer are equal. UNIFAC (Dortmund) of thermo and
+chemlab's NRTL pairs are compared with measured values.
 """
 
 from __future__ import annotations

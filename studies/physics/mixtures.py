@@ -1,4 +1,7 @@
-"""What the judges share: UNIFAC (Dortmund) and vapour pressures by thermo, and CSV files. Nothing here is chemlab's."""
+"""Common parts of the reference calculations: UNIFAC (Dortmund) and vapour pressures by thermo, and CSV files.
+
+Nothing here uses chemlab.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,9 @@ def _model(names: tuple[str, ...], dortmund: bool = True) -> Any:
 def activity_coefficients(
     names: Sequence[str], temperature_k: float, fractions: Sequence[float], dortmund: bool = True
 ) -> Array:
-    """[n] of a mixture of n by mole fractions, by UNIFAC: the Dortmund form (parameters of 2016) or the original."""
+    """Return [n] activity coefficients of a mixture by UNIFAC: the Dortmund form (parameters of 2016) or the
+    original.
+    """
     kept = np.maximum(np.asarray(fractions, dtype=np.float64), 1e-12)
     return np.array(_model(tuple(names), dortmund).to_T_xs(temperature_k, (kept / kept.sum()).tolist()).gammas())
 
@@ -78,13 +83,15 @@ def _vapor(name: str) -> tuple[Any, str]:
     found = thermo.VaporPressure(
         CASRN=cas, Tb=chemicals.Tb(cas), Tc=chemicals.Tc(cas), Pc=chemicals.Pc(cas), omega=chemicals.omega(cas)
     )
-    # Landolt-Boernstein has but the boiling point of some.
+    # For some compounds, Landolt-Boernstein has only the boiling point.
     known = [m for m in METHODS if m in found.all_methods and found.T_limits[m][1] - found.T_limits[m][0] > 1.0]
     return found, known[0]
 
 
 def vapor_pressure(name: str, temperature_k: float) -> float:
-    """Pa, by the best method thermo has; carried on as a straight line of ln p over 1 / T where that ends."""
+    """Return the vapour pressure in Pa by thermo's best method, extrapolated linearly in ln p over 1 / T beyond its
+    range.
+    """
     found, method = _vapor(name)
     low, high = found.T_limits[method]
     inside = min(max(temperature_k, low), high - 1.0)
@@ -98,7 +105,7 @@ def vapor_pressure(name: str, temperature_k: float) -> float:
 
 @functools.cache
 def molar_volume(name: str) -> float:
-    """L/mol of the liquid at 298.15 K."""
+    """Return the molar volume of the liquid in L/mol at 298.15 K."""
     cas = SUBSTANCES[name][0]
     found = thermo.VolumeLiquid(
         CASRN=cas,
@@ -113,7 +120,7 @@ def molar_volume(name: str) -> float:
 
 
 def bubble_point(names: Sequence[str], fractions: Array) -> tuple[float, Array]:
-    """K under one atmosphere, and the mole fractions of the vapour."""
+    """Return the bubble point in K at one atmosphere, and the mole fractions of the vapour."""
 
     def partial(temperature: float) -> Array:
         pure = np.array([vapor_pressure(name, temperature) for name in names])
@@ -125,9 +132,9 @@ def bubble_point(names: Sequence[str], fractions: Array) -> tuple[float, Array]:
 
 
 def liquid_phases(gammas: Callable[[float], Array]) -> tuple[float, float]:
-    """Mole fractions of the first of two components in the liquids they make, poor and rich, by equal activities.
+    """Return the mole fractions of the first component in both coexisting liquids, poor and rich.
 
-    ``gammas`` gives both activity coefficients at a mole fraction of the first.
+    Both have equal activities. ``gammas`` gives both activity coefficients at a mole fraction of the first component.
     """
     poor, rich = 1e-9, 1.0 - 1e-6
     for _ in range(10_000):
@@ -143,7 +150,7 @@ def liquid_phases(gammas: Callable[[float], Array]) -> tuple[float, float]:
 
 
 def write(name: str, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """A CSV file beside this one: numbers to six digits."""
+    """Write a CSV file beside this one, with numbers to six digits."""
     with (HERE / name).open("w", encoding="utf-8", newline="") as handle:
         table = csv.writer(handle, lineterminator="\n")
         table.writerow(header)

@@ -1,4 +1,4 @@
-"""How much of a solid a solvent dissolves, against what was measured.
+"""Solubility of solids in solvents, compared with measured values.
 
     python studies/physics/solubility.py        # writes studies/physics/solubility.csv
 
@@ -53,7 +53,7 @@ MEASURED: list[tuple[str, str, float, float, str]] = [
 
 
 def ideal(solute: str, temperature_k: float) -> float:
-    """ln of the mole fraction in an ideal solution."""
+    """Return ln of the mole fraction in an ideal saturated solution."""
     material = shipped_materials()[solute]
     assert material.real is not None
     assert material.real.fusion_enthalpy_j_mol is not None
@@ -63,7 +63,7 @@ def ideal(solute: str, temperature_k: float) -> float:
 
 
 def solve(solute: str, temperature_k: float, log_gamma: Callable[[float], float]) -> float:
-    """The mole fraction at which the solution is saturated: the poorest, if there are several."""
+    """Return the mole fraction of the saturated solution; the smallest if there are several."""
     right = ideal(solute, temperature_k)
     grid = np.linspace(-18.0, -1e-3, 600)
     values = [x + log_gamma(math.exp(x)) - right for x in grid.tolist()]

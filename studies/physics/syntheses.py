@@ -1,9 +1,10 @@
-"""The shipped syntheses in a flask of chemlab, against what was published and against integration by SciPy.
+"""The bundled syntheses in a flask of chemlab, compared with publications and with integration by SciPy.
 
     python studies/physics/syntheses.py        # writes studies/physics/syntheses.csv
 
-Unlike the other judges this one runs chemlab's kernels: ``chemlab`` is what a :class:`chemlab.sandbox.Flask` comes to.
-``published`` is of the publication in ``source``, ``independent`` a sum or an integration made here.
+Unlike the other studies, this one runs chemlab's kernels: ``chemlab`` is the result of a
+:class:`chemlab.sandbox.Flask`. ``published`` is from the publication in ``source``; ``independent`` is a sum or an
+integration made here.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ MATERIALS = shipped_materials()
 
 
 class Row(NamedTuple):
-    """A line of the table; NaN where there is no such number."""
+    """A row of the table; NaN for missing numbers."""
 
     synthesis: str
     quantity: str
@@ -36,12 +37,12 @@ class Row(NamedTuple):
 
 
 def litres(contents: Mapping[str, float]) -> float:
-    """Volume of some mol of liquids, unmixed."""
+    """Return the volume of unmixed liquids given in mol."""
     return sum(n * MATERIALS[k].molar_mass_g_mol / MATERIALS[k].density_kg_l / 1000.0 for k, n in contents.items())
 
 
 def filled_up(contents: Mapping[str, float], solvent: str, litre: float = 0.5) -> dict[str, float]:
-    """Contents with so much solvent that they fill ``litre``."""
+    """Add solvent to contents until they fill ``litre``."""
     rest = litre - litres(contents)
     return {**contents, solvent: rest / litres({solvent: 1.0})}
 
@@ -57,12 +58,12 @@ _SNAR_SOURCE = "Hone et al. (2017), React. Chem. Eng. 2, 103, constants as in Su
 
 
 def snar_profile(start: tuple[float, float], celsius: float, seconds: float, amines: float) -> list[float]:
-    """mol/L of substrate and products after some time, by SciPy.
+    """Return mol/L of substrate and products after a time, by SciPy.
 
     Args:
         start: mol/L of substrate and amine.
         celsius, seconds: temperature and time.
-        amines: used up in each substitution: 1 as in Summit's rate equations, 2 where one takes the acid.
+        amines: amine consumed per substitution: 1 as in Summit's rate equations, 2 if one more binds the acid.
     """
     kelvin = celsius + 273.15
     k = [at * math.exp(-1000.0 * e / GAS * (1.0 / kelvin - 1.0 / SNAR_KELVIN)) for at, e in SNAR_AT_90_C]
@@ -72,7 +73,7 @@ def snar_profile(start: tuple[float, float], celsius: float, seconds: float, ami
     first = np.array([*start, 0.0, 0.0, 0.0])
 
     def rates(_: float, mol: np.ndarray) -> list[float]:
-        # Of a litre at first; with a solid salt (two amines) the liquid has less volume.
+        # The volume is a litre at first; with a solid salt (two amines) the liquid's volume decreases.
         volume = 1.0 + float(litres @ (mol - first)) if amines == 2.0 else 1.0
         a, b, ortho, para, _bis = mol / math.sqrt(volume)
         r = k[0] * a * b, k[1] * a * b, k[2] * ortho * b, k[3] * para * b
@@ -83,7 +84,7 @@ def snar_profile(start: tuple[float, float], celsius: float, seconds: float, ami
 
 
 def snar() -> list[Row]:
-    """Concentration profiles at conditions of the publication, with plenty of amine and with little."""
+    """Yield concentration profiles at conditions of the publication, with excess and with little amine."""
     rows = []
     for celsius, equivalents, times in ((60.0, 5.0, (30, 60, 120)), (90.0, 5.0, (15, 30, 60)), (90.0, 2.0, (60,))):
         start = 0.2, 0.2 * equivalents
@@ -103,7 +104,7 @@ def snar() -> list[Row]:
 
 ACID, ALCOHOL, ESTER, WATER, CATALYST = "acetic_acid", "ethanol", "ethyl_acetate", "water", ("H+", "Cl-")
 BERTHELOT = ((0.05, 0.05), (0.18, 0.171), (0.33, 0.293), (0.5, 0.414), (1.0, 0.665), (2.0, 0.858), (8.0, 0.966))
-"""mol of ethanol to one of acetic acid, mol of ester in the end."""
+"""mol of ethanol per mol of acetic acid, mol of ester at equilibrium."""
 _BERTHELOT_SOURCE = "Berthelot and Pean de Saint-Gilles (1862), as Nernst's Theoretical Chemistry has it, as remembered"
 SMITH = (3.91, 10.2, 17.56)
 """mol/L of acid, alcohol and water of a charge at 100 degrees C."""
@@ -112,14 +113,14 @@ MIXED_HEAT = -3.6
 _HEAT_SOURCE = "Excess enthalpies and heat of esterification reaction (2019), a calorimeter at 313 K, abstract (read)"
 _SMITH_SOURCE = "Smith, Chemical Engineering Kinetics, 2nd ed. (1970), chapter 4, as remembered"
 AZEOTROPES = ((ALCOHOL, 0.54, 344.96), (WATER, 0.69, 343.53))
-"""With what, mole fraction of the ester, K at 101.325 kPa."""
+"""Other component, mole fraction of the ester, boiling temperature in K at 101.325 kPa."""
 _AZEOTROPE_SOURCE = (
     "CRC Handbook, azeotropic data, as remembered; that with ethanol is 0.539 and 71.8 C in a textbook's problem (read)"
 )
 
 
 def ester_at(start: tuple[float, float, float], seconds: float, k: float, equilibrium: float) -> float:
-    """mol/L of ester from some of acid, alcohol and water, by SciPy; k in L/mol/s."""
+    """Return mol/L of ester formed from acid, alcohol and water, by SciPy; k in L/mol/s."""
     acid, alcohol, water = start
 
     def rate(_: float, c: np.ndarray) -> list[float]:
@@ -135,7 +136,7 @@ def _formed(name: str) -> float:
 
 
 def _boiled(other: str, fraction: float) -> tuple[float, float]:
-    """K at which a mixture boils, and the mole fraction of the ester in what comes over."""
+    """Return the boiling temperature in K of a mixture, and the mole fraction of the ester in its vapour."""
     flask = Flask({ESTER: 2.0 * fraction, other: 2.0 * (1.0 - fraction)})
     receiver = flask.another()
     while not receiver.volume_l > 1e-3:
@@ -145,7 +146,7 @@ def _boiled(other: str, fraction: float) -> tuple[float, float]:
 
 
 def fischer() -> list[Row]:
-    """Equilibria, a conversion curve, azeotropes."""
+    """Return equilibria, a conversion curve, and azeotropes."""
     rows = []
     for alcohol, published in BERTHELOT:
         flask = Flask({ACID: 1.0, ALCOHOL: alcohol, **dict.fromkeys(CATALYST, 1e-3)}, reactions="fischer")
@@ -159,11 +160,11 @@ def fischer() -> list[Row]:
     rows.append(Row("fischer", "heat of esterification", "kJ/mol", MIXED_HEAT, heat / 1000.0, math.nan, _HEAT_SOURCE))
     rows.append(Row("fischer", "K at 100 C", "", 4.76 / 1.63, equilibrium, math.nan, _SMITH_SOURCE))
     contents = dict(zip((ACID, ALCOHOL, WATER), SMITH, strict=True))
-    litre = litres(contents)  # more than the 1 L that it is said to be: volumes add up here
+    litre = litres(contents)  # more than the nominal 1 L, because volumes are additive here
     start = SMITH[0] / litre, SMITH[1] / litre, SMITH[2] / litre
     for minutes, published in ((30, math.nan), (60, math.nan), (120, 0.35), (100_000, 0.54)):
         flask = Flask({**contents, **dict.fromkeys(CATALYST, 0.1 * litre)}, reactions="fischer", capacity_l=2.0)
-        litre_now = flask.volume_l  # with the catalyst's
+        litre_now = flask.volume_l  # including the catalyst
         flask.react(60.0 * minutes, temperature_k=373.15)
         k = 1.86e4 * math.exp(-59780.0 / GAS / 373.15) * 0.1 * litre / litre_now
         thinned = (start[0] * litre / litre_now, start[1] * litre / litre_now, start[2] * litre / litre_now)
@@ -188,7 +189,7 @@ _SEIDELL = "Seidell, 3.4 g/L, as remembered"
 
 
 def _shaken(contents: Mapping[str, float], base: float) -> Flask:
-    """Contents dissolved (a day), then shaken with water and some mol of sodium hydroxide."""
+    """Dissolve contents (one day), then shake them with water and sodium hydroxide."""
     flask = Flask(contents, **_BENZOIC, capacity_l=2.0)
     flask.wait(86400.0)
     flask.add(WATER, 20.0)
@@ -198,7 +199,7 @@ def _shaken(contents: Mapping[str, float], base: float) -> Flask:
 
 
 def benzoic() -> list[Row]:
-    """Into water with a base, out of it with an acid."""
+    """Return the extraction into water with a base and the recovery with an acid."""
     rows = []
     for base in (0.05, 0.1, 0.2):
         made = _shaken({"toluene": 4.0, BENZOIC: 0.25, "naphthalene": 0.25}, base).amounts["benzoate"]
@@ -231,11 +232,11 @@ HYDROLYSES = (
     (ASPIRIN, 310.15, 3600.0 * 100.0, 3.83 / 5.55, (3.65e4, 72970.0), _AVERILL),
     (ASPIRIN, 310.15, 3600.0 * 300.0, 1.82 / 5.55, (3.65e4, 72970.0), _AVERILL),
 )
-"""What, K, s, share that is left; A in L/mol/s and J/mol."""
+"""Compound, K, s, remaining share; A in L/mol/s and J/mol."""
 
 
 def aspirin() -> list[Row]:
-    """How fast water takes the anhydride and the product apart."""
+    """Return the hydrolysis rates of the anhydride and the product."""
     rows = []
     for name, kelvin, seconds, published, (factor, activation), source in HYDROLYSES:
         flask = Flask({WATER: 55.0, name: 0.0055}, reactions="aspirin", capacity_l=2.0)
@@ -261,7 +262,7 @@ SYNTHESES: dict[str, Callable[[], list[Row]]] = {
 
 def main() -> None:
     """Write the table and print it."""
-    from mixtures import write  # needs the extra chem, which the numbers do not
+    from mixtures import write  # needs the extra chem, which the calculations do not
 
     rows = [row for make in SYNTHESES.values() for row in make()]
     write("syntheses.csv", Row._fields, rows)

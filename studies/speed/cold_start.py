@@ -1,11 +1,11 @@
-"""What the first episode of a scenario takes where nothing is compiled yet, and where everything is.
+"""Time of a scenario's first episode with an empty and with a filled kernel cache.
 
     python studies/speed/cold_start.py
     python studies/speed/cold_start.py --scenarios wurtz_real --before ../before python
 
-A run is `chemlab run SCENARIO` in a process of its own with an empty cache of kernels, then once more with that cache.
-On a machine with other work only the processor time (of all processes together) means something, and of that mostly
-ratios: with `--before CHECKOUT PYTHON` (see compare_commits.py) both commits run in alternation.
+A run is `chemlab run SCENARIO` in its own process with an empty kernel cache, followed by one with the filled cache. On
+a busy machine only processor times (summed over processes) are meaningful, and mostly their ratios. With `--before
+CHECKOUT PYTHON` (see compare_commits.py), both commits run in alternation.
 """
 
 from __future__ import annotations
@@ -30,13 +30,15 @@ PLAY = "from chemlab.cli import main; main()"
 
 
 def run(checkout: Path, python: str, scenario: str, cache: str) -> dict[str, float]:
-    """Wall and processor seconds of a first episode with a cache, and how many compiled kernels that has then."""
+    """Return wall and processor seconds of a first episode with a cache, and the number of cached kernels
+    afterwards.
+    """
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
         [python, "-c", PLAY, "run", scenario, "--json"],
         check=True,
         capture_output=True,
-        cwd=cache,  # not in the other checkout: its chemlab would be found first
+        cwd=cache,  # not inside the other checkout, whose chemlab would be imported
         env={**os.environ, "PYTHONPATH": str(checkout.resolve()), "NUMBA_CACHE_DIR": cache},
     )
     wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -45,7 +47,7 @@ def run(checkout: Path, python: str, scenario: str, cache: str) -> dict[str, flo
 
 
 def measure(scenario: str, checkouts: list[tuple[Path, str]], rounds: int) -> list[dict[str, Any]]:
-    """Medians of a scenario's cold and warm starts in each of some checkouts, which take turns."""
+    """Return medians of a scenario's cold and warm starts for each checkout, measured in alternation."""
     found: list[list[tuple[dict[str, float], dict[str, float]]]] = [[] for _ in checkouts]
     for _ in range(rounds):
         for rows, (checkout, python) in zip(found, checkouts, strict=True):
@@ -61,12 +63,12 @@ def measure(scenario: str, checkouts: list[tuple[Path, str]], rounds: int) -> li
 
 
 def main() -> int:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--before", nargs=2, metavar=("CHECKOUT", "PYTHON"), help="another commit, to compare with")
-    parser.add_argument("--most", type=float, default=math.inf, help="largest ratio of cold starts that is no failure")
+    parser.add_argument("--most", type=float, default=math.inf, help="largest accepted ratio of cold starts")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
     arguments = parser.parse_args()

@@ -1,14 +1,14 @@
-"""Two commits against each other in one run: their rows of throughput.py in alternation, and the ratio pair by pair.
+"""Compare two commits: rows of throughput.py measured in alternation, with the ratio of each pair.
 
-Each commit is a checkout with a Python in which what chemlab needs is installed::
+Each commit is a checkout with a Python that has chemlab's dependencies installed::
 
     git worktree add ../before <commit>
     python studies/speed/compare_commits.py --before ../before python --least 0.8
 
-A machine's speed drifts, so only the ratios (after / before) mean something: the median of ``--rounds`` pairs, with the
-smallest and the largest. A row whose median is below ``--least`` is measured as often again; if that of all its pairs
-is below it, too, the exit code is 1. So it is if the newer commit cannot measure a row; one that the older cannot is
-left out.
+A machine's speed drifts, so only the ratios (after / before) are meaningful: the median of ``--rounds`` pairs, with
+minimum and maximum. A row whose median is below ``--least`` is measured as many times again; if the median of all pairs
+is still below, the exit code is 1. The exit code is also 1 if the newer commit cannot measure a row; a row that the
+older commit cannot measure is left out.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class Refused(Exception):
 
 
 class Worker:
-    """A process of one checkout that measures rows when it is told to."""
+    """A process of one checkout that measures rows on request."""
 
     def __init__(self, python: str, checkout: Path) -> None:
         code = WORKER.format(folder=str(checkout.resolve() / "studies" / "speed"))
-        # Not in the other checkout: its chemlab would be found first.
+        # Not inside the other checkout, whose chemlab would be imported.
         self._process = subprocess.Popen(
             [python, "-c", code],
             stdin=subprocess.PIPE,
@@ -74,10 +74,10 @@ class Worker:
         )
 
     def rate(self, row: str, seconds: float) -> float:
-        """Steps a second of a row.
+        """Return the rate of a row in steps per second.
 
         Raises:
-            Refused: what it needs is not there, or fails.
+            Refused: a required function is missing or fails.
         """
         inward, outward = cast(IO[str], self._process.stdin), cast(IO[str], self._process.stdout)
         inward.write(json.dumps([seconds, row]) + "\n")
@@ -92,7 +92,7 @@ class Worker:
 
 
 def pairs(before: Worker, after: Worker, row: str, rounds: int, seconds: float, least: float) -> list[list[float]]:
-    """Rates (before, after) of a row in alternation; twice as many where the first ones' median is below ``least``.
+    """Return rates (before, after) of a row in alternation; twice as many if the first median is below ``least``.
 
     Raises:
         Refused: one of the commits cannot measure it.
@@ -110,14 +110,14 @@ def _middle(rates: list[list[float]]) -> float:
 
 
 def main() -> int:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--before", nargs=2, required=True, metavar=("CHECKOUT", "PYTHON"))
     parser.add_argument("--after", nargs=2, default=[".", sys.executable], metavar=("CHECKOUT", "PYTHON"))
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=0.5, help="of each measurement")
     parser.add_argument("--least", type=float, default=0.0, help="smallest ratio that is not a failure")
-    parser.add_argument("--rows", default="", help="only rows with this in their names")
+    parser.add_argument("--rows", default="", help="only rows whose names contain this")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     before, after = (Worker(python, Path(checkout)) for checkout, python in (arguments.before, arguments.after))

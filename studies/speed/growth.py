@@ -1,15 +1,15 @@
-"""What a turn and a laboratory cost as they grow: benches, slots, materials, reactions, laboratories.
+"""Growth of the time per turn and the memory per laboratory with benches, slots, materials, reactions, laboratories.
 
 Run ``python studies/speed/growth.py`` (``--json``, ``--quick``, ``--update docs/performance.md``, ``--plot FILE``;
-``--axes`` for some). Everybody plays random legal actions. Time is the processor's, on one thread, of
-``BatchedLaboratory.step`` alone, for each turn that an agent had; sizes of an axis take turns, ``--rounds`` times. The
-exponent is the slope of log(time) over log(size), fitted in every round: median, smallest and largest; beside it that
-of the two largest sizes, towards which it goes. Memory is what one laboratory more allocates, by ``tracemalloc``; its
-exponent is that of the two largest sizes.
+``--axes`` selects axes). All agents play random legal actions. Time is processor time on one thread of
+``BatchedLaboratory.step`` alone, per turn of an agent; the sizes of an axis are measured in alternation, ``--rounds``
+times. The exponent is the slope of log(time) over log(size), fitted in every round: median, minimum and maximum; beside
+it the exponent of the two largest sizes, which approximates the limit. Memory is the allocation per additional
+laboratory, by ``tracemalloc``; its exponent is that of the two largest sizes.
 
-Benches and slots are beyond what a scenario's file may ask for, so that it is seen where it goes. Materials are isomers
-that turn into one another; with more reactions each is slower by as much, so that the time that all of them together
-take stays what it is, and with it the steps of the integrator.
+Benches and slots exceed the limits of a scenario file, to show the trend. Materials are isomers that convert into one
+another. With more reactions each is proportionally slower, so that their total rate, and with it the number of
+integrator steps, is constant.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ BASE = "wurtz_dodecane"
 _FEW_REACTIONS, _FEW_MATERIALS = 6, 20
 _VESSELS = 4
 _FIRST_TURNS = 200
-"""Turns that are played before anything is measured, so that laboratories are not all at their beginning."""
+"""Turns played before measuring, so that laboratories are at different stages of their episodes."""
 
 
 def with_benches(count: int) -> Scenario:
-    """So many of each of three kinds."""
+    """Return a scenario with a number of each of three kinds of benches."""
     spec = load_scenario(BASE)
     benches = {key: bench.model_copy(update={"count": count}) for key, bench in spec.benches.items()}
     return spec.model_copy(update={"benches": benches})
 
 
 def with_slots(count: int) -> Scenario:
-    """Such a shelf, with as many vessels on it as the scenario has."""
+    """Return a scenario with a shelf of this size and the base scenario's vessels."""
     spec = load_scenario(BASE)
     return spec.model_copy(update={"shelf": spec.shelf.model_copy(update={"slots": count})})
 
 
 def isomers(materials: int, reactions: int) -> Scenario:
-    """A laboratory of so many isomers, dealt out to four vessels, and reactions among them."""
+    """Return a scenario of isomers, distributed over four vessels, with reactions between them."""
     names = [f"m{i}" for i in range(materials)]
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "materials.toml").write_text("\n".join(_material(i, name) for i, name in enumerate(names)))
@@ -86,7 +86,7 @@ def isomers(materials: int, reactions: int) -> Scenario:
 
 
 def _pairs(names: list[str]) -> Any:
-    """A ring first, so that every material takes part, then all others."""
+    """Yield pairs: first a ring, so that every material takes part, then all others."""
     ring = list(zip(names, [*names[1:], names[0]], strict=True))
     return iter([*ring, *(pair for pair in permutations(names, 2) if pair not in set(ring))])
 
@@ -117,7 +117,7 @@ color_shade_absorption = "made up"
 
 
 class Play:
-    """Laboratories in which everybody plays random legal actions."""
+    """Laboratories in which all agents play random legal actions."""
 
     def __init__(self, spec: Scenario, count: int) -> None:
         self._batch = BatchedLaboratory(count, spec, copy=False)
@@ -129,7 +129,7 @@ class Play:
         self._seen, self._infos = self._batch.reset(seed=0)
 
     def turns(self, least: int, seconds: float) -> tuple[int, float]:
-        """Play so many turns at least, and so long; (turns, seconds of the processor in ``step``)."""
+        """Play a minimum number of turns and seconds; return (turns, processor seconds in ``step``)."""
         done, spent = 0, 0.0
         while done < least or spent < seconds:
             actions = {}
@@ -176,13 +176,13 @@ AXES: dict[str, Axis] = {
     "reactions, reaction bench alone": (_REACTIONS, lambda count: isomers(_FEW_MATERIALS, count), 64, BenchPlay),
     "laboratories": ((1, 4, 16, 64, 256, 1024, 4096, 16384), lambda _: load_scenario(BASE), 0, Play),
 }
-"""By name: sizes, the scenario of a size, how many laboratories play it (0: the size), and who plays."""
+"""By name: sizes, the scenario of a size, the number of laboratories (0: the size), and the player class."""
 
 
 def memory(spec: Scenario, few: int = 2, more: int = 10) -> float:
-    """Bytes of one laboratory more."""
+    """Return the bytes per additional laboratory."""
     sizes = []
-    for count in (few, few, more):  # what is loaded by the first is there for the others
+    for count in (few, few, more):  # objects loaded by the first laboratory are shared by the others
         gc.collect()
         tracemalloc.start()
         batch = BatchedLaboratory(count, spec, copy=False)
@@ -194,12 +194,12 @@ def memory(spec: Scenario, few: int = 2, more: int = 10) -> float:
 
 
 def slope(sizes: Any, values: Any) -> float:
-    """Exponent of the power that fits best."""
+    """Return the exponent of the best fitting power law."""
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
 def measure(name: str, rounds: int, seconds: float, most: int | None) -> dict[str, Any]:
-    """Microseconds a turn and bytes a laboratory at every size of an axis, with exponents."""
+    """Return microseconds per turn and bytes per laboratory at every size of an axis, with exponents."""
     sizes, scenario, count, player = AXES[name]
     sizes = tuple(size for size in sizes if most is None or size <= most)
     specs = [scenario(size) for size in sizes]
@@ -224,7 +224,7 @@ def measure(name: str, rounds: int, seconds: float, most: int | None) -> dict[st
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     lines = ["| | sizes | µs a turn | exponent [range] | of the last two | KiB a laboratory | exponent |"]
     lines.append("|---|---|---|--:|--:|---|--:|")
     for name, one in result.items():
@@ -239,7 +239,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
-    """Curves of time (above) and memory over size. Needs the extra ``plot``."""
+    """Draw curves of time (above) and memory over size. Needs the extra ``plot``."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(3.0 * len(result), 5.0), layout="constrained")
@@ -252,7 +252,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--axes", nargs="*", default=list(AXES), choices=list(AXES), metavar="AXIS", help="default: all"

@@ -1,10 +1,9 @@
 """Measure how often the 95 % intervals of chemlab's tables contain the true value.
 
-Each line is a statistic of a number of samples in each of one or eight strata, drawn from a normal, a uniform and a
-lopsided (exponential) distribution, or from a five-valued one with ties. True values are closed forms, or, of the
-pooled interquartile mean, integrals by SciPy. The Markdown table is the one of docs/protocol.md:
-``python studies/speed/interval_coverage.py --write`` puts it there. 1000 tries have a standard error of 0.007 and
-take two minutes on one core.
+Each row is a statistic of a number of samples in one or eight strata, drawn from a normal, a uniform or a skewed
+(exponential) distribution, or from a five-valued one with ties. True values are closed forms or, for the pooled
+interquartile mean, integrals by SciPy. ``python studies/speed/interval_coverage.py --write`` writes the Markdown table
+into docs/protocol.md. 1000 trials have a standard error of 0.007 and take two minutes on one core.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ SIZES = (2, 3, 5, 10, 20, 40)
 STRATA = (1, 8)
 SEED = 20_260_101
 DRAWN = {"normal": stats.norm(0.5, 0.1), "uniform": stats.uniform(0.0, 1.0), "lopsided": stats.expon(0.0, 0.2)}
-"""What samples are drawn from."""
+"""Distributions of the samples."""
 
 Interval = tuple[float | None, float | None]
 
 
 def of_mixture(distribution: stats.rv_continuous, shifts: FloatArray) -> float:
-    """The interquartile mean of equally large strata, each of them shifted."""
+    """Return the interquartile mean of equally large strata, each shifted."""
 
     def below(x: float) -> float:
         return float(distribution.cdf(x - shifts).mean())
@@ -44,14 +43,14 @@ def of_mixture(distribution: stats.rv_continuous, shifts: FloatArray) -> float:
 
 
 def cases(n: int, k: int) -> Iterator[tuple[str, float, Callable[[np.random.Generator], Interval]]]:
-    """(statistic, true value, function that draws samples and returns an interval)."""
+    """Yield (statistic, true value, function that draws samples and returns an interval)."""
     shifts = np.linspace(0.0, 0.3, k) if k > 1 else np.zeros(1)
 
     def ends(estimate: statistics.Estimate) -> Interval:
         return estimate.low, estimate.high
 
     for name, drawn in DRAWN.items():
-        # Strata differ in their spread, too: Welch's case.
+        # Strata differ in variance as well: Welch's case.
         spreads = np.linspace(1.0, 2.0, k)[:, None]
 
         def draw(rng: np.random.Generator, drawn=drawn, spreads=spreads) -> FloatArray:
@@ -80,7 +79,7 @@ def cases(n: int, k: int) -> Iterator[tuple[str, float, Callable[[np.random.Gene
 
         yield f"share of pairs or samples ({share:.2f})", share, paired
     if k == 1:
-        # Episodes of a scale: random play near 0, the best near 0.6, a policy between, which shares its luck with it.
+        # Episodes of a scale: random play near 0, the best near 0.6, and a policy in between, correlated with it.
         def scaled(rng: np.random.Generator) -> Interval:
             luck = rng.normal(0.0, 0.15, n)
             zero, one = rng.normal(-0.05, 0.05, n), 0.6 + luck
@@ -91,7 +90,7 @@ def cases(n: int, k: int) -> Iterator[tuple[str, float, Callable[[np.random.Gene
 
 
 def coverage(tries: int) -> list[str]:
-    """The lines of a Markdown table."""
+    """Return the lines of a Markdown table."""
     found: dict[tuple[str, int], dict[int, float]] = {}
     for k in STRATA:
         for n in SIZES:

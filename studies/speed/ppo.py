@@ -1,8 +1,8 @@
-"""Speed of SB3's PPO on each bench, beside the same PPO on an environment with its spaces that computes nothing.
+"""Speed of SB3's PPO on each bench, compared with PPO on an environment with equal spaces that computes nothing.
 
-Run ``python studies/speed/ppo.py`` (needs the extra ``train``; ``--update FILE`` puts the table between the marks
-``<!-- ppo: begin -->`` and ``<!-- ppo: end -->`` of a Markdown file). 10 environments, 256 steps, SB3 defaults; the two
-are timed in turns, and the ratio of their medians is what means something on another machine.
+Run ``python studies/speed/ppo.py`` (needs the extra ``train``; ``--update FILE`` writes the table between the marks
+``<!-- ppo: begin -->`` and ``<!-- ppo: end -->`` of a Markdown file). 10 environments, 256 steps, SB3 defaults. Both
+are timed in alternation; only the ratio of their medians is comparable between machines.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BENCHES = ("rxn", "ext", "dit")
 
 
 class Nothing(VecEnv):
-    """Given spaces, constant observations, no rewards and no ends."""
+    """Environment with given spaces, constant observations, no rewards and no ends."""
 
     def __init__(self, spaces: VecEnv) -> None:
         super().__init__(ENVS, spaces.observation_space, spaces.action_space)
@@ -63,7 +63,7 @@ class Nothing(VecEnv):
 
 
 def frames_per_second(env: VecEnv, frames: int) -> float:
-    """Training speed of a fresh PPO."""
+    """Return the training speed of a new PPO."""
     model = PPO("MlpPolicy", env, n_steps=STEPS, seed=0, device="cpu")
     begun = time.perf_counter()
     model.learn(frames)
@@ -71,7 +71,7 @@ def frames_per_second(env: VecEnv, frames: int) -> float:
 
 
 def measure(bench: str, rounds: int) -> dict[str, Any]:
-    """Medians of both, and their ratio."""
+    """Return medians of both, and their ratio."""
     chemistry = ChemlabVecEnv(ENVS, bench=bench)
     nothing = Nothing(chemistry)
     frames = 4 * ENVS * STEPS
@@ -83,7 +83,7 @@ def measure(bench: str, rounds: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print JSON")

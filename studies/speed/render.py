@@ -1,7 +1,7 @@
-"""Frames per second of pictures at 960 x 540, reading the scene off the arrays included.
+"""Frames per second of pictures at 960 x 540, including the construction of the scene from the arrays.
 
-Run ``python studies/speed/render.py`` (``--json`` for machines). Each scenario is played by its scripted policies,
-each bench by random actions; every turn is drawn once. Without a screen.
+Run ``python studies/speed/render.py`` (``--json`` for machines). Each scenario is played by its scripted policies, each
+bench by random actions; every turn is drawn once. Needs no display.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from chemlab.render.scene import bench_scene, laboratory_scene
 
 
 def laboratory(name: str, episodes: int) -> dict[str, float]:
-    """Frames per second and the slowest frame, over whole episodes."""
+    """Return frames per second and the slowest frame over whole episodes."""
     env = raw_env(name)
     env.reset(seed=0)
     seconds: list[float] = []
@@ -38,7 +38,7 @@ def laboratory(name: str, episodes: int) -> dict[str, float]:
 
 
 def bench(name: str, key: str, frames: int) -> dict[str, float]:
-    """The same of a single bench."""
+    """Return the same for a single bench."""
     env = BenchEnv(name, key)
     env.action_space.seed(0)
     seconds: list[float] = []
@@ -54,7 +54,7 @@ def bench(name: str, key: str, frames: int) -> dict[str, float]:
 
 
 def summary(seconds: list[float]) -> dict[str, float]:
-    """Mean rate, and the slowest frame after the first (which makes fonts and background)."""
+    """Return the mean rate and the slowest frame after the first, which loads fonts and draws the background."""
     return {
         "frames": len(seconds),
         "frames_per_second": round(1.0 / float(np.mean(seconds[1:])), 1),

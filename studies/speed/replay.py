@@ -1,7 +1,7 @@
-"""How long replay pages of long episodes take to load, in a headless Chromium.
+"""Loading time of replay pages of long episodes in a headless Chromium.
 
 Run ``python studies/speed/replay.py`` (``--json`` for machines). Needs Playwright (extra ``test``) and ``chromium``.
-Each scenario is played by its random policies; loading ends when everything is drawn.
+Each scenario is played by its random policies; loading ends when the page is completely drawn.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FLAGS = ["--no-sandbox", "--disable-gpu"]
 
 
 def page_of(name: str, folder: Path) -> Path:
-    """The page of the longest of ten episodes."""
+    """Return the page of the longest of ten episodes."""
     env = raw_env(name)
     pages = []
     for seed in range(10):
@@ -41,7 +41,7 @@ def page_of(name: str, folder: Path) -> Path:
 
 
 def load(browser: Any, page: Path) -> float:
-    """ms from the request to the load event's end."""
+    """Return ms from the request to the end of the load event."""
     tab = browser.new_page()
     tab.goto(page.as_uri())
     tab.wait_for_selector("#slots svg")

@@ -1,11 +1,11 @@
-"""Turns per second of training on RLlib with 1 and 2 env runners; and the manager's view, one by one and in a batch.
+"""Turns per second of RLlib training with 1 and 2 env runners, and of the manager's view singly and in a batch.
 
-Run ``python studies/speed/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a look, ``--update PAGE`` to
-write the table between its marks). The runs stand side by side and take turns, a round each, so that whatever else the
-machine does meets them alike; figures are medians of rounds, the first not counted. A round gathers a batch of turns
-and learns from it. The learning rate is so small that policies stay as they begin: those that learn play other episodes
-(a manager that submits at once makes twenty times as many), which is other work. Episodes a round show that it is the
-same. One process learns, so that only gathering can scale.
+Run ``python studies/speed/rllib_scaling.py`` (``--json`` for machines, ``--quick`` for a short run, ``--update PAGE``
+to write the table between its marks). The runs exist side by side and alternate round by round, so that other load on
+the machine affects them equally; figures are medians of rounds without the first. A round gathers a batch of turns and
+learns from it. The learning rate is so small that policies stay constant: learning policies would play other episodes
+(a manager that submits at once makes twenty times as many), which is other work. The number of episodes per round shows
+that the work is the same. One process learns, so only gathering can scale.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from chemlab.config.scenario import load_scenario
 from chemlab.lab.engine import Laboratories
 
 STILL = 1e-9
-"""A learning rate that moves nothing."""
+"""A learning rate without effect."""
 VIEW, LABORATORIES = "chemlab/LabManager-v0", 64
 
 
 class Timed:
-    """A team, and what its rounds took: (turns, seconds of gathering, seconds of learning, episodes)."""
+    """A team and its rounds: (turns, seconds of gathering, seconds of learning, episodes)."""
 
     clock = staticmethod(time.perf_counter)
 
@@ -65,9 +65,9 @@ class Timed:
 
 
 def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
-    """Rates of every number of runners, all in one Ray."""
+    """Return the rates for every number of runners, all in one Ray instance."""
     torch.set_num_threads(1)
-    # Ray gives its workers a low priority, so that whatever else the machine does would be measured.
+    # Ray gives its workers a low priority, so that other load on the machine would be measured.
     os.environ.setdefault("RAY_worker_niceness", "0")
     with connected(None, sum(runners)):
         runs = {
@@ -92,14 +92,14 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
 
 
 def _view(settings: Any) -> gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """The manager's view: a batch where a runner asks for one."""
+    """Return the manager's view: batched if a runner requests it."""
     if "num_envs" in settings:
         return gymnasium.make_vec(VIEW, settings["num_envs"], vectorization_mode="vector_entry_point")
     return gymnasium.make(VIEW)
 
 
 def inside(rounds: int) -> dict[str, float]:
-    """Decisions a second that one runner gathers of :data:`LABORATORIES` laboratories, one by one and in a batch."""
+    """Return decisions per second of one runner with :data:`LABORATORIES` laboratories, singly and in a batch."""
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
     from ray.tune.registry import register_env
@@ -121,7 +121,7 @@ def inside(rounds: int) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Markdown."""
+    """Return the table as Markdown."""
     first = rows[0]
     lines = ["| env runners | turns gathered a second | learning included | episodes a round |", "|--:|--:|--:|--:|"]
     for row in rows:

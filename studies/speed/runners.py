@@ -1,14 +1,14 @@
-"""How training on RLlib goes on with many env runners: measured with one and two, simulated with more.
+"""Scaling of RLlib training with env runners: measured with one and two, simulated with more.
 
-Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md``). One and two
-runners take turns, a round each, as in ``rllib_scaling.py``; figures are of the processors' time of each process, which
-what else the machine does does not count in, so they tell what happens where every runner has a core of its own.
+Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md``). One and two runners
+alternate round by round, as in ``rllib_scaling.py``. Figures are processor times of each process, which exclude other
+load on the machine; they describe the case of one core per runner.
 
-A round of the simulation: every runner plays its share of turns, and the slowest is waited for (each takes what a
-measured round, drawn at random, took); what they have played is sent to the one process that learns, which takes it
-apart and updates; the new weights go to every runner. Measured: a runner's and the learner's seconds for a turn, the
-bytes of a turn and of the weights. Assumed: ``--gigabits`` of the learner's network, ``--share`` turns of each runner.
-Its speed-up for two runners stands beside the one measured in the same way: the slower runner's time and the learner's.
+A simulated round: every runner plays its share of turns, and the round waits for the slowest (each takes the time of a
+randomly drawn measured round). The samples are sent to the learner process, which unpacks them and updates; the new
+weights go to every runner. Measured: a runner's and the learner's seconds per turn, the bytes of a turn and of the
+weights. Assumed: ``--gigabits`` of the learner's network, ``--share`` turns per runner. The simulated speed-up for two
+runners is reported beside the measured one: the slower runner's time plus the learner's.
 """
 
 from __future__ import annotations
@@ -34,23 +34,25 @@ from chemlab.config.files import replace_between
 
 RUNNERS = (1, 2, 8, 64, 512)
 _ROUNDS = 200
-"""Of a simulation."""
+"""Rounds of a simulation."""
 
 
 def processor_seconds(_: Any) -> float:
-    """Seconds of the processor that an env runner's process has taken."""
+    """Return the processor seconds of an env runner's process."""
     return time.process_time()
 
 
 def bytes_a_turn(runner: Any) -> float:
-    """Of what it sends."""
+    """Return the bytes per turn that a runner sends."""
     turns = 256
     return len(pickle.dumps(runner.sample(num_timesteps=turns))) / turns
 
 
 class Clocked(Timed):
-    """A team, and the processors' seconds of its rounds, for each turn: the slowest runner's, all that the learning
-    process does besides updating, and updating."""
+    """A team, and processor seconds per turn of its rounds.
+
+    They are the slowest runner's, those of the learner process without updating, and those of updating.
+    """
 
     clock = staticmethod(time.process_time)
 
@@ -60,7 +62,7 @@ class Clocked(Timed):
         self.each: list[float] = []
 
     def of_runners(self, function: Any) -> list[float]:
-        """A number of each of them."""
+        """Return a number of each runner."""
         group = self.team.algorithm.env_runner_group
         found: list[float] = group.foreach_env_runner(function, local_env_runner=False)
         return found
@@ -78,13 +80,13 @@ class Clocked(Timed):
 
 
 def environment_alone(scenario: str, turns: int) -> float:
-    """Seconds of the processor for a turn of the environment that runners play, random legal actions."""
+    """Return processor seconds per turn of the runners' environment with random legal actions."""
     env = LaboratoryMultiAgentEnv({"scenario": scenario})
     seen, _ = env.reset(seed=0)
     spent = 0.0
     for turn in range(2 * turns):
         if turn == turns:
-            spent = 0.0  # the first half warms up
+            spent = 0.0  # the first half is the warm-up
         (agent,) = seen
         mask = seen[agent]["action_mask"] if isinstance(seen[agent], dict) else None
         action = env.get_action_space(agent).sample(mask)
@@ -97,7 +99,7 @@ def environment_alone(scenario: str, turns: int) -> float:
 
 
 def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
-    """Seconds for a turn and bytes, with one runner and with two."""
+    """Return seconds per turn and bytes, with one runner and with two."""
     torch.set_num_threads(1)
     with connected(None, 3):
         runs = {n: Clocked(RllibArguments(scenario, runners=n, batch=batch, learning_rate=STILL)) for n in RUNNERS[:2]}
@@ -120,7 +122,7 @@ def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
 
 
 def simulate(found: dict[str, Any], runners: int, share: int, gigabits: float) -> dict[str, float]:
-    """Seconds of a round by what they are spent on, and turns a second."""
+    """Return the seconds of a round by activity, and turns per second."""
     rng, turns = np.random.default_rng(runners), runners * share
     slowest = rng.choice(found["runner_s"], (_ROUNDS, runners)).max(axis=1).mean() * share
     speed = gigabits * 1e9 / 8.0
@@ -134,7 +136,7 @@ def simulate(found: dict[str, Any], runners: int, share: int, gigabits: float) -
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """Markdown."""
+    """Return the table as Markdown."""
     found = result["measured"]
     runner = median(found["runner_s"])
     figures = {
@@ -168,7 +170,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="wurtz_dodecane")
     parser.add_argument("--rounds", type=int, default=7)
@@ -183,7 +185,7 @@ def main() -> None:
     load = os.getloadavg()[0]
     rounds, batch = (3, 512) if given.quick else (given.rounds, given.batch)
     found = measure(given.scenario, rounds, batch)
-    # For the comparison, shares are those of the measured rounds, in which two runners play as much as one.
+    # For the comparison, shares are those of the measured rounds, in which two runners together play as much as one.
     halves = [simulate(found, n, batch // n, given.gigabits)["turns_a_second"] for n in RUNNERS[:2]]
     result = {
         "measured": found,

@@ -1,12 +1,12 @@
-"""Ten thousand episodes of random play, legal and not, on every scenario: nothing fails, leaks, or is lost.
+"""Soak test: ten thousand episodes of random play, legal and illegal, on every scenario.
 
     python studies/speed/soak.py                      all scenarios, 10,000 episodes each
     python studies/speed/soak.py --episodes 500 wurtz_safe
 
-In every round: no exception, rewards and costs finite, every observation of whoever has the turn in [0, 1]. At the end
-of every episode, and in all laboratories every 64 rounds: atoms of each element (and the charge) on shelf, benches, in
-bottles, waste and delivered vessels are those it began with, to 1e-9; amounts are finite and not negative. At the end:
-the process has not grown. Prints JSON; the exit code is 1 where a bound is broken.
+In every round: no exception, rewards and costs are finite, and every observation of an agent with a turn is in [0, 1].
+At the end of every episode, and in all laboratories every 64 rounds: the atoms of each element (and the charge) on
+shelf and benches, in bottles, waste and delivered vessels equal the initial ones to 1e-9; amounts are finite and not
+negative. At the end: the memory of the process has not grown. Prints JSON; the exit code is 1 if a bound is violated.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from chemlab.roles.manager_state import LIMIT
 LARGEST_DRIFT = 1e-9
 LARGEST_GROWTH_MIB = 8.0
 BOLD = 0.1
-"""Share of actions that are drawn from the whole space, legal or not."""
+"""Share of actions drawn from the whole space, legal or not."""
 PATIENT = 0.75
-"""Share of laboratories in which hardly anybody submits or ends an experiment, so that outer limits are reached."""
+"""Share of laboratories with rare submissions and ends of experiments, so that outer limits are reached."""
 
 
 @kernel
 def _count_outside(values: ObservationArray, rows: IntArray) -> int:
-    """How many numbers of the given rows are not in [0, 1] (NaN is not)."""
+    """Count numbers of the given rows outside [0, 1] (NaN counts)."""
     outside = 0
     for i in range(rows.shape[0]):
         for j in range(values.shape[1]):
@@ -50,13 +50,13 @@ def _count_outside(values: ObservationArray, rows: IntArray) -> int:
 
 
 def resident_mib() -> float:
-    """Memory the process holds now, MiB."""
+    """Return the resident memory of the process in MiB."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * 4096 / 2**20
 
 
 class _Watched(BatchedLaboratory):
-    """Laboratories whose contents are weighed before an episode's end throws them away."""
+    """Laboratories whose contents are summed before the end of an episode resets them."""
 
     def __init__(self, members: int, scenario: str) -> None:
         super().__init__(members, scenario, copy=False)
@@ -82,7 +82,7 @@ class _Watched(BatchedLaboratory):
         return np.asarray((total + labs.state.delivered[members]) @ self.atoms_in)
 
     def weigh(self, members: IntArray) -> None:
-        """Atoms of some laboratories against those they began with; the last column is the charge."""
+        """Compare the atoms of some laboratories with the initial ones; the last column is the charge."""
         found, begun, shelf = self._weight(members), self.atoms[members], self.laboratories.shelf
         change = np.abs(found - begun)[:, :-1] / np.maximum(begun[:, :-1], 1e-3)
         self.drift = max(self.drift, float(change.max()))
@@ -94,7 +94,7 @@ class _Watched(BatchedLaboratory):
 
 
 def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dict[str, Any]:
-    """Figures of ``episodes`` random episodes."""
+    """Return the figures of ``episodes`` random episodes."""
     batch = _Watched(members, scenario)
     labs, everyone = batch.laboratories, batch.laboratories.members
     rng = np.random.default_rng(seed)
@@ -128,7 +128,7 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
             rare = patient & (rng.random(members) < 0.98)
             kept = mask[rare]
             kept[:, submits if number == 0 else labs.benches[number - 1].end_action] = 0
-            # Where that is all that is left, it is what there is.
+            # If no other action is legal, it is kept.
             mask[np.flatnonzero(rare)[kept.any(axis=1)]] = kept[kept.any(axis=1)]
             mask[rng.random(members) < BOLD] = 1
             actions[agent] = policies[number].act(seen[agent], mask, everyone, everyone)
@@ -166,7 +166,7 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
 
 
 def broken(figures: dict[str, Any]) -> list[str]:
-    """Names of the figures that are out of bounds."""
+    """Return the names of figures out of bounds."""
     bounds = {
         "atoms_drift": LARGEST_DRIFT,
         "charge": LARGEST_DRIFT,
@@ -179,7 +179,7 @@ def broken(figures: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", default=scenario_names(), help="scenarios to play (default: all)")
     parser.add_argument("--episodes", type=int, default=10_000, help="of each scenario")

@@ -1,11 +1,10 @@
-"""Time of a tick of stiff reactions in the tier ``real``.
+"""Time of a tick of stiff reactions in the backend ``real``.
 
     python studies/speed/stiff.py
 
 Networks of 6, 8 and 10 reactions over two species more, of order 1 and 2, half of them reversible, with 60 kJ/mol and
-rate constants from 1e-3 to 1e6 at 298 K; ticks of 1 at rtol 1e-3, atol 1e-9 mol/L. *First* is the tick in which what is
-freshly mixed comes to its fast equilibria, *then* is the mean of the hundred after it. Processor time, one thread, best
-of five.
+rate constants from 1e-3 to 1e6 at 298 K; ticks of 1 at rtol 1e-3, atol 1e-9 mol/L. *First* is the tick in which a fresh
+mixture reaches its fast equilibria, *then* is the mean of the next hundred. Processor time, one thread, best of five.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _ENERGY = 60e3
 
 
 def stiff_network(reactions: int, seed: int) -> tuple[Any, np.ndarray]:
-    """A chemistry, and what is in the vessel."""
+    """Return a chemistry and a vessel's contents."""
     rng = np.random.default_rng(seed)
     species = reactions + 2
     steps = []
@@ -51,7 +50,7 @@ def stiff_network(reactions: int, seed: int) -> tuple[Any, np.ndarray]:
 
 
 def microseconds(run: Callable[[], Any], times: int) -> float:
-    """Processor time of a call, the best of five rounds."""
+    """Return the processor time of a call, the best of five rounds."""
     best = math.inf
     for _ in range(5):
         begun = time.process_time()

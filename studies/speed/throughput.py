@@ -1,8 +1,8 @@
-"""Steps per second of every environment, where the time goes, and what start-up costs.
+"""Steps per second of every environment, a profile of a step, and start-up time.
 
-Run ``python studies/speed/throughput.py`` (``--json`` for machines, ``--quick`` for a look). Random actions, resets
-included. Every figure also comes as a ratio to Gymnasium's CartPole-v1 stepped singly in the same run, so that it means
-something on another machine; machines are noisy, so compare ratios of one run only.
+Run ``python studies/speed/throughput.py`` (``--json`` for machines, ``--quick`` for a short run). Random actions,
+resets included. Every figure is also given as a ratio to Gymnasium's CartPole-v1 stepped singly in the same run, which
+is comparable between machines. Machines are noisy, so compare ratios of one run only.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ print(next(int(line.split()[1]) for line in open("/proc/self/status") if line.st
 
 
 def rate(step: Callable[[int], int], seconds: float) -> float:
-    """Steps per second: ``step(i)`` takes some steps and returns how many."""
+    """Return steps per second: ``step(i)`` takes some steps and returns their number."""
     for i in range(20):
         step(i)
     done, i, begun = 0, 0, time.perf_counter()
@@ -66,7 +66,7 @@ def rate(step: Callable[[int], int], seconds: float) -> float:
 
 
 def single(name: str, seconds: float) -> float:
-    """Steps per second of one environment made by ``gymnasium.make``."""
+    """Return steps per second of one environment made by ``gymnasium.make``."""
     env = gymnasium.make(name)
     env.action_space.seed(0)
     env.reset(seed=0)
@@ -82,7 +82,7 @@ def single(name: str, seconds: float) -> float:
 
 
 def batched(name: str, count: int, threads: int, seconds: float, **arguments: Any) -> float:
-    """Steps per second of a batch of ``count``."""
+    """Return steps per second of a batch of ``count``."""
     envs = gymnasium.make_vec(
         f"chemlab/{name}-v0",
         num_envs=count,
@@ -105,7 +105,9 @@ def batched(name: str, count: int, threads: int, seconds: float, **arguments: An
 
 
 def parts(name: str, seconds: float) -> dict[str, float]:
-    """Microseconds a step of a batch of 256 spends in physics, in observing and masking, and in Python around them."""
+    """Return microseconds per step of a batch of 256 in physics, in observing and masking, and in Python around
+    them.
+    """
     envs = gymnasium.make_vec(f"chemlab/{name}-v0", num_envs=256, vectorization_mode="vector_entry_point", copy=False)
     assert isinstance(envs, BenchVectorEnv)
     envs.reset(seed=0)
@@ -140,7 +142,7 @@ def parts(name: str, seconds: float) -> dict[str, float]:
 
 
 def laboratory(make: Callable[..., Any], seconds: float) -> float:
-    """Agent steps per second of an AEC laboratory under random legal actions."""
+    """Return agent steps per second of an AEC laboratory under random legal actions."""
     env = make("wurtz_dodecane")
     env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -164,7 +166,7 @@ def laboratory(make: Callable[..., Any], seconds: float) -> float:
 
 
 def parallel(seconds: float) -> float:
-    """Agent steps per second (all agents are in every step) of the parallel laboratory, random legal actions."""
+    """Return agent steps per second of the parallel laboratory (all agents act in every step), random legal actions."""
     env = parallel_env("wurtz_dodecane")
     _, infos = env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -189,7 +191,7 @@ def parallel(seconds: float) -> float:
 
 
 def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "wurtz_dodecane") -> float:
-    """Turns per second of ``count`` laboratories at once, random legal actions of all roles."""
+    """Return turns per second of ``count`` laboratories at once, random legal actions of all roles."""
     batch = BatchedLaboratory(count, scenario, copy=False)
     policies = {
         agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
@@ -213,7 +215,7 @@ def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "w
 
 
 def manager_view(count: int, seconds: float) -> float:
-    """Manager decisions per second of ``count`` laboratories with scripted benches, random legal decisions."""
+    """Return manager decisions per second of ``count`` laboratories with scripted benches, random legal decisions."""
     envs = focal_vector_env(count, autoreset_mode="SameStep", copy=False)
     policy, members, steps = RandomPolicy(0, 0), np.arange(count), np.zeros(count, dtype=np.int64)
     observations, infos = envs.reset(seed=0)
@@ -228,7 +230,7 @@ def manager_view(count: int, seconds: float) -> float:
 
 
 def in_a_process(code: str, **environment: str) -> float:
-    """What a fresh Python process that runs ``code`` prints."""
+    """Return the output of a new Python process that runs ``code``."""
     run = [sys.executable, "-c", code]
     return float(
         subprocess.run(run, check=True, capture_output=True, text=True, env={**os.environ, **environment}).stdout
@@ -236,7 +238,7 @@ def in_a_process(code: str, **environment: str) -> float:
 
 
 def rates(seconds: float, quick: bool) -> dict[str, Any]:
-    """Everything that is measured while it runs, once."""
+    """Measure all running rates once."""
     cartpole = single("CartPole-v1", seconds)
     result: dict[str, Any] = {"cartpole_single": cartpole, "single": {}, "batched": {}, "parts_us": {}}
     for name in IDS:
@@ -266,14 +268,14 @@ def rates(seconds: float, quick: bool) -> dict[str, Any]:
 
 
 def medians(found: list[Any]) -> Any:
-    """Of figures that have been measured several times, each one's median."""
+    """Return the median of each figure over several measurements."""
     if isinstance(found[0], dict):
         return {key: medians([one[key] for one in found]) for key in found[0]}
     return statistics.median(found)
 
 
 def measure(seconds: float, quick: bool) -> dict[str, Any]:
-    """All figures: medians of rounds, so that what else a machine does for a while spoils none of them."""
+    """Return all figures as medians of rounds, so that temporary load does not distort them."""
     result: dict[str, Any] = medians([rates(seconds, quick) for _ in range(1 if quick else ROUNDS)])
     result["start_up_s"] = {}
     for name in IDS[::2]:
@@ -287,7 +289,7 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     base = result["cartpole_single"]
     lines = [f"CartPole-v1, single: {base:,.0f} steps/s (= 1x)", ""]
     sizes = list(next(iter(result["batched"].values())))
@@ -317,7 +319,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def short_table(result: dict[str, Any]) -> str:
-    """A few of the figures, for README."""
+    """Return the figures for README."""
     base = result["cartpole_single"]
     lines = ["| | single | batch of 256, 1 thread |", "|---|--:|--:|", f"| Gymnasium's `CartPole-v1` | {base:,.0f} | |"]
     for name in IDS[::2]:
@@ -331,7 +333,7 @@ def short_table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, one round, no cold start")

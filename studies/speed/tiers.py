@@ -1,7 +1,7 @@
-"""Speed of the tier ``real`` over that of the tier ``paper``, bench by bench, and where its time goes.
+"""Speed of the backend ``real`` relative to ``paper``, bench by bench, and a profile of a step.
 
-Run ``python studies/speed/tiers.py`` (``--json`` for machines, ``--update docs/performance.md``). Both tiers take
-turns in one run; ratios are medians.
+Run ``python studies/speed/tiers.py`` (``--json`` for machines, ``--update docs/performance.md``). Both backends
+alternate in one run; ratios are medians.
 """
 
 from __future__ import annotations
@@ -20,8 +20,13 @@ BENCHES = ("WurtzReaction", "WurtzExtraction", "WurtzDistillation")
 
 
 def measure(seconds: float, turns: int) -> dict[str, Any]:
-    """Of each bench: steps a second of both tiers, in a batch of 256 on one thread and singly, turn by turn, and the
-    microseconds of a step's parts in the tier ``real``."""
+    """Measure each bench.
+
+    Returns:
+        Steps per second of both backends, in a batch of 256 on one thread and singly, in alternation; and the
+            microseconds
+        of a step's parts in the backend ``real``.
+    """
     result: dict[str, Any] = {}
     for name in BENCHES:
         found: dict[str, list[float]] = {"batch": [], "batch_paper": [], "single": [], "single_paper": []}
@@ -38,7 +43,7 @@ def measure(seconds: float, turns: int) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     lines = ["| bench | real, batch 256 | of paper | single, of paper | µs: physics | observation | python |"]
     lines.append("|---|--:|--:|--:|--:|--:|--:|")
     for name, figures in result.items():
@@ -51,11 +56,11 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--seconds", type=float, default=1.0, help="of each measurement")
-    parser.add_argument("--turns", type=int, default=5, help="of each tier")
+    parser.add_argument("--turns", type=int, default=5, help="of each backend")
     parser.add_argument("--update", type=Path, metavar="FILE", help="put the table into this Markdown file")
     chosen = parser.parse_args()
     result = measure(chosen.seconds, chosen.turns)

@@ -1,9 +1,10 @@
-"""How many frames a second TorchRL's environment over the batched laboratory makes, with random legal actions.
+"""Frames per second of the TorchRL environment over the batched laboratory, with random legal actions.
 
     python studies/speed/torchrl_batch.py [--scenario NAME] [--update docs/performance.md]
 
-A frame is a round of one laboratory: what every agent sees, and the true state. Time is the process's on one thread, so
-that other processes do not count. Beside it, the same with TorchRL's wrapper around the single parallel environment.
+A frame is a round of one laboratory: every agent's observation, and the true state. Time is processor time on one
+thread, so that other processes do not count. For comparison, TorchRL's wrapper around the single parallel environment
+is measured as well.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from chemlab.laboratory import parallel_env
 
 
 def frames_per_second(env: Any, laboratories: int, steps: int) -> float:
-    """Frames a second of processor time, after a rollout that compiles what has to be."""
+    """Return frames per second of processor time, after a warm-up rollout that compiles the kernels."""
     env.rollout(5, break_when_any_done=False)
     begun = time.process_time()
     env.rollout(steps, break_when_any_done=False)
@@ -31,7 +32,7 @@ def frames_per_second(env: Any, laboratories: int, steps: int) -> float:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="wurtz_dodecane")
     parser.add_argument("--steps", type=int, default=100)

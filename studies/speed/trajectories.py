@@ -1,7 +1,7 @@
-"""Hashes of whole trajectories, to hold a redesign against what was there before.
+"""Hashes of whole trajectories, to compare a redesign with an earlier commit.
 
-Every shipped scenario, several seeds, scripted and random agents, and every single bench with random actions: agents,
-observations, masks, actions, rewards and scores all go into one hash an episode.
+For every bundled scenario, several seeds, scripted and random agents, and for every single bench with random actions:
+agents, observations, masks, actions, rewards and scores are combined into one hash per episode.
 
     python studies/speed/trajectories.py --write before.json     # on the old commit
     python studies/speed/trajectories.py --compare before.json   # on the new one: what differs, by episode
@@ -26,7 +26,7 @@ from chemlab.config.scenario import load_scenario
 
 
 class Digest:
-    """A hash of arrays and numbers, whatever container they come in."""
+    """A hash of arrays and numbers, independent of their containers."""
 
     def __init__(self) -> None:
         self._hash = hashlib.blake2b(digest_size=12)
@@ -38,7 +38,7 @@ class Digest:
             elif isinstance(value, str):
                 self._hash.update(value.encode())
             else:
-                # -0.0 and 0.0 are one number.
+                # -0.0 and 0.0 are equal.
                 self._hash.update(np.ascontiguousarray(np.asarray(value) + 0).tobytes())
 
     def text(self) -> str:
@@ -46,7 +46,7 @@ class Digest:
 
 
 def laboratory_episode(env: Any, policies: dict[str, Any], seed: int) -> str:
-    """Hash of one episode, every agent played by its policy."""
+    """Return the hash of one episode with one policy per agent."""
     digest = Digest()
     for name, policy in policies.items():
         if hasattr(policy, "seed"):
@@ -72,7 +72,7 @@ def laboratory_episode(env: Any, policies: dict[str, Any], seed: int) -> str:
 
 
 def bench_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
-    """Hash of one episode of random legal actions."""
+    """Return the hash of one episode of random legal actions."""
     digest = Digest()
     observation, info = env.reset(seed=seed)
     env.action_space.seed(seed)
@@ -89,7 +89,7 @@ def bench_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
 
 
 def hashes(seeds: int) -> dict[str, list[str]]:
-    """Hashes by what is played, one a seed."""
+    """Return the hashes by scenario and policy, one per seed."""
     from chemlab.agents.policies import make_policies
     from chemlab.laboratory import raw_env
 
@@ -111,7 +111,7 @@ def hashes(seeds: int) -> dict[str, list[str]]:
 
 
 def _bench(scenario: str, bench: str, starts: str) -> gymnasium.Env[Any, Any] | None:
-    """A single bench of a scenario; None where nothing was recorded that it could start from."""
+    """Return a single bench of a scenario; None if it has no recorded initial states."""
     try:
         return gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench=bench, starts=starts)
     except (DataError, ValueError):

@@ -1,8 +1,8 @@
-"""False alarms: record honest episodes of every scenario and verify them; every one has to be right.
+"""False alarms of verification: record honest episodes of every scenario and verify them.
 
-Run ``python studies/speed/verify.py --episodes 1000`` (``--json`` for machines). A third of the episodes is played
-by the scripted policies, a third by random ones and a third by ones that also try what is not possible. Says what
-records and recording cost as well, in seconds of this process, so that others on the machine do not count.
+Run ``python studies/speed/verify.py --episodes 1000`` (``--json`` for machines). A third of the episodes is played by
+the scripted policies, a third by random ones and a third by policies that also try invalid actions. It also reports the
+size of records and the processor time of recording.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ POLICIES = ("scripted", "random", "careless")
 
 
 def policies(name: str, env: raw_env, seed: int) -> dict[str, Any]:
-    """Policies by name, the careless ones too."""
+    """Return policies by name, including those with invalid actions."""
     labs = env.laboratories
     if name == "careless":
         return {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
@@ -38,7 +38,7 @@ def policies(name: str, env: raw_env, seed: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Play, verify, report; 1 if an honest record was not found right."""
+    """Play, verify and report; return 1 if an honest record was rejected."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--scenario", action="append", choices=scenario_names(), help="default: every one; repeatable")

@@ -1,11 +1,11 @@
-"""What verifying a record costs, against another commit: the same episodes, verified in alternation, pair by pair.
+"""Cost of verifying a record compared with another commit: the same episodes, verified in alternating pairs.
 
     git worktree add ../before <commit>
     python -m venv ../before.venv && ../before.venv/bin/pip install -e "../before[test]"
     python studies/speed/verify_pairs.py --before ../before ../before.venv/bin/python
 
-Each process records its own episodes of the scenarios that both have, and says how much processor time verifying 24 of
-them takes; only the ratio (after / before) means something. Exits with 1 if its median is above ``--most``.
+Each process records its own episodes of the common scenarios and reports the processor time of verifying 24 of them;
+only the ratio (after / before) is meaningful. Exits with 1 if its median is above ``--most``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Worker:
         self._process = subprocess.Popen([python, "-c", WORKER], cwd=checkout, text=True, **pipes)
 
     def said(self) -> str:
-        """Its next line."""
+        """Return its next line."""
         return cast(IO[str], self._process.stdout).readline().strip()
 
     def tell(self, line: str) -> None:
@@ -58,7 +58,7 @@ class Worker:
 
 
 def main() -> int:
-    """Measure and report; 1 if it has become slower than allowed."""
+    """Measure and report; return 1 if verification has become slower than allowed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--before", nargs=2, required=True, metavar=("CHECKOUT", "PYTHON"))
     parser.add_argument("--pairs", type=int, default=40)

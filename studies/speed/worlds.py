@@ -1,8 +1,7 @@
-"""What it costs that every laboratory has a world of its own: turns a second over those of the same scenario in which
-nothing is drawn.
+"""Cost of one world per laboratory: turns per second relative to the same scenario without hidden parameters.
 
-Run ``python studies/speed/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both take turns
-in one run; ratios are medians.
+Run ``python studies/speed/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both alternate in
+one run; ratios are medians.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ LABORATORIES = 256
 
 
 def measure(names: list[str], seconds: float, turns: int) -> dict[str, Any]:
-    """Of each scenario: turns a second of 256 laboratories with worlds of their own and with one, turn by turn."""
+    """Return, for each scenario, turns per second of 256 laboratories with separate worlds and with one world."""
     result: dict[str, Any] = {}
     for name in names:
         drawn = load_scenario(name)
@@ -38,7 +37,7 @@ def measure(names: list[str], seconds: float, turns: int) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     lines = ["| scenario | turns a second, 256 worlds | of one world |", "|---|--:|--:|"]
     for name, figures in result.items():
         lines.append(f"| `{name}` | {median(figures['turns_a_second']['worlds']):,.0f} | {figures['ratio']:.2f} |")
@@ -46,10 +45,10 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     worlds = [name for name in scenario_names() if load_scenario(name).world.draws]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenarios", nargs="*", default=worlds, help="default: all with a world")
+    parser.add_argument("scenarios", nargs="*", default=worlds, help="default: all with hidden parameters")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--seconds", type=float, default=1.0, help="of each measurement")
     parser.add_argument("--turns", type=int, default=5, help="of each of the two")

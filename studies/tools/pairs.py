@@ -1,9 +1,10 @@
-"""Makes the pairs that are shipped, ``chemlab/data/pairs``, from UNIFAC and ``studies/tools/solubilities.toml``.
+"""Make the bundled pair file ``chemlab/data/pairs`` from UNIFAC and ``studies/tools/solubilities.toml``.
 
-    python studies/tools/pairs.py                                             # the shipped file, of all shipped
-    molecules python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
+    python studies/tools/pairs.py                     # the bundled file, of all bundled molecules
+    python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
 
-Needs the extra ``chem``. How: :mod:`chemlab.openchem.activity`; ``chemlab pairs`` makes those of your own materials.
+Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab pairs`` makes pairs of
+your own materials.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ SOLUBILITIES = HERE / "solubilities.toml"
 
 
 def main() -> None:
-    """Fit the pairs asked for and write them."""
+    """Fit the requested pairs and write them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", help="materials; without any, all shipped molecules")
     parser.add_argument("--materials", type=Path, action="append", default=[], help="material file of your own")
     parser.add_argument("--output", type=Path, default=None, help="pair file to write (default: the shipped one)")
     arguments = parser.parse_args()
     if arguments.names and arguments.output is None:
-        parser.error("--output: say where the pairs of some go to")
+        parser.error("--output: required if materials are named")
     materials = {**shipped_materials(), **load_materials(arguments.materials)}
     names = arguments.names or sorted(name for name, m in shipped_materials().items() if is_molecule(m))
     pairs = list(itertools.combinations(names, 2))

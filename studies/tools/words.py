@@ -1,7 +1,7 @@
 """Check the prose of the project against its style: ``python studies/tools/words.py [FILE ...]``.
 
 Reads README, the pages below docs, every docstring, and the strings of the commands (help and messages). Refuses the
-words in ``REFUSED``, and docstrings whose first word asks a question. Prints ``file:line: text`` for each finding, and
+words in ``REFUSED`` and docstrings that begin with a question word. Prints ``file:line: text`` for each finding, and
 exits with 1 if there is one.
 """
 
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["findings", "main"]
+__all__ = ["code", "findings", "main"]
 
 ROOT = Path(__file__).parents[2]
 REFUSED = (
@@ -24,7 +24,7 @@ _REFUSED = re.compile(rf"\b(?:{REFUSED})\b", re.IGNORECASE)
 _QUESTION = re.compile(r"(?:What|Who|Whose|Whoever|Whether|Which|Where|How|When)\b(?! to\b)")
 CODE = ("chemlab", "agents", "recipes", "studies", "docs")
 EXCEPTIONS: dict[str, str] = {}
-"""Texts that stay, each with its reason."""
+"""Accepted texts, each with its reason."""
 
 
 def _pages() -> list[Path]:
@@ -33,7 +33,7 @@ def _pages() -> list[Path]:
 
 
 def _prose(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines of a page outside code."""
+    """Yield the lines of a page outside code."""
     fenced = False
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         if line.startswith("```"):
@@ -43,7 +43,7 @@ def _prose(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and text of every docstring, those below assignments included."""
+    """Yield line and text of every docstring, including those below assignments."""
     for node in ast.walk(tree):
         body = getattr(node, "body", ())
         for child in body if isinstance(body, list) else ():
@@ -59,7 +59,7 @@ def _strings(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 def findings(path: Path) -> list[str]:
-    """Findings in one file, as ``file:line: text``."""
+    """Return the findings in one file, as ``file:line: text``."""
     name, found = path.resolve().relative_to(ROOT).as_posix(), []
     if path.suffix == ".md":
         texts = list(_prose(path))
@@ -80,10 +80,14 @@ def findings(path: Path) -> list[str]:
     return found
 
 
+def code() -> list[Path]:
+    """Return all source files."""
+    return [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.py")) if "_build" not in path.parts]
+
+
 def main() -> None:
-    """Check the files named, or all of them."""
-    code = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.py")) if "_build" not in path.parts]
-    paths = [Path(name) for name in sys.argv[1:]] or [*_pages(), *code]
+    """Check the given files, or all of them."""
+    paths = [Path(name) for name in sys.argv[1:]] or [*_pages(), *code()]
     found = [line for path in paths for line in findings(path)]
     print("\n".join(found) or f"{len(paths)} files: nothing found")
     raise SystemExit(1 if found else 0)

@@ -1,6 +1,6 @@
 """The paper's figures from tables alone; matplotlib comes with the extra ``plot``.
 
-Numbers are the paper's own, in the order of its figures (:data:`FIGURES`). 9, 11 and 13 need traces, the others runs.
+Numbers are those of the paper's figures (:data:`FIGURES`). 9, 11 and 13 need traces, the others need runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _BEHIND_TEXT = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """One figure: its file's stem, what it shows and how it is drawn."""
+    """One figure: the stem of its file, its caption and its drawing function."""
 
     stem: str
     caption: str
@@ -36,13 +36,13 @@ class FigureSpec:
 
     @property
     def number(self) -> int:
-        """The paper's."""
+        """Number of the figure in the paper."""
         return int(self.stem.split("_")[1])
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure and what it lacks, in words; no figure where there is nothing to draw."""
+    """A drawn figure and a list of missing results; the figure is None if there is nothing to draw."""
 
     figure: Any
     missing: list[str]
@@ -54,7 +54,7 @@ def _missing_runs(results: Results, key: str) -> list[str]:
 
 
 def _note(figure: Any, text: str, missing: list[str]) -> None:
-    """What the reader has to know, below the axes."""
+    """Write a note below the axes."""
     lines = textwrap.wrap(text, int(figure.get_figwidth() * 14.5)) + [f"Missing: {what}." for what in missing]
     figure.text(0.01, 0.01, "\n".join(lines), fontsize=8, va="bottom", ha="left", color="#333333")
 
@@ -63,7 +63,7 @@ def _note(figure: Any, text: str, missing: list[str]) -> None:
 
 
 def _short(goal: str) -> str:
-    """A material's name on lines short enough for the rim of a graph."""
+    """Break a material's name into lines short enough for the rim of a radar chart."""
     parts = goal.split("-")
     lines = [""]
     for i, part in enumerate(parts):
@@ -181,11 +181,11 @@ def _curves(results: Results, key: str) -> Drawn:
     return Drawn(figure, missing)
 
 
-# -- what policies do -------------------------------------------------------------------------------------------------
+# -- actions of policies ----------------------------------------------------------------------------------------------
 
 
 def _traced(results: Results, key: str) -> tuple[list[str], list[str]]:
-    """The policies of an experiment whose traces are to be shown, and what is missing."""
+    """Return the policies of an experiment with traces, and the missing ones."""
     played = results.traces.get(key, {})
     if not played:
         return [], ["traces (python -m studies.paper --collect RUNS makes them)"]
@@ -224,7 +224,7 @@ def _actions(results: Results, key: str) -> Drawn:
         for g, goal in enumerate(goals):
             values = np.array(results.traces[key][label][goal][""].actions)
             for column in range(len(names)):
-                # Equal curves lie on one another: each is thinner than the one below it.
+                # Equal curves overlap: each is thinner than the one below it.
                 (line,) = grid[row, column].plot(
                     np.arange(len(values)),
                     values[:, column],
@@ -264,12 +264,12 @@ _TINTS = {
     "end": "#D9D9D9",
 }
 _ACROSS, _DOWN = 9, 3
-"""Boxes beside one another, and lines of them, that a sequence may take."""
+"""Maximum number of boxes per line, and of lines per sequence."""
 _BOX_WIDTH, _BOX_HEIGHT, _LINE_HEIGHT, _LABEL_WIDTH = 1.12, 0.6, 0.92, 1.25
 
 
 def _words(meaning: str) -> str:
-    """An action's name for a box: 'pour DV -> B1, 0.1 fraction' is 'pour DV→B1' and '10 %'."""
+    """Shorten an action's name for a box: 'pour DV -> B1, 0.1 fraction' gives 'pour DV→B1' and '10 %'."""
     what, _, how = meaning.partition(", ")
     amount, _, unit = how.partition(" ")
     if unit == "fraction":
@@ -285,7 +285,7 @@ def _words(meaning: str) -> str:
 
 
 def _boxes(actions: Sequence[int], meanings: Sequence[str]) -> Iterator[tuple[str, str, str]]:
-    """(text, times, tint) of each run of equal actions; of a long sequence the beginning."""
+    """Yield (text, times, tint) of each run of equal actions; a long sequence is truncated."""
     groups = [(action, len(list(same))) for action, same in itertools.groupby(actions)]
     most = _ACROSS * _DOWN
     shown = groups if len(groups) <= most else groups[: most - 1]
@@ -398,20 +398,20 @@ FIGURES: tuple[FigureSpec, ...] = (
 def write_figures(
     results: Results, folder: Path, formats: Sequence[str] = ("png",), watch: Callable[[str], None] | None = None
 ) -> dict[str, list[str]]:
-    """Draw every figure there are results for.
+    """Draw every figure with results.
 
     Args:
-        results: what :func:`~studies.paper.chemgymrl.results.read_results` has read.
-        folder: where the pictures go.
-        formats: endings that matplotlib knows, such as ``png`` and ``svg``.
+        results: results of :func:`~studies.paper.chemgymrl.results.read_results`.
+        folder: folder of the pictures.
+        formats: suffixes known to matplotlib, such as ``png`` and ``svg``.
         watch: called with each figure's stem before it is drawn.
 
     Returns:
-        {stem: what the figure lacks, in words}; a figure without any results is not written.
+        {stem: missing results, in words}; a figure without any results is not written.
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: unknown format.
+        ValueError: a format is unknown.
     """
     matplotlib = import_matplotlib()
     folder.mkdir(parents=True, exist_ok=True)
@@ -425,7 +425,7 @@ def write_figures(
             for ending in formats:
                 path = folder / f"{spec.stem}.{ending}"
                 if drawn.figure is None:
-                    path.unlink(missing_ok=True)  # of earlier results
+                    path.unlink(missing_ok=True)  # from earlier results
                 else:
                     save_figure(drawn.figure, path)
     return lacking

@@ -1,4 +1,4 @@
-"""Numbers of results that the paper's statements are about, by name (:data:`MEASURES`)."""
+"""Measures of results that the paper's statements refer to, by name (:data:`MEASURES`)."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from .results import EXPERIMENTS, Results
 __all__ = ["MEASURES", "Measure", "Values"]
 
 Values = Mapping[str, float]
-"""By what there are several of (goals, reagents, starting states); a single number stands under ''."""
+"""Values by goal, reagent or starting state; a single number has the key ''."""
 _GOAL, _SALT = "dodecane", ("without NaCl", "with NaCl")
 
 
 class Measure(NamedTuple):
-    """A number, or several, of an algorithm in an experiment.
+    """A scalar or vector measure of an algorithm in an experiment.
 
     Attributes:
-        find: from results, the experiment's key and the algorithm's label; None where results are missing.
-        text: how a value is written.
+        find: computes it from results, the experiment's key and the algorithm's label; None if results are missing.
+        text: formats a value.
     """
 
     find: Callable[[Results, str, str], Values | None]
@@ -41,7 +41,7 @@ def _steps(value: float) -> str:
 
 
 def _of_cell(find: Callable[[Cell], float | Values | None]) -> Callable[[Results, str, str], Values | None]:
-    """A measure of an algorithm's runs."""
+    """Make a measure of an algorithm's runs."""
 
     def found(results: Results, key: str, label: str) -> Values | None:
         cell = results.cell(key, label)
@@ -56,7 +56,7 @@ def _by_goal(cell: Cell, over_runs: Callable[[FloatArray], FloatArray]) -> Value
 
 
 def _ends(cell: Cell, over_runs: Callable[[FloatArray], float], least: int = 1) -> float | None:
-    """Of the mean training returns at the end of each run."""
+    """Return a statistic of the mean training returns at the end of each run."""
     ends = cell.training_ends()
     return float(over_runs(ends)) if len(ends) >= least else None
 
@@ -67,11 +67,11 @@ def _share(cell: Cell) -> float | None:
 
 
 def _converged(cell: Cell, last: float | None = None) -> float | None:
-    """The step from which on the mean over runs of the evaluations stays near the last one's; ``last`` where that is
-    the last itself. Near: within a twentieth of the scripted policy's mean, for good and bad algorithms alike.
+    """Return the step from which the mean of the evaluations over runs stays near the last one.
 
-    Evaluations have every goal equally often. In training, chance alone moves the mean by more than that, since
-    returns differ most by goal.
+    ``last`` is returned if only the last evaluation is near. The tolerance is 5 % of the scripted policy's mean, for
+    good and bad algorithms alike. Evaluations have every goal equally often; in training, the mean fluctuates by more
+    than the tolerance because returns differ most by goal.
     """
     reference, count = cell.scripted_mean(), min(len(run.evaluations) for run in cell.runs)
     if count < 2 or reference is None:
@@ -82,17 +82,17 @@ def _converged(cell: Cell, last: float | None = None) -> float | None:
     return last if last is not None and first == count - 1 else float(cell.runs[0].evaluations[first].step)
 
 
-# -- of what policies do ----------------------------------------------------------------------------------------------
+# -- of actions --------------------------------------------------------------------------------------------------------
 
 
 def _mean_return(results: Results, key: str, policy: str) -> Values | None:
-    """Of a policy that learns nothing."""
+    """Return the mean return of a policy that does not learn."""
     value = results.scripted_mean(key) if policy == "scripted" else results.played_mean(key, policy)
     return None if value is None else {"": value}
 
 
 def _added(results: Results, key: str, label: str, goal: str) -> dict[str, FloatArray] | None:
-    """By reagent the share of it that has been added after each step: actions add shares of what is left."""
+    """Return, by reagent, the share added after each step; actions add shares of the remainder."""
     traced = results.trace(key, label)
     if traced is None:
         return None
@@ -110,8 +110,10 @@ def _added_for(results: Results, key: str, label: str, goal: str) -> Values | No
 
 
 def _wait(results: Results, key: str, label: str, goal: str) -> Values | None:
-    """Steps between the last of A, B and C and the last of the others, each when 0.9 of it has been added; less than
-    any number where that never is."""
+    """Return the steps between the last of A, B and C and the last of the other reagents.
+
+    A reagent counts at the step at which 0.9 of it has been added; -inf if that never happens.
+    """
     added = _added(results, key, label, goal)
     if added is None:
         return None
@@ -124,7 +126,7 @@ def _wait(results: Results, key: str, label: str, goal: str) -> Values | None:
 
 
 def _best_actions(results: Results, key: str, label: str) -> dict[str, list[str]] | None:
-    """By starting state the best sequence for dodecane, in words."""
+    """Return the best action sequence for dodecane by starting state, in words."""
     traced = results.trace(key, label)
     if traced is None:
         return None
@@ -138,7 +140,7 @@ def _ends_itself(results: Results, key: str, label: str) -> Values | None:
 
 
 def _in_common(results: Results, key: str, label: str) -> Values | None:
-    """How much of the best sequences with and without salt is the same."""
+    """Return the common share of the best sequences with and without salt."""
     best = _best_actions(results, key, label)
     if best is None or not set(_SALT) <= best.keys():
         return None
@@ -147,7 +149,7 @@ def _in_common(results: Results, key: str, label: str) -> Values | None:
 
 
 def _by_start(results: Results, key: str, label: str) -> Values | None:
-    """Return over the scripted policy's by starting state, over the goals that meet both."""
+    """Return the return relative to the scripted policy's by starting state, over goals with both starting states."""
     ours, scripted = results.trace(key, label), results.trace(key, "scripted")
     goals = [goal for goal, cases in (ours or {}).items() if set(_SALT) <= cases.keys()]
     if ours is None or scripted is None or not goals:

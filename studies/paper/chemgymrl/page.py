@@ -1,4 +1,4 @@
-"""The paper's results beside ours as a page: its statements, every experiment and algorithm, figures."""
+"""Page that compares the paper's results with ours: statements, every experiment and algorithm, figures."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ __all__ = ["paper_table", "write_page"]
 
 
 def paper_table(results: Results) -> list[str]:
-    """The lines of a Markdown table: the paper's experiments, by algorithm the mean over runs of each one's best policy
-    with its interval, the scripted policy first."""
+    """Return the lines of a Markdown table of the paper's experiments.
+
+    By algorithm it has the mean over runs of each run's best policy with its interval, the scripted policy first.
+    """
     labels = dict.fromkeys(label for key in EXPERIMENTS for label in results.cells[key])
     scripted = [results.scripted_mean(key) for key in EXPERIMENTS]
     rows = [["scripted", *("" if mean is None else number_text(mean) for mean in scripted)]]
@@ -34,13 +36,13 @@ def paper_table(results: Results) -> list[str]:
 def write_page(
     results: Results, folder: Path, lacking: Mapping[str, Sequence[str]], formats: Sequence[str] = ("png",)
 ) -> Path:
-    """Write ``summary.md``; its path.
+    """Write ``summary.md`` and return its path.
 
     Args:
-        results: what was read.
-        folder: where it goes.
-        lacking: what each figure lacks, as :func:`~studies.paper.chemgymrl.figures.write_figures` returns it.
-        formats: those it was given; the page shows the first.
+        results: results of the tables.
+        folder: output folder.
+        lacking: missing results of each figure, as returned by :func:`~studies.paper.chemgymrl.figures.write_figures`.
+        formats: formats of the figures; the page shows the first.
     """
     page = folder / "summary.md"
     write_text(page, "\n".join(_markdown(results, folder, lacking, formats[0])).rstrip() + "\n")

@@ -1,4 +1,4 @@
-"""The experiments of the paper, and which training runs belong to them."""
+"""The paper's experiments, and the assignment of training runs to them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 TABLES = Path(__file__).parent / "results"
-"""The published results."""
+"""Folder of the published results."""
 
 TRACE_FILE = "traces.csv"
 TRACE_COLUMNS = (
@@ -42,7 +42,7 @@ TRACE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of the paper's experiments: a bench, and the algorithms that were trained on it."""
+    """One of the paper's experiments: a bench and the algorithms trained on it."""
 
     key: str
     title: str
@@ -52,18 +52,18 @@ class Experiment:
 
     @property
     def fingerprint(self) -> str:
-        """Of the bench as it is now."""
+        """Fingerprint of the current bench."""
         bench = TrainArguments(env_id="chemlab/Bench-v0", scenario=self.scenario, bench=self.bench)
         return str(task_fingerprint(bench))
 
     @property
     def goals(self) -> tuple[str, ...]:
-        """All of them."""
+        """Goals of the bench."""
         return tuple(load_scenario(self.scenario).goals)
 
     @property
     def action_names(self) -> list[str]:
-        """What each action is, or each number of a continuous one."""
+        """Names of the discrete actions, or of the numbers of a continuous action."""
         return _action_names(self.scenario, self.bench)
 
 
@@ -85,11 +85,11 @@ EXPERIMENTS: dict[str, Experiment] = {
         Experiment("wurtz_dit", "Wurtz DiT", "wurtz_dodecane", "dit", _DISCRETE),
     )
 }
-"""By key, in the paper's order."""
+"""Experiments by key, in the paper's order."""
 
 
 def experiment_of(run: TrainedRun) -> str | None:
-    """Key of the experiment that a run belongs to: its bench, all goals, the paper's starting states; or None."""
+    """Return the key of the experiment with a run's bench, all goals and the paper's starting states, or None."""
     for key, experiment in EXPERIMENTS.items():
         same = (run.config.get("scenario"), run.config.get("bench")) == (experiment.scenario, experiment.bench)
         everything = set(run.config.get("goals", ())) == set(experiment.goals)
@@ -99,13 +99,13 @@ def experiment_of(run: TrainedRun) -> str | None:
 
 
 class Trace(NamedTuple):
-    """What a policy does for one goal from one starting state.
+    """Actions of a policy for one goal from one starting state.
 
     Attributes:
-        episodes: how many were played.
-        mean_return: of these.
-        best_return: of the best one, where actions are discrete.
-        actions: the best episode's, or, where they are continuous, the means of each step.
+        episodes: number of episodes.
+        mean_return: mean return of these.
+        best_return: return of the best one, for discrete actions.
+        actions: actions of the best episode, or the mean of each step for continuous actions.
     """
 
     episodes: int
@@ -116,13 +116,13 @@ class Trace(NamedTuple):
 
 @dataclass
 class Results:
-    """What the tables hold.
+    """Content of the tables.
 
     Attributes:
-        cells: by experiment key and label, the paper's algorithms in the paper's order and then others.
+        cells: by experiment key and label; the paper's algorithms in the paper's order, then others.
         traces: by experiment key, policy (``scripted``, ``random`` or an algorithm's label), goal and starting state
-            ('' where there is one only); without what is of another bench, or of another policy than the best now.
-        left_out: what is in neither (runs, traces), and why.
+            ('' if there is one only), without traces of another bench or of a policy that is no longer the best.
+        left_out: omitted runs and traces, with reasons.
     """
 
     cells: Cells = field(default_factory=lambda: {key: {} for key in EXPERIMENTS})
@@ -130,24 +130,24 @@ class Results:
     left_out: list[str] = field(default_factory=list)
 
     def cell(self, experiment: str, label: str) -> Cell | None:
-        """A cell, if there are runs for it."""
+        """Return a cell, or None without runs."""
         return self.cells[experiment].get(label)
 
     def variants(self, experiment: str, label: str) -> list[str]:
-        """An algorithm of the paper and the variants of it that were trained (but not those that the paper has)."""
+        """Return an algorithm of the paper and its trained variants that are not in the paper."""
         own = EXPERIMENTS[experiment].algorithms
         return [label, *(name for name in self.cells[experiment] if name not in own and label in name.split("-"))]
 
     def missing(self, experiment: str) -> list[str]:
-        """The paper's algorithms without runs."""
+        """Return the paper's algorithms without runs."""
         return [label for label in EXPERIMENTS[experiment].algorithms if label not in self.cells[experiment]]
 
     def trace(self, experiment: str, policy: str) -> dict[str, dict[str, Trace]] | None:
-        """By goal and starting state what a policy does."""
+        """Return a policy's traces by goal and starting state, or None."""
         return self.traces.get(experiment, {}).get(policy)
 
     def played_mean(self, experiment: str, policy: str) -> float | None:
-        """Mean return over goals of a policy's traces."""
+        """Return the mean return of a policy's traces over goals."""
         by_goal = self.trace(experiment, policy)
         if by_goal is None:
             return None
@@ -158,16 +158,16 @@ class Results:
         return sum(means) / len(means)
 
     def scripted_mean(self, experiment: str) -> float | None:
-        """Mean return of the scripted policy, as the runs' evaluations have it."""
+        """Return the mean return of the scripted policy in the runs' evaluations."""
         known = [mean for cell in self.cells[experiment].values() if (mean := cell.scripted_mean()) is not None]
         return sum(known) / len(known) if known else self.played_mean(experiment, "scripted")
 
 
 def read_results(folder: Path = TABLES) -> Results:
-    """Read a folder of tables, or of runs (with a table of traces, perhaps), see :func:`results_of`.
+    """Read a folder of tables, or of runs with an optional table of traces; see :func:`results_of`.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what was written.
+        ValueError: the folder does not exist, or a file in it is malformed.
     """
     results = results_of(read_runs(folder))
     _read_traces(results, folder)
@@ -175,7 +175,7 @@ def read_results(folder: Path = TABLES) -> Results:
 
 
 def results_of(given: Iterable[TrainedRun]) -> Results:
-    """Runs by experiment and label, without traces; runs of a bench that has changed since are left out."""
+    """Return the runs by experiment and label, without traces; runs of a bench that has changed since are left out."""
     results, runs = Results(), []
     for run in given:
         key = experiment_of(run)
@@ -195,13 +195,13 @@ def results_of(given: Iterable[TrainedRun]) -> Results:
 
 
 def source_of(cell: Cell) -> tuple[str, str]:
-    """What a trace of a cell's best policy says of where it comes from: the run, and the checkpoint's step."""
+    """Return the source of a trace of a cell's best policy: the run, and the checkpoint's step."""
     return cell.best.name, str(cell.best.finished.best_step)
 
 
 def _read_traces(results: Results, folder: Path) -> None:
-    """Read the traces, without what is another policy's than the one that is shown now."""
-    again = "python -m studies.paper --collect RUNS makes it anew"
+    """Read the traces of the current best policies."""
+    again = "python -m studies.paper --collect RUNS makes it again"
     left_out = set()
     for row in read_table(folder / TRACE_FILE, TRACE_COLUMNS):
         key, policy = row["experiment"], row["policy"]

@@ -1,9 +1,9 @@
-"""What the paper says of its results, and whether ours agree: `statements.toml`, and how its tests are read.
+"""The paper's statements about its results, and whether ours agree: `statements.toml` and the reading of its tests.
 
-A test compares a measure of some algorithms (`of`) with a number or with another measure (`right`):
-``left OPERATOR factor * right + margin``; ``near`` is a distance of at most ``margin``. Where a measure has several
-values (one for each goal, say), `only` and `without` choose among them, and `which` says for which of them it has to be
-so: ``all``, ``any``, or exactly those that are named. A statement agrees if all of its tests do.
+A test compares a measure of some algorithms (`of`) with a number or another measure (`right`): ``left OPERATOR factor *
+right + margin``; ``near`` allows a distance of at most ``margin``. If a measure has several values (one for each goal,
+say), `only` and `without` select among them. `which` states for which of them the test has to hold: ``all``, ``any``,
+or exactly the named ones. A statement agrees if all of its tests hold.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _OPERATORS: dict[str, Callable[[float, float, float], bool]] = {
     "near": lambda left, right, margin: abs(left - right) <= margin,
 }
 _FEW = 4
-"""So many values are all told."""
+"""Up to this number of values are all listed."""
 
 
 class _Data(BaseModel):
@@ -39,8 +39,11 @@ class _Data(BaseModel):
 
 
 class Reference(_Data):
-    """What a test compares with: the highest value of a measure (default: the left one) among some algorithms (default:
-    the one that is tested) in an experiment (default: the statement's)."""
+    """Reference value of a test.
+
+    It is the highest value of a measure (default: the left one) among some algorithms (default: the tested one) in an
+    experiment (default: the statement's).
+    """
 
     of: tuple[str, ...] = ()
     measure: str = ""
@@ -48,9 +51,11 @@ class Reference(_Data):
 
 
 class Test(_Data):
-    """See the module. ``beside``: a measure to be told with it. ``steps``: of a run, at least, to say yes: one that
-    ends earlier cannot show what would come. ``same_steps``: runs of other numbers of steps than the right ones say
-    nothing."""
+    """One test; see the module's documentation.
+
+    ``beside``: a measure to be reported with it. ``steps``: minimum length of a run for a positive result, because a
+    shorter run cannot show later changes. ``same_steps``: runs of other lengths than the right side's are inconclusive.
+    """
 
     of: tuple[str, ...]
     left: str
@@ -67,8 +72,11 @@ class Test(_Data):
 
 
 class Claim(_Data):
-    """Something the paper says: the number of the figure it belongs to, the key of the experiment, its number or what
-    it comes to, where it stands (no number is read off a picture), and in words what agreeing means."""
+    """A statement of the paper.
+
+    It has the number of its figure, the key of the experiment, the stated value or result, the place in the paper (no
+    number is read off a picture), and the meaning of agreement in words.
+    """
 
     figure: int
     experiment: str
@@ -80,8 +88,11 @@ class Claim(_Data):
 
 
 class Finding(NamedTuple):
-    """What we found: in words, whether it agrees (None where results are missing or cannot tell), and variants of the
-    algorithms that agree where the paper's own do not."""
+    """Our result for a statement.
+
+    It has the result in words, whether it agrees (None if results are missing or inconclusive), and variants of the
+    algorithms that agree if the paper's own do not.
+    """
 
     ours: str
     holds: bool | None
@@ -92,13 +103,13 @@ _NOTHING = Finding("no results", None)
 
 
 def load_claims() -> list[Claim]:
-    """The paper's statements, in the order of its figures."""
+    """Return the paper's statements in the order of its figures."""
     content = read_toml(Path(__file__).with_name("statements.toml"))
     return [Claim.model_validate(table) for table in content["statement"]]
 
 
 def compare_with_paper(results: Results) -> list[tuple[Claim, Finding]]:
-    """The paper's statements about its results, each with what these results say."""
+    """Return the paper's statements about its results, each with our finding."""
     compared = []
     for claim in load_claims():
         labels = dict.fromkeys(label for test in claim.tests for label in test.of)
@@ -107,7 +118,7 @@ def compare_with_paper(results: Results) -> list[tuple[Claim, Finding]]:
 
 
 def _all_of(findings: Sequence[Finding], between: str) -> Finding:
-    """Several findings as one, which holds if all of them do; one that does not is enough to say no."""
+    """Merge findings: the result holds if all hold, and fails if one fails."""
     verdicts = [finding.holds for finding in findings]
     holds = False if False in verdicts else None if None in verdicts else True
     text = between.join(finding.ours for finding in findings)
@@ -115,7 +126,7 @@ def _all_of(findings: Sequence[Finding], between: str) -> Finding:
 
 
 def _algorithm(results: Results, claim: Claim, label: str) -> Finding:
-    """What is found of an algorithm of the paper, which decides, and beside it what is found of its variants."""
+    """Return the finding of an algorithm of the paper, with those of its variants."""
     tests, key = [test for test in claim.tests if label in test.of], claim.experiment
     found = {
         name: _all_of([_find(results, key, test, name) for test in tests], ", ")
@@ -129,7 +140,7 @@ def _algorithm(results: Results, claim: Claim, label: str) -> Finding:
 
 
 def _find(results: Results, key: str, test: Test, label: str) -> Finding:
-    """What is found of one algorithm or variant."""
+    """Return the finding of one algorithm or variant."""
     left, right = MEASURES[test.left].find(results, key, label), _right(results, key, test, label)
     if left is None or right is None:
         return _NOTHING
@@ -154,7 +165,7 @@ def _find(results: Results, key: str, test: Test, label: str) -> Finding:
 
 
 def _right(results: Results, key: str, test: Test, label: str) -> Values | None:
-    """What it is compared with."""
+    """Return the right-hand values of a test."""
     if not isinstance(test.right, Reference):
         return {"": test.right}
     find, where = MEASURES[test.right.measure or test.left].find, test.right.experiment or key
@@ -165,7 +176,7 @@ def _right(results: Results, key: str, test: Test, label: str) -> Values | None:
 
 
 def _words(test: Test, left: Values, right: Values, bounds: Values, met: Sequence[str]) -> str:
-    """The values, or of many how many meet the test and which is least."""
+    """Format the values, or for many values the number that meet the test and the smallest."""
     say = MEASURES[test.left].text
     if len(left) > _FEW:
         told = {name: value - bounds[name] for name, value in left.items()} if len(right) > 1 else left

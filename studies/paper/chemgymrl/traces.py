@@ -1,4 +1,4 @@
-"""What the best policies do: average actions by step, and their best sequences of actions, as a table for figures."""
+"""Traces of the best policies: average actions by step, and best action sequences, as a table for the figures."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .results import EXPERIMENTS, TRACE_COLUMNS, TRACE_FILE, Experiment, Results
 __all__ = ["collect_traces"]
 
 EPISODES = 40
-"""For each goal: enough to meet every starting state, and for the means of a random policy."""
+"""Episodes per goal, enough to meet every starting state and to estimate a random policy's mean."""
 SEED = 10_000
-"""Of the first episode; training's own evaluations have other seeds."""
+"""Seed of the first episode; evaluations during training use other seeds."""
 
 
 def collect_traces(
@@ -36,10 +36,10 @@ def collect_traces(
     """Play the scripted policy, random actions and the best run of every algorithm; write ``traces.csv``.
 
     Args:
-        results: whose best runs to play; of one that comes from a table what the table of traces has stays.
-        folder: where the table of traces goes.
-        episodes: for each goal; every policy plays the same seeds.
-        seed: of the first episode.
+        results: results whose best runs are played; traces of runs known only from a table are kept.
+        folder: folder of the table.
+        episodes: episodes per goal; every policy plays the same seeds.
+        seed: seed of the first episode.
         watch: called with each policy's name when it has been played.
 
     Raises:
@@ -64,7 +64,7 @@ def collect_traces(
 
 
 def _played(experiment: Experiment, name: str, episodes: int, seed: int) -> Iterator[dict[str, Any]]:
-    """A policy's rows."""
+    """Yield a policy's rows."""
     env = BenchTarget(load_scenario(experiment.scenario), experiment.bench).environment(episodes)
     bench: Bench = env.bench
     policy = bench_policy(name, bench, seed)
@@ -76,7 +76,7 @@ def _played(experiment: Experiment, name: str, episodes: int, seed: int) -> Iter
             row = {"goal": goal, "case": case, "episodes": len(chosen)}
             row |= {"mean_return": number(float(played.returns[chosen].mean()), 9)}
             if bench.action_count:
-                # Of equal returns the shortest: what it did was enough.
+                # Of equal returns, the shortest sequence.
                 best = min(chosen, key=lambda i: (-round(float(played.returns[i]), 9), played.lengths[i]))
                 actions: list[Any] = played.actions[best]
                 row |= {"best_return": number(float(played.returns[best]), 9)}
