@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load, save
 
 from chemlab.config.datafile import DataError, read_json
-from chemlab.config.datamodel import validated
+from chemlab.config.datamodel import validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
 from chemlab.config.scenario import Scenario, shipped_file
 from chemlab.envs.players import Memory, Policy
@@ -80,33 +80,20 @@ def fingerprint(workplace: Workplace) -> str:
     all benches, and the shelf, instruments, limits and costs."""
     scenario = workplace.scenario
     task: dict[str, Any] = {
-        "materials": {name: m.model_dump(mode="json") for name, m in scenario.materials.items()},
-        "family": scenario.family.model_dump(mode="json"),
+        "materials": {name: written(m) for name, m in scenario.materials.items()},
+        "family": written(scenario.family),
         "goals": scenario.goals,
         "stock": scenario.stock,
         "ambient": [scenario.ambient_temperature_k, scenario.ambient_pressure_kpa],
-        "safety": scenario.safety.model_dump(mode="json"),
+        "safety": written(scenario.safety),
         "illegal_action": scenario.costs.illegal_action,
     }
     if isinstance(workplace, Bench):
-        task["bench"] = workplace.spec.model_dump(mode="json", exclude={"count"})
+        task["bench"] = written(workplace.spec, without={"count"})
     else:
         # What a scenario is called changes nothing.
-        task["laboratory"] = scenario.model_dump(mode="json", exclude={"name", "title", "summary"})
-    return hashlib.sha256(json.dumps(_as_it_was(task), sort_keys=True).encode()).hexdigest()[:16]
-
-
-_SINCE: dict[str, Any] = {"observe": [], "reward": [], "events": {}, "manager": {}}
-"""Fields that scenarios have got since policies were trained, as they are where nothing is said of them: a task that
-does not use them keeps its number."""
-
-
-def _as_it_was(value: Any) -> Any:
-    """A task's data without the fields it does not use and older versions did not have."""
-    if isinstance(value, dict):
-        own = {key: _as_it_was(item) for key, item in value.items()}
-        return {key: item for key, item in own.items() if key not in _SINCE or item != _SINCE[key]}
-    return [_as_it_was(item) for item in value] if isinstance(value, list | tuple) else value
+        task["laboratory"] = written(scenario, without={"name", "title", "summary"})
+    return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)

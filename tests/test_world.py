@@ -300,5 +300,5 @@ def test_a_scenario_with_a_world_comes_back_from_its_dump() -> None:
         | {"benches": {"rxn": {"start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 1.0}}}}}
     )
     assert dump_scenario(restore_scenario(dump_scenario(scenario), "again")) == dump_scenario(scenario)
-    # Those without say nothing of it, so that they are what they ever were.
+    # Defaults are left out.
     assert "world" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping, Set
+from typing import Any
 
-from pydantic import BaseModel, SerializerFunctionWrapHandler, TypeAdapter, ValidationError, model_serializer
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from .datafile import DataError, shown
 
-__all__ = ["Grown", "validated"]
+__all__ = ["validated", "written"]
 
 _LINES = 20
 
@@ -52,16 +52,6 @@ def validated(kind: type, values: Any, where: str) -> Any:
         raise DataError(_described(error, where)) from error
 
 
-class Grown(BaseModel):
-    """A model that has got fields since its first version: they are left out of what is written down while they are at
-    their defaults, so that a scenario that does not use them is the same as ever, down to its hash in a record."""
-
-    _later: ClassVar[tuple[str, ...]] = ()
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        for key in self._later:
-            if getattr(self, key) == type(self).model_fields[key].default:
-                values.pop(key, None)
-        return values
+def written(model: BaseModel, without: Set[str] = frozenset()) -> dict[str, Any]:
+    """Return a model's fields as JSON values, but for those at their defaults and those named in ``without``."""
+    return model.model_dump(mode="json", exclude_defaults=True, exclude=set(without))

@@ -27,7 +27,6 @@ from ..kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
 from ..kernels.jit import inner, kernel, opened
 from ..kernels.rng import normal, random_bits, uniform
 from ..kernels.tables import Table
-from .datamodel import Grown
 
 __all__ = [
     "BOTTLE",
@@ -165,11 +164,10 @@ class Permutation(BaseModel):
 Distribution = Annotated[Uniform | Normal | Lognormal | Choice | Permutation, Bound(discriminator="kind")]
 
 
-class Draw(Grown):
+class Draw(BaseModel):
     """A declared draw: one or several numbers of one kind."""
 
     model_config = _FROZEN
-    _later = ("told",)
 
     what: Name
     """``identity`` (which material a vessel really holds where the file says ``material``, litre for litre), ``amount``
@@ -263,11 +261,10 @@ class Draw(Grown):
         return [name for name in (self.material, self.inert, *options) if name is not None]
 
 
-class WorldSpec(Grown):
+class WorldSpec(BaseModel):
     """What is drawn for an episode and not told."""
 
     model_config = _FROZEN
-    _later = ("draws",)
 
     draws: dict[Annotated[str, Bound(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)], Draw] = Bound(
         default={}, max_length=_MOST_DRAWS

@@ -11,14 +11,14 @@ import math
 import os.path
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml, toml_key
-from .datamodel import Grown, validated
+from .datamodel import validated
 
 __all__ = [
     "COLDEST_K",
@@ -148,11 +148,10 @@ class Dimerization(BaseModel):
         return np.asarray(2.0 * pressure_kpa / (1.0 + np.sqrt(1.0 + 4.0 * constant * pressure_kpa)))
 
 
-class RealProperties(Grown):
+class RealProperties(BaseModel):
     """What the laws of the tier ``real`` need to know of a material besides; every number has a ``source``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    _later: ClassVar[tuple[str, ...]] = ("dimerization",)
 
     vapor_pressure: VaporPressure | None = None
     """Of the liquid, also where the pure material is a solid; without one it never evaporates. The heat of vaporization
@@ -190,7 +189,7 @@ _BOILING_ERROR = 0.1
 """How far, relatively, a vapour pressure may be from 101.325 kPa at the boiling point: 3 K; more is a mistake."""
 
 
-class Material(Grown):
+class Material(BaseModel):
     """One material's properties at 298.15 K and 101.325 kPa; every number has a ``source``.
 
     Ions carry the density, heat capacity and boiling point that make dissolving their parent salt leave
@@ -198,7 +197,6 @@ class Material(Grown):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    _later: ClassVar[tuple[str, ...]] = ("real",)
 
     name: Text
     formula: Text

@@ -11,14 +11,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml
-from .datamodel import Grown, validated
+from .datamodel import validated
 from .materials import Material, Text, atoms_of
 
 __all__ = [
@@ -76,13 +76,16 @@ class _Balanced(BaseModel):
     source: str = Field(min_length=1)
 
 
-class Reaction(_Balanced, Grown):
+_REAL_ONLY = ("catalysts", "inhibitors", "equilibrium_constant", "enthalpy_j_mol")
+"""Fields of a reaction for which only physics ``real`` has laws."""
+
+
+class Reaction(_Balanced):
     """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit.
 
     What catalyses and inhibits it, and the reverse reaction, are known to the tier ``real`` only.
     """
 
-    _later: ClassVar[tuple[str, ...]] = ("catalysts", "inhibitors", "equilibrium_constant", "enthalpy_j_mol")
 
     orders: Orders = {}
     """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
@@ -176,12 +179,11 @@ class Solubility(BaseModel):
         return np.asarray(np.interp(temperature, points[:, 0], points[:, 1]))
 
 
-class Salt(Grown):
+class Salt(BaseModel):
     """A salt that dissolves as ``solid <-> cation + anion`` (one of each): in the tier ``paper`` in every solvent,
     K = 1 mol/mol, in the tier ``real`` up to its solubility."""
 
     model_config = _FROZEN
-    _later: ClassVar[tuple[str, ...]] = ("solubility",)
 
     solid: Text
     cation: Text
@@ -191,10 +193,9 @@ class Salt(Grown):
     """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
 
 
-class Violent(_Balanced, Grown):
+class Violent(_Balanced):
     """A reaction that goes to completion the moment its reactants meet."""
 
-    _later = ("event",)
 
     event: Text | None = None
     """Safety event that it counts as, by the mol of its first reactant; without one, a solid element that reacts with
@@ -229,11 +230,10 @@ class Acid(BaseModel):
         return self
 
 
-class ReactionFamily(Grown):
+class ReactionFamily(BaseModel):
     """A named set of reactions, salts, violent reactions and acids."""
 
     model_config = _FROZEN
-    _later: ClassVar[tuple[str, ...]] = ("acid", "lock")
 
     name: Text
     summary: str = ""
@@ -470,7 +470,7 @@ def check_without_real(family: ReactionFamily, where: str) -> None:
     keys = [
         f"reaction {step.words}: {key}"
         for step in family.reaction
-        for key in Reaction._later
+        for key in _REAL_ONLY
         if getattr(step, key) != Reaction.model_fields[key].default
     ]
     keys += ["acid"] if family.acid else []

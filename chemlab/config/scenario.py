@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from .datafile import DataError, bounded, read_toml
-from .datamodel import Grown, validated
+from .datamodel import validated, written
 from .draws import (
     BOTTLE,
     DEVICE_QUANTITIES,
@@ -125,11 +125,10 @@ class VesselSpec(BaseModel):
     """Moles of each material."""
 
 
-class ShelfSpec(Grown):
+class ShelfSpec(BaseModel):
     """The shared shelf: a number of slots and what stands in the first of them."""
 
     model_config = _FROZEN
-    _later = ("gauge", "tick")
 
     slots: int = Field(ge=1, le=64)
     """Places for vessels."""
@@ -204,7 +203,7 @@ class WearSpec(BaseModel):
     """Ticks until it can be used again."""
 
 
-class BenchSpec(Grown):
+class BenchSpec(BaseModel):
     """One kind of bench: how many there are, how long an experiment may take, and the bench's own options.
 
     Keys that are not listed here go to the options model of the bench ``kind``, which refuses unknown ones. What a file
@@ -212,7 +211,6 @@ class BenchSpec(Grown):
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
-    _later = ("observe", "reward", "actions", "wear", "report")
 
     kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or yours, ``my_bench.py:Class``."""
@@ -252,12 +250,11 @@ class DriftSpec(BaseModel):
     """Standard deviation of what every value is off by after one."""
 
 
-class InstrumentSpec(Grown):
+class InstrumentSpec(BaseModel):
     """An entry of the characterization bench. A reading is gain x what is there + bias + noise, on the scale from 0 to
     1 of its channel."""
 
     model_config = _FROZEN
-    _later = ("detection_limit", "gain", "bias", "drift")
 
     kind: Key
     """``uv_vis``, ``layer_camera``, ``balance``, ``gas_chromatograph``, ``thermometer``, ``density_meter``,
@@ -307,11 +304,10 @@ class CostSpec(BaseModel):
     """Taken off the reward of an agent that plays a masked action, which loses its turn."""
 
 
-class SafetySpec(Grown):
+class SafetySpec(BaseModel):
     """Weights of safety events in ``info["cost"]``, and what a unit of that cost takes off the reward."""
 
     model_config = _FROZEN
-    _later = ("events",)
 
     weights: dict[Key, Price]
     """Weight of each kind of event in the cost."""
@@ -363,11 +359,10 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
-class OrderSpec(Grown):
+class OrderSpec(BaseModel):
     """What a submission has to be: one that falls short of it is worth nothing."""
 
     model_config = _FROZEN
-    _later = ("purity_among",)
 
     purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
     """Share of the goal in the vessel."""
@@ -413,11 +408,10 @@ class DemandSpec(BaseModel):
     for; nothing where it has none of it."""
 
 
-class ManagerSpec(Grown):
+class ManagerSpec(BaseModel):
     """What the manager sees and earns otherwise than every manager does."""
 
     model_config = _FROZEN
-    _later = ("readings",)
 
     observe: Parts = ()
     """Observation channels of your own, ``my_parts.py:NAME`` each, after the manager's."""
@@ -443,14 +437,13 @@ class RealSpec(BaseModel):
     """Ratio to saturation up to which a solution without crystals stays clear."""
 
 
-class Scenario(Grown):
+class Scenario(BaseModel):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
     ``materials`` and ``family`` are resolved at load: only what can occur in this scenario is kept.
     """
 
     model_config = _FROZEN
-    _later = ("physics", "manager", "real", "pair_files", "world", "specifications", "demand", "grades")
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
     """By which commands and records call it."""
@@ -480,7 +473,7 @@ class Scenario(Grown):
     """Temperature at which vessels and bottles stand."""
     ambient_pressure_kpa: float = Field(default=101.325, ge=1.0, le=1000.0)
     """Pressure outside the vessels."""
-    stock: Amounts = Field(default_factory=dict)
+    stock: Amounts = {}
     """Moles in the reagent and solvent bottles, shared by all benches."""
     shelf: ShelfSpec
     """The shared shelf of vessels."""
@@ -999,7 +992,7 @@ def _equipped(
 def _of_paper(
     present: Mapping[str, Material], family: ReactionFamily, where: str
 ) -> tuple[dict[str, Material], ReactionFamily]:
-    """Materials and reactions without what the tier ``paper`` does not know, so that its records stay as they are.
+    """Return materials and reactions without the data that only physics ``real`` reads.
 
     Raises:
         DataError: a material has no polarity, which that tier's solvents are told apart by.
@@ -1016,12 +1009,12 @@ def _of_paper(
 
 
 def dump_scenario(scenario: Scenario) -> dict[str, Any]:
-    """The whole scenario as plain data, with the materials and reactions it uses: needs no file to be restored."""
+    """Return the scenario as plain data, with the materials and reactions it uses; defaults are left out."""
     return {
-        "scenario": scenario.model_dump(mode="json"),
-        "materials": {name: material.model_dump(mode="json") for name, material in scenario.materials.items()},
-        "reactions": scenario.family.model_dump(mode="json"),
-        **({"pairs": [pair.model_dump(mode="json") for pair in scenario.pairs.values()]} if scenario.pairs else {}),
+        "scenario": written(scenario),
+        "materials": {name: written(material) for name, material in scenario.materials.items()},
+        "reactions": written(scenario.family),
+        **({"pairs": [written(pair) for pair in scenario.pairs.values()]} if scenario.pairs else {}),
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..config.datafile import DataError
-from ..config.datamodel import validated
+from ..config.datamodel import validated, written
 from ..config.materials import Material
 from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from ..physics.constants import GAS_CONSTANT
@@ -375,11 +375,11 @@ def _companions(keys: Iterable[str], materials: Mapping[str, Material]) -> dict[
         family = load_reactions(path.stem, materials)
         for salt in family.salt:
             if salt.solid in here and salt.solubility is not None:
-                salts.setdefault(salt.solid, salt.model_dump(mode="json"))
+                salts.setdefault(salt.solid, written(salt))
         for step in family.violent:
             others = set(step.reactants) - {"water"}
             if others and others <= here and "water" in step.reactants:
-                violent[" ".join(sorted(step.reactants))] = step.model_dump(mode="json")
+                violent[" ".join(sorted(step.reactants))] = written(step)
     return {"salt": list(salts.values()), "violent": list(violent.values())}
 
 

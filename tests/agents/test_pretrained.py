@@ -333,8 +333,7 @@ def test_fingerprints_are_of_the_task() -> None:
     assert changed(lambda v: v.update(ambient_pressure_kpa=90.0)) != same
 
 
-def test_what_a_task_does_not_use_leaves_its_fingerprint() -> None:
-    """Shipped policies were trained before scenarios knew reward terms, channels and events of a user's own."""
+def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> None:
     for name in pretrained_names():
         card = load_pretrained(name).card
         labs = Laboratories(load_scenario(card.scenario))

@@ -13,6 +13,7 @@ import pytest
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.policies import RandomPolicy, make_policies
+from chemlab.config.datamodel import written
 from chemlab.config.scenario import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
@@ -113,7 +114,7 @@ def test_scenarios_without_it_are_what_they_were() -> None:
     assert scenario.with_actions(None) is scenario
     assert scenario_hash(scenario.with_actions("native")) == scenario_hash(scenario)
     assert scenario_hash(scenario.with_actions("discrete")) != scenario_hash(scenario)
-    assert "actions" not in scenario.benches["rxn"].model_dump()
+    assert "actions" not in written(scenario.benches["rxn"])
     with pytest.raises(ValueError, match="actions: must be native or discrete, given 'some'"):
         scenario.with_actions("some")
     assert discretised_twin(BenchEnv(bench="ext").bench) is None

@@ -91,7 +91,7 @@ def test_the_scenario_says_which(brisk: Scenario) -> None:
     assert build_chemistry(load_scenario("wurtz_dodecane")).tier == "paper"
     restored = restore_scenario(dump_scenario(brisk), "a copy")
     assert restored.physics == "brisk"
-    # What was written down before there were tiers says nothing of them.
+    # Defaults are left out.
     assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
     with pytest.raises(DataError, match="unknown tier 'slow'; known: paper, real, brisk"):
         build_chemistry(brisk.model_copy(update={"physics": "slow"}))
