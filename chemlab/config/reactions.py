@@ -86,7 +86,6 @@ class Reaction(_Balanced):
     What catalyses and inhibits it, and the reverse reaction, are known to the tier ``real`` only.
     """
 
-
     orders: Orders = {}
     """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
     coefficient (mass action)."""
@@ -195,7 +194,6 @@ class Salt(BaseModel):
 
 class Violent(_Balanced):
     """A reaction that goes to completion the moment its reactants meet."""
-
 
     event: Text | None = None
     """Safety event that it counts as, by the mol of its first reactant; without one, a solid element that reacts with
