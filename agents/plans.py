@@ -142,7 +142,7 @@ class ConstantPlan(Playback):
         if lacking:
             raise ValueError(
                 f"plan: {scenario.name} may draw the goals {', '.join(lacking[0])}, which have no plan; "
-                f"search for plans: chemlab plan {scenario.name}"
+                f"search for plans: chemlab audit plan {scenario.name}"
             )
         super().__init__(actions, [plans[context] for context in contexts])
         slices = channel_slices(channels)
@@ -255,7 +255,7 @@ def load_plans(path: Path) -> PlanFile:
     try:
         content: _Content = validated(_Content, read_json(path), str(path))
     except DataError as error:
-        what = "cannot be read: not a file of plans of this version; see `chemlab plan --out`"
+        what = "cannot be read: not a file of plans of this version; see `chemlab audit plan --out`"
         raise DataError(f"{path}: {what}\n{error}") from error
     return PlanFile(**content.model_dump(exclude={"kind", "format"}))
 
@@ -265,7 +265,7 @@ def plan_for(laboratories: Laboratories, benches: str = "scripted") -> ConstantP
 
     Args:
         laboratories: the laboratories of the manager.
-        benches: policy of the benches, or the path of a file written by ``chemlab plan --out``.
+        benches: policy of the benches, or the path of a file written by ``chemlab audit plan --out``.
 
     Raises:
         ValueError: no plan is stored for this scenario, or it does not fit.
@@ -278,8 +278,8 @@ def plan_for(laboratories: Laboratories, benches: str = "scripted") -> ConstantP
             known = ", ".join(file.stem for file in stored_plans()) or "none"
             raise ValueError(
                 f"plan: none is stored for {labs.scenario.name} with benches {benches!r} (stored: {known}); "
-                f"search for one: chemlab plan {labs.scenario.name} --benches {benches} --out FILE.json, and play it: "
-                f"--policy {benches},manager=plan:FILE.json"
+                f"search for one: chemlab audit plan {labs.scenario.name} --benches {benches} --out FILE.json, and "
+                f"play it: --policy {benches},manager=plan:FILE.json"
             )
     plans = load_plans(path)
     try:

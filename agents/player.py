@@ -18,6 +18,7 @@ from chemlab.roles.manager_state import COST_ITEMS
 __all__ = ["Played", "play_bench", "play_laboratory"]
 
 _TRACE_MOL = 1e-6
+_TRACE_EVENT = 1e-9
 
 
 @dataclass
@@ -123,6 +124,12 @@ def play_bench(
     return played
 
 
+def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
+    """[N] whether a harmful safety event happened; rounding leaves less than ``_TRACE_EVENT`` of none."""
+    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
+    return np.asarray((labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1))
+
+
 def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
     """One episode in each of N laboratories; laboratory i plays what ``play_episode`` plays with seed + i.
 
@@ -134,8 +141,8 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
 
     Returns:
         N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
-        ``instruments`` (what measuring has cost, in units of the score), ``manager_actions``, and the reward of every
-        bench's agent.
+        ``instruments`` (cost of measurements, in units of the score), ``manager_actions``, ``unsafe`` (1 if anything
+        was spilled or vented, or a metal burned, else 0), and the reward of every bench's agent.
     """
     n = len(labs.members)
     for member in labs.members:
@@ -156,6 +163,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         "purity": submitted[:, :, 1].mean(axis=1),
         "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
         "manager_actions": labs.state.actions.astype(np.float64),
+        "unsafe": _unsafe(labs).astype(np.float64),
     }
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
     return Played(scores, labs.state.ticks.copy(), cost, illegal, [""] * n, measures)

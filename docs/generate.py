@@ -28,7 +28,7 @@ from sphinx.pycode import ModuleAnalyzer
 import chemlab
 from chemlab.agents.evaluate.audit import measure_rows
 from chemlab.cli import app as command
-from chemlab.cli.laboratory import RESULT_COLUMNS
+from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
 from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
@@ -340,7 +340,7 @@ def _scenario_page(spec: Scenario) -> str:
     ]
     parts += _audit_section(spec)
     if results:
-        parts += ["## Scripted and random play", "", "Means of 100 episodes, seeds 0 to 99 (`chemlab compare`).", ""]
+        parts += ["## Scripted and random play", "", "Means of 100 episodes, seeds 0 to 99 (`chemlab evaluate`).", ""]
         parts += [_table(RESULT_COLUMNS[1:], results, right=range(1, 7))]
     parts += ["## Benches", ""]
     for bench in {bench.key: bench for bench in labs.benches}.values():

@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 import chemlab.scenarios
 from chemlab import __version__
 from chemlab.cli import PANELS, app
+from chemlab.cli.common import FORMER_COMMANDS
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.materials import DataError, shipped_materials
@@ -129,7 +130,7 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     """The table goes between the marks and nothing else changes; without marks the file is left alone."""
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- results: begin -->\nold\n<!-- results: end -->\nafter\n")
-    arguments = ["compare", "fictitious", "--episodes", "2", "--update", str(page)]
+    arguments = ["evaluate", "fictitious", "--episodes", "2", "--update", str(page)]
     assert runner.invoke(app, arguments).exit_code == 0
     text = page.read_text()
     assert text.startswith("before\n<!-- results: begin -->\n| scenario")
@@ -260,7 +261,7 @@ def test_names_of_goals_and_runs_are_shown_as_they_are(hostile: Path) -> None:
     sweep.write_text(f'[[runs]]\nname = "{MATERIAL.replace("/", "")}"\n', encoding="utf-8")
     brief = ["--episodes", "1"]
     for words, shown in (
-        (["plan", str(hostile), "--budget", "50", *brief], MATERIAL),
+        (["audit", "plan", str(hostile), "--budget", "50", *brief], MATERIAL),
         (["run", str(hostile), "--policy", "random"], MATERIAL),
         (["sweep", str(sweep), "--status", "--out", str(hostile.parent)], "[bold] oil"),
     ):
@@ -394,7 +395,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "file").write_text("")
     cases = [
         (["run", str(folder)], f"error: {folder}: is not a regular file\n"),
-        (["compare", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
+        (["evaluate", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
         (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
         (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),
     ]
@@ -485,10 +486,10 @@ def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, mon
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     for words, shown in (
-        (["compare", "fictitious", "--episodes", "1", "--update", str(page)], "scripted"),
+        (["evaluate", "fictitious", "--episodes", "1", "--update", str(page)], "scripted"),
         (["evaluate", "fictitious", "--bench", "rxn", "--episodes", "1", "-o", str(tmp_path / "a.json")], "scripted"),
         (
-            ["plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "-o", str(tmp_path / "a.json")],
+            ["audit", "plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "-o", str(tmp_path / "a.json")],
             "plans tried",
         ),
     ):
@@ -529,7 +530,7 @@ def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
         (["train", "--config", ""], "--config"),
         (["generate", "one", "-o", ""], "-o"),
         (["plot", "timeline", ""], ""),
-        (["figures", "runs", "--out", ""], "--out"),
+        (["plot", "runs", "runs", "--out", ""], "--out"),
         (["verify", ""], ""),
     ],
 )
@@ -570,7 +571,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["evaluate", "fictitious", "--policy", "plan.json", "--out", "plan.json"],
         ["audit", "lab.toml", "--out", "lab.toml"],
         ["crossplay", "lab.toml", "--out", "lab.toml"],
-        ["plan", "lab.toml", "--out", "lab.toml"],
+        ["audit", "plan", "lab.toml", "--out", "lab.toml"],
         ["starts", "lab.toml", "--out", "lab.toml"],
         ["export", "run", "--out", "run/config.json"],
     ):
@@ -649,9 +650,9 @@ def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:
         "    print(json.dumps([done.exit_code, done.output]))\n"
     )
     words = [
-        ["material", "benzyl alcohol"],
-        ["pairs", "A", "B"],
-        ["reactions", "--smarts", "[C:1]>>[C:1]", "--reactants", "ethanol"],
+        ["data", "material", "benzyl alcohol"],
+        ["data", "pairs", "A", "B"],
+        ["data", "reactions", "--smarts", "[C:1]>>[C:1]", "--reactants", "ethanol"],
         ["new", "lab", "--reactions", "wurtz_real"],
     ]
     given = [sys.executable, "-c", code, json.dumps([[*command, "-o", "made.toml"] for command in words])]
@@ -705,3 +706,22 @@ def test_who_stops_answering_leaves_no_file(tmp_path: Path, key: bytes) -> None:
     assert b"Aborted" in said
     assert b"Traceback" not in said
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("former", FORMER_COMMANDS)
+def test_former_commands_work_with_a_notice(former: str) -> None:
+    words = FORMER_COMMANDS[former]
+    before, after = runner.invoke(app, [former, "--help"]), runner.invoke(app, [*words, "--help"])
+    assert (before.exit_code, before.stdout) == (0, after.stdout)
+    assert (
+        before.stderr.split()
+        == f"chemlab {former} is now chemlab {' '.join(words)}; the old name ends with this release".split()
+    )
+    assert former not in [name for names in PANELS.values() for name in names]
+
+
+def test_a_group_with_a_default_takes_it_where_no_kind_is_named() -> None:
+    for words in (["audit", "no_such"], ["audit", "measures", "no_such"], ["audit", "--budget", "small", "no_such"]):
+        done = runner.invoke(app, words)
+        assert done.exit_code == 2
+        assert "no_such" in done.output

@@ -235,7 +235,7 @@ def test_what_was_not_made_is_not_asked_for() -> None:
     assert makes(made) == ["runs/trial"]
     for command, expected in (
         ("chemlab evaluate fictitious --policy scripted,manager=runs/trial", True),
-        ("chemlab figures runs", True),
+        ("chemlab plot runs runs", True),
         ("chemlab export runs/trial/best.zip", True),
         ("chemlab run fictitious --policy runs/trials", False),
     ):

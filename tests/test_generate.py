@@ -388,12 +388,12 @@ def test_commands_write_and_judge_a_chemistry(tmp_path: Path) -> None:
     again = run("generate", "mine", "--seed", 3, "--materials", 6, "--reactions", 4, "-o", tmp_path)
     assert again.exit_code == 2
     assert "--force" in again.output
-    judged = run("difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 8, "--json")
+    judged = run("audit", "difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 8, "--json")
     assert judged.exit_code == 0, judged.output
     (row,) = json.loads(judged.stdout)
     assert row["goal"] == scenario.goals[-1]
     assert 0.0 < row["conditions"]["reached"] <= row["conditions"]["selectivity"] <= 1.0
     assert row["plan"] is not None
-    shown = run("difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 0)
+    shown = run("audit", "difficulty", tmp_path / "mine.toml", "--episodes", 2, "--plans", 0)
     assert shown.exit_code == 0
     assert "selectivity" in shown.output

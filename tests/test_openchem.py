@@ -135,7 +135,7 @@ def test_a_material_file_is_loaded_with_its_sources_and_its_lock(tmp_path: Path)
     names = ["cumene", "2,4-difluoronitrobenzene", "magnesium", "ethylene", "4-nitrotoluene"]
     tables = material_tables(compounds(names))
     path = tmp_path / "m.toml"
-    path.write_text(material_text(tables, "chemlab material"))
+    path.write_text(material_text(tables, "chemlab data material"))
     loaded = load_materials([path])
     roles = {key: material.role for key, material in loaded.items()}
     expected = ["solvent", "solvent", "solid", "gas", "solute"]
@@ -274,7 +274,7 @@ def test_a_structure_of_a_template_is_never_taken_for_a_name() -> None:
 
 
 def test_the_table_shows_what_was_taken(tmp_path: Path) -> None:
-    shown = " ".join(run("material", "isohexane", "ethanol", "-o", tmp_path / "m.toml").output.split())
+    shown = " ".join(run("data", "material", "isohexane", "ethanol", "-o", tmp_path / "m.toml").output.split())
     assert "107-83-5" in shown
     assert "2-Methylpentane" in shown.replace("- ", "-")
     assert "is shipped as ethanol (ethanol, 64-17-5)" in shown
@@ -328,19 +328,21 @@ def test_what_compilations_have_wrong_is_flagged(name: str, field: str, right: f
 
 
 def test_what_is_wrong_is_said(tmp_path: Path) -> None:
-    shown = " ".join(run("material", "4-chloro-1-butanol", "-o", tmp_path / "m.toml").output.split())
+    shown = " ".join(run("data", "material", "4-chloro-1-butanol", "-o", tmp_path / "m.toml").output.split())
     assert "check 4-chloro-1-butanol: boiling_point_k" in shown
     assert "not taken: 357.65 K" in shown
     # By hand it is what it is, without a flag.
     values = tmp_path / "own.toml"
     values.write_text('["4-chloro-1-butanol"]\nboiling_point_k = 357.65\nsource = { boiling_point_k = "at 21 hPa" }\n')
-    shown = run("material", "4-chloro-1-butanol", "-o", tmp_path / "n.toml", "--values", values).output
+    shown = run("data", "material", "4-chloro-1-butanol", "-o", tmp_path / "n.toml", "--values", values).output
     assert "check" not in shown
 
 
 def test_what_is_asked_for_is_a_file_to_fill_in(tmp_path: Path) -> None:
     wanted = "5-methyl-3a,4,7,7a-tetrahydro-2-benzofuran-1,3-dione"  # a key that needs quotes
-    refused = CliRunner(env={"COLUMNS": "500"}).invoke(app, ["material", wanted, "-o", str(tmp_path / "m.toml")])
+    refused = CliRunner(env={"COLUMNS": "500"}).invoke(
+        app, ["data", "material", wanted, "-o", str(tmp_path / "m.toml")]
+    )
     assert refused.exit_code != 0
     text = refused.output[refused.output.index('["') :]
     asked = tomllib.loads(text)
@@ -350,28 +352,28 @@ def test_what_is_asked_for_is_a_file_to_fill_in(tmp_path: Path) -> None:
 
 def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None:
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
-    done = run("material", "diphenyl sulfone", "-o", path, fails=True)
+    done = run("data", "material", "diphenyl sulfone", "-o", path, fails=True)
     assert "diphenyl_sulfone: fusion_enthalpy_j_mol" in done.output
     assert not path.exists()
     values.write_text("[diphenyl_sulfone]\nfusion_enthalpy_j_mol = 18700\n")
-    done = run("material", "diphenyl sulfone", "-o", path, "--values", values, fails=True)
+    done = run("data", "material", "diphenyl sulfone", "-o", path, "--values", values, fails=True)
     assert "source" in done.output
     values.write_text(values.read_text() + '[diphenyl_sulfone.source]\nfusion_enthalpy_j_mol = "an example"\n')
-    run("material", "diphenyl sulfone", "-o", path, "--values", values)
+    run("data", "material", "diphenyl sulfone", "-o", path, "--values", values)
     real = load_materials([path])["diphenyl_sulfone"].real
     assert real is not None
     assert (real.fusion_enthalpy_j_mol, real.source["fusion_enthalpy_j_mol"]) == (18700.0, "an example")
-    assert "is already there" in run("material", "diphenyl sulfone", "-o", path, fails=True).output
+    assert "is already there" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
 
 
 def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
     """Of a file that is not there, and of materials that are not written: shipped ones have theirs already."""
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
-    for words in (["material", "water"], ["reactions", "--smarts", WURTZ, "--reactants", "water"]):
+    for words in (["data", "material", "water"], ["data", "reactions", "--smarts", WURTZ, "--reactants", "water"]):
         done = run(*words, "-o", path, "--values", tmp_path / "nope.toml", fails=True)
         assert "nope.toml: no such file" in " ".join(done.output.split())
     values.write_text('[water]\ndensity_kg_l = 1.1\nsource.density_kg_l = "an example"\n')
-    done = run("material", "water", "-o", path, "--values", values, fails=True)
+    done = run("data", "material", "water", "-o", path, "--values", values, fails=True)
     assert "water: is none of the materials that are written" in " ".join(done.output.split())
     assert not path.exists()
 
@@ -379,17 +381,19 @@ def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> Non
 def test_a_result_never_replaces_another_or_what_is_read(tmp_path: Path) -> None:
     """Whatever is forced: results of one command under one name, and files that it reads."""
     materials, values = tmp_path / "m.toml", tmp_path / "own.toml"
-    done = run("material", "benzyl chloride", "-o", materials, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True)
+    done = run(
+        "data", "material", "benzyl chloride", "-o", materials, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True
+    )
     assert "is given twice" in " ".join(done.output.split())
     assert not list(tmp_path.iterdir())
     values.write_text("")
-    run("material", "benzyl chloride", "-o", materials)
+    run("data", "material", "benzyl chloride", "-o", materials)
     before = materials.read_text()
     for words in (
-        ["material", "benzyl chloride", "-o", values, "--values", values],
-        ["material", "benzyl chloride", "-o", tmp_path / "n.toml", "--pairs", values, "--values", values],
-        ["pairs", "benzyl_chloride", "water", "-o", materials, "--materials", materials],
-        ["reactions", "--smarts", WURTZ, "--reactants", "water", "-o", materials, "--materials", materials],
+        ["data", "material", "benzyl chloride", "-o", values, "--values", values],
+        ["data", "material", "benzyl chloride", "-o", tmp_path / "n.toml", "--pairs", values, "--values", values],
+        ["data", "pairs", "benzyl_chloride", "water", "-o", materials, "--materials", materials],
+        ["data", "reactions", "--smarts", WURTZ, "--reactants", "water", "-o", materials, "--materials", materials],
         ["new", "lab", "--reactions", materials, "-o", materials],
         ["new", "lab", "--reactions", "wurtz_real", "-o", materials, "--materials", materials],
     ):
@@ -419,7 +423,7 @@ def test_a_compilation_that_is_far_from_three_that_agree_is_not_taken() -> None:
 
 def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: Path) -> None:
     materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
-    done = run("material", "benzyl chloride", "hexane", "ethanol", "-o", materials, "--pairs", pairs, "--json")
+    done = run("data", "material", "benzyl chloride", "hexane", "ethanol", "-o", materials, "--pairs", pairs, "--json")
     assert json.loads(done.stdout)["shipped"] == {"hexane": "hexane", "ethanol": "ethanol"}
     assert set(load_materials([materials])) == {"benzyl_chloride"}
     made = load_pairs([pairs])
@@ -430,11 +434,11 @@ def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: 
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (["pairs", "toluene", "toluene"], "with itself"),
-        (["pairs", "toluene", "NaCl"], "no molecule in a liquid (its role is 'solid')"),
-        (["pairs", "toluene", "H2"], "no molecule in a liquid (its role is 'gas')"),
-        (["pairs", "toluene", "4-nitrotoluene"], "make it with chemlab material"),
-        (["material", "--name", "toluene=CCCCCCCCCCCCO"], "another material that is shipped"),
+        (["data", "pairs", "toluene", "toluene"], "with itself"),
+        (["data", "pairs", "toluene", "NaCl"], "no molecule in a liquid (its role is 'solid')"),
+        (["data", "pairs", "toluene", "H2"], "no molecule in a liquid (its role is 'gas')"),
+        (["data", "pairs", "toluene", "4-nitrotoluene"], "make it with chemlab data material"),
+        (["data", "material", "--name", "toluene=CCCCCCCCCCCCO"], "another material that is shipped"),
     ],
 )
 def test_what_no_file_can_be_made_of_is_refused(tmp_path: Path, words: list[str], part: str) -> None:
@@ -505,7 +509,7 @@ def test_a_template_with_a_soluble_salt_runs_in_water(tmp_path: Path) -> None:
     """Second order with equal concentrations: x = c k c t / (1 + k c t); the issue's 0.0454 mol of 0.05."""
     path, rate, mol, seconds = tmp_path / "saponification.toml", 0.11, 0.05, 1800.0
     rates = ["--rate", rate, "--activation", 0]
-    run("reactions", "--smarts", SAPONIFICATION, "--reactants", "ethyl_acetate", "NaOH", *rates, "-o", path)
+    run("data", "reactions", "--smarts", SAPONIFICATION, "--reactants", "ethyl_acetate", "NaOH", *rates, "-o", path)
     (step,) = load_reactions(str(path), shipped_materials()).reaction
     assert step.orders == {"ethyl_acetate": 1.0, "NaOH": 1.0}
     assert "surface" not in step.source
@@ -517,7 +521,18 @@ def test_a_template_with_a_soluble_salt_runs_in_water(tmp_path: Path) -> None:
     ions = SAPONIFICATION.replace("([Na+:5].[OH-:6])", "[OH-:6]").replace(
         "([C:1](=[O:2])[O-:6].[Na+:5])", "[C:1](=[O:2])[O-:6]"
     )
-    run("reactions", "--smarts", ions, "--reactants", "ethyl_acetate", "OH-", *rates, "-o", tmp_path / "ions.toml")
+    run(
+        "data",
+        "reactions",
+        "--smarts",
+        ions,
+        "--reactants",
+        "ethyl_acetate",
+        "OH-",
+        *rates,
+        "-o",
+        tmp_path / "ions.toml",
+    )
     made = ["new", "lab", "--reactions", tmp_path / "ions.toml", "--goal", "ethanol", "-o", tmp_path / "lab.toml"]
     shown = " ".join(run(*made, fails=True).output.split())
     assert "'OH-', an ion, of which there is none alone" in shown
@@ -562,7 +577,7 @@ def test_a_wrong_template_is_refused(smarts: str, parts: list[str]) -> None:
 
 def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "snar.toml"
-    words = ["reactions", "--smarts", "[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]", "-o", path]
+    words = ["data", "reactions", "--smarts", "[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]", "-o", path]
     words += ["--reactants", "2,4-difluoronitrobenzene", "pyrrolidine", "--rate", 3e-4]
     second = "para_pyrrolidinyl + pyrrolidine -> bis_pyrrolidinyl + hydrofluoric_acid"
     shown = " ".join(run(*words, "--rate", f"{second}=2e-6", "--activation", f"{second} = 80000").output.split())
@@ -590,7 +605,7 @@ def test_without_end_there_is_no_family() -> None:
 def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path) -> None:
     path = tmp_path / "ester.toml"
     smarts = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C:7].[OH:3][C:4]=[O:5]"
-    words = ["reactions", "--smarts", smarts, "--reactants", "acetic_anhydride", "1-butanol", "-o", path]
+    words = ["data", "reactions", "--smarts", smarts, "--reactants", "acetic_anhydride", "1-butanol", "-o", path]
     shown = run(*words, "--rate", 1e-3, "--activation", 55000, "--source", "a notebook", "--json").stdout
     tables = json.loads(shown)
     assert set(tables["materials"]) == {"1-butanol", "butyl_acetate"}
@@ -613,13 +628,13 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
 def anhydride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A material file of what UNIFAC has no groups for."""
     path = tmp_path_factory.mktemp("anhydride") / "m.toml"
-    run("material", "maleic anhydride", "-o", path)
+    run("data", "material", "maleic anhydride", "-o", path)
     return path
 
 
 def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: Path) -> None:
     path = anhydride.with_name("p.toml")
-    words = ["pairs", "maleic_anhydride", "toluene", "water", "--materials", anhydride, "-o", path]
+    words = ["data", "pairs", "maleic_anhydride", "toluene", "water", "--materials", anhydride, "-o", path]
     refused = " ".join(run(*words, fails=True).output.split())
     assert "'maleic_anhydride' with 'toluene'; 'maleic_anhydride' with 'water'" in refused
     assert "--ideal" in refused
@@ -637,7 +652,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
 
 
 def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
-    refused = run("pairs", "water", "ethanol", "-o", tmp_path / "p.toml", fails=True).output
+    refused = run("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", fails=True).output
     assert "1 pair, all shipped" in " ".join(refused.split())
     assert not (tmp_path / "p.toml").exists()
 
@@ -676,7 +691,7 @@ ACYLATION = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C
 def acetate(tmp_path: Path) -> Path:
     """Ethyl acetate of acetic anhydride: everything is shipped, pairs too."""
     path = tmp_path / "acetate.toml"
-    run("reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path)
+    run("data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path)
     return path
 
 
@@ -717,7 +732,7 @@ def test_an_agent_learns_in_it(acetate: Path) -> None:
 def test_what_stays_solid_is_left_behind(tmp_path: Path) -> None:
     # Sodium must not meet water, so nothing is washed: the salt stays in the pot, and the goal is taken over.
     family, lab = tmp_path / "coupling.toml", tmp_path / "lab.toml"
-    run("reactions", "--smarts", WURTZ, "--reactants", "1-chlorohexane", "Na", "-o", family)
+    run("data", "reactions", "--smarts", WURTZ, "--reactants", "1-chlorohexane", "Na", "-o", family)
     run("new", "coupling_lab", "--reactions", family, "-o", lab)
     assert list(load_scenario(lab).benches) == ["rxn", "dit"]
     played = json.loads(run("run", lab, "--json").stdout)
@@ -746,7 +761,7 @@ def test_what_is_lighter_than_its_solvent_and_dilute_is_taken_over(tmp_path: Pat
     # So little ether in toluene that the pot boils far above ether from the start.
     family, lab = tmp_path / "ether.toml", tmp_path / "lab.toml"
     smarts = "[CX4:1][OH:2].[CX4:3][OH:4]>>[CX4:1][O:2][CX4:3].[O:4]"
-    run("reactions", "--smarts", smarts, "--reactants", "ethanol", "--generations", 1, "-o", family)
+    run("data", "reactions", "--smarts", smarts, "--reactants", "ethanol", "--generations", 1, "-o", family)
     run("new", "ether_lab", "--reactions", family, "--solvent", "toluene", "-o", lab)
     played = json.loads(run("run", lab, "--json").stdout)
     assert played["submitted_mol"] > 0.15
@@ -767,7 +782,7 @@ def test_water_that_a_reaction_makes_is_parted_off() -> None:
 def test_hydrogen_is_matched_but_no_gas_is_put_in(tmp_path: Path) -> None:
     family = tmp_path / "hydrogenation.toml"
     words = ["--smarts", "[C:1]=[C:2].[H][H]>>[C:1][C:2]", "--reactants", "1-hexene", "H2"]
-    run("reactions", *words, "-o", family)
+    run("data", "reactions", *words, "-o", family)
     (step,) = load_reactions(str(family), shipped_materials()).reaction
     assert step.words == "1-hexene + H2 -> hexane"
     shown = run("new", "hydrogenation", "--reactions", family, "-o", tmp_path / "lab.toml", fails=True).output
@@ -785,7 +800,7 @@ def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:
 
 def test_a_catalyst_is_put_in_and_fed(tmp_path: Path) -> None:
     path, lab = tmp_path / "acetate.toml", tmp_path / "lab.toml"
-    words = ["reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "--rate", 5e-3]
+    words = ["data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "--rate", 5e-3]
     run(*words, "--catalyst", "pyrrolidine", "-o", path)
     run("new", "catalysed", "--reactions", path, "--solvent", "toluene", "-o", lab)
     spec = load_scenario(lab)

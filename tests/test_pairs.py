@@ -95,7 +95,7 @@ def test_a_table_has_every_parameter_at_its_place(file: Path) -> None:
 def test_a_missing_pair_is_named_with_what_makes_it(file: Path) -> None:
     with pytest.raises(DataError) as caught:
         pair_table(["a", "b", "d"], load_pairs([file]))
-    for part in ("'a' with 'd', 'b' with 'd'", "chemlab pairs 'a' 'b' 'd' -o", "pair_files"):
+    for part in ("'a' with 'd', 'b' with 'd'", "chemlab data pairs 'a' 'b' 'd' -o", "pair_files"):
         assert part in str(caught.value)
     with pytest.raises(DataError, match="'d' with 'e', 'd' with 'f', 'd' with 'g' and 3 more"):
         pair_table(["d", "e", "f", "g"], {})

@@ -69,8 +69,8 @@ BASELINES: dict[str, tuple[str, str]] = {
 }
 """Managers that learned nothing: their policy's name (the benches are the background's) and what the table says.
 
-This is the one place where a baseline enters the tables: ``chemlab figures TABLES --collect TABLES`` plays those that a
-table does not have yet, and drops from it those that are not here any more.
+``chemlab plot runs TABLES --collect TABLES`` plays those that a table does not have yet, and drops from it those that
+are not here any more.
 """
 
 _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
@@ -313,7 +313,7 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
         with import_matplotlib().rc_context(SETTINGS):
             save_figure(draw_tasks(tasks), path)
     left_out = [
-        f"{run.name}: not played yet (chemlab figures RUNS --collect TABLES)"
+        f"{run.name}: not played yet (chemlab plot runs RUNS --collect TABLES)"
         for group in groups
         for run in group.runs
         if not group.of(_LEARNED, run.name)
@@ -382,7 +382,7 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
         ValueError: there is no ``managers.csv``, or a table is not what was written.
     """
     if not (folder / _TABLE).exists():
-        raise ValueError(f"{folder}: has no {_TABLE}; chemlab figures RUNS --collect {folder} makes it")
+        raise ValueError(f"{folder}: has no {_TABLE}; chemlab plot runs RUNS --collect {folder} makes it")
     groups = [group for group in _groups(read_runs(folder), folder) if (group.scenario in scenario_names()) == shipped]
     rows = [
         {**row, "scenario": f"`{group.scenario}`"}

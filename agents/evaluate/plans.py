@@ -96,7 +96,7 @@ class PlanSearch:
         return {one.context: one.plan for one in self.found}
 
     def play(self, episodes: int = 100, seed: int = 0, split: str = "train") -> FloatArray:
-        """[episodes] scores of the plans; episode i has seed + i, as ``chemlab compare`` plays it.
+        """[episodes] scores of the plans; episode i has seed + i, as ``chemlab evaluate`` plays it.
 
         Raises:
             ValueError: the search was not for every context.

@@ -24,10 +24,12 @@ from ..runs import versions
 from . import statistics
 from .statistics import Estimate
 
-__all__ = ["BenchTarget", "LaboratoryTarget", "evaluate", "find_target"]
+__all__ = ["DRAWN", "BenchTarget", "LaboratoryTarget", "Target", "evaluate", "find_target"]
 
 BATCH = 256
 """Most experiments played at once; results do not depend on it (but those of random policies)."""
+DRAWN = "drawn"
+"""In place of a laboratory's goal: each episode draws the goals of its orders."""
 
 
 # -- what is evaluated ----------------------------------------------------------------------------------------------
@@ -47,6 +49,15 @@ class BenchTarget:
     def goals(self) -> tuple[str, ...]:
         """Goals its experiments may be run for."""
         return tuple(self.scenario.goals)
+
+    @property
+    def default_goals(self) -> tuple[str, ...]:
+        """All goals."""
+        return self.goals
+
+    def check(self, policy: str) -> None:
+        """Raise a ValueError if the policy does not fit."""
+        bench_policy(policy, self.environment(1).bench)
 
     def as_dict(self) -> dict[str, Any]:
         """For results files."""
@@ -92,8 +103,17 @@ class LaboratoryTarget:
 
     @property
     def goals(self) -> tuple[str, ...]:
-        """Goals a laboratory may be asked for."""
-        return tuple(self.scenario.lab_goals)
+        """Goals a laboratory may be asked for; :data:`DRAWN`: each episode draws those of its orders."""
+        return (*self.scenario.lab_goals, DRAWN)
+
+    @property
+    def default_goals(self) -> tuple[str, ...]:
+        """Drawn goals."""
+        return (DRAWN,)
+
+    def check(self, policy: str) -> None:
+        """Raise a ValueError if the policy does not fit."""
+        make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
 
     def as_dict(self) -> dict[str, Any]:
         """For results files."""
@@ -113,7 +133,8 @@ class LaboratoryTarget:
         parts = []
         for first in range(0, episodes, BATCH):
             labs = Laboratories(self.scenario, min(BATCH, episodes - first), split=self.split)
-            parts.append(play_laboratory(labs, make_policies(policy, labs, seed + first), goal, seed + first))
+            policies = make_policies(policy, labs, seed + first)
+            parts.append(play_laboratory(labs, policies, None if goal == DRAWN else goal, seed + first))
             if watch is not None:
                 watch(len(labs.members))
         return Played.joined(parts)
@@ -173,7 +194,7 @@ def evaluate(
             not it is among them.
         episodes: for each goal; episode i has seed + i, whatever the policy and the goal.
         seed: of the first episode.
-        goals: default: all of the target's.
+        goals: default: all of a bench; of a laboratory those that each episode draws.
         baseline: what improvement is measured over.
         watch: called with the number of episodes just played.
         executor: plays batches of episodes, see :mod:`chemlab.agents.executors`; None: this process.
@@ -186,7 +207,7 @@ def evaluate(
     Raises:
         ValueError: unknown policy or goal, or fewer than one episode.
     """
-    chosen = tuple(goals or target.goals)
+    chosen = tuple(goals or target.default_goals)
     unknown = [goal for goal in chosen if goal not in target.goals]
     if unknown or len(set(chosen)) < len(chosen):
         raise ValueError(f"goals: known: {', '.join(target.goals)}, each once; given {', '.join(chosen)}")
@@ -194,6 +215,8 @@ def evaluate(
         raise ValueError(f"episodes must be at least 1, given {episodes}")
     baseline = current_name(baseline)
     names = list(dict.fromkeys((baseline, *map(current_name, policies))))
+    for name in names:
+        target.check(name)
     batches = [(name, goal, first) for name in names for goal in chosen for first in range(0, episodes, BATCH)]
     play = functools.partial(_batch, target=target, episodes=episodes, seed=seed)
     played: dict[tuple[str, str, int], Played] = {}

@@ -7,16 +7,16 @@ import os
 import sys
 from typing import Any
 
-from . import audit, benchmark, check, chemistry, crossplay, evaluation, laboratory, plan, play, plot, records, training  # noqa: F401 - importing a module adds its commands
+from . import audit, benchmark, check, chemistry, crossplay, evaluation, laboratory, play, plot, records, training  # noqa: F401 - importing a module adds its commands
 from .common import app
 
 __all__ = ["PANELS", "app", "main"]
 
 PANELS: dict[str, tuple[str, ...]] = {
     "Play": ("run", "play", "list", "describe"),
-    "Train": ("train", "train-together", "train-rllib", "sweep", "evaluate", "figures", "export", "starts"),
-    "Compare": ("compare", "benchmark", "crossplay", "audit", "plan"),
-    "Author": ("check", "new", "generate", "difficulty", "material", "pairs", "reactions"),
+    "Train": ("train", "train-together", "train-rllib", "sweep", "export", "starts"),
+    "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
+    "Author": ("check", "new", "generate", "data"),
     "Records": ("verify", "replay", "plot", "demos"),
 }
 """Panels of ``chemlab --help`` with their commands, in the order of display."""

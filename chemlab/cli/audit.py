@@ -1,31 +1,49 @@
-"""The command audit: what a scenario asks of its agents."""
+"""The command audit: what a scenario requires of its agents, its best open-loop plan, its difficulty."""
 
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..config.files import check_folder, write_text
 from .common import (
     AddressOption,
+    DefaultGroup,
+    EpisodesOption,
     JsonOption,
     ProcessesOption,
     ScenarioArgument,
+    SeedOption,
+    TrustOption,
     app,
     check_result,
+    current_policy,
     out,
     readable_errors,
 )
-from .screen import counting, show_table
+from .screen import counting, plain, show_table
+
+if TYPE_CHECKING:
+    from ..agents.evaluate.plans import PlanSearch
+    from ..agents.plans import PlanFile
 
 __all__: list[str] = []
 
 
-@app.command()
-def audit(
+audit = typer.Typer(
+    cls=DefaultGroup,
+    help="Measure what a scenario requires of its agents (`chemlab audit SCENARIO`), a plan, or a difficulty.",
+    no_args_is_help=True,
+)
+app.add_typer(audit, name="audit")
+
+
+@audit.command()
+def measures(
     scenario: ScenarioArgument,
     budget: Annotated[str, typer.Option(help="How much is played: small (two minutes) or full (thirty).")] = "small",
     keep: Annotated[
@@ -37,10 +55,10 @@ def audit(
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the findings as JSON.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure whether a scenario asks for eyes, instruments, benches and planning, or whether a blind plan does.
+    """Measure the value of observations, instruments, benches and planning, against an open-loop plan.
 
-    Scores are normalised: 0 is random legal play, 1 what a planner reaches that knows every episode's world. A gate is
-    what a scenario with a world has to prove.
+    Scores are normalized: 0 is random legal play, 1 the oracle, a planner with the hidden parameters of each episode.
+    Acceptance criteria apply to scenarios with hidden parameters.
     """
     with readable_errors():
         from ..agents.evaluate.audit import audit as measure
@@ -67,7 +85,7 @@ def audit(
 
 
 def _show(found: dict[str, Any]) -> None:
-    """What people see: the measures, the gates, a sentence."""
+    """Print the measures, the acceptance criteria and a verdict."""
     from ..agents.evaluate.audit import GATES, measure_rows, verdict
 
     title = (
@@ -78,3 +96,111 @@ def _show(found: dict[str, Any]) -> None:
     gates = [(name, GATES[name], words[met]) for name, met in found["gates"].items()]
     show_table("Gates", ("gate", "asks for", ""), gates)
     out.print(verdict(found), markup=False)
+
+
+@audit.command()
+def plan(
+    scenario: ScenarioArgument,
+    benches: Annotated[
+        str,
+        typer.Option(callback=current_policy, help="Policy of the benches, as --policy of `chemlab run`."),
+    ] = "scripted",
+    budget: Annotated[
+        str, typer.Option(help="Most plans tried: small (10,000), full (100,000) or a number.")
+    ] = "small",
+    seed: SeedOption = 0,
+    episodes: EpisodesOption = 100,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Also write the plans, to be played with --policy BENCHES,manager=plan:FILE."),
+    ] = None,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Search for the best open-loop plan of the manager, one for each combination of goals.
+
+    A scenario that requires observations has better policies. The score is over episodes with seeds 0, 1, ..., which
+    the search does not use.
+    """
+    with readable_errors():
+        from ..agents.evaluate.plans import plan_budget, search_plan
+        from ..config.scenario import load_scenario
+
+        spec = load_scenario(scenario)
+        most = plan_budget(budget)
+        if output is not None:
+            check_result(output, scenario, benches)
+        with counting() as progress:
+            task = progress.add_task("plans", total=most)
+            search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
+        words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
+        words += ["--episodes", str(episodes)]
+        found = search.as_file(shlex.join(words), episodes)
+    if as_json:
+        typer.echo(json.dumps(found.as_dict()))
+    else:
+        _tell(search, found)
+    if output is not None:
+        found.save(output)
+        if not as_json:
+            run = shlex.join(["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"])
+            out.print(f"wrote {plain(output)}; play it: {plain(run)}")
+
+
+def _tell(search: PlanSearch, found: PlanFile) -> None:
+    """Print every plan in words, and the score."""
+    from ..agents.evaluate.plans import plan_words
+    from ..agents.evaluate.statistics import interval_text
+
+    for one in search.found:
+        out.print(f"[bold]{plain(', '.join(one.context))}[/bold]: score {one.score:.3f}")
+        for number, line in enumerate(plan_words(search.scenario, one.plan), start=1):
+            out.print(f"  {number}. {plain(line)}")
+    score = interval_text(found.evaluation)
+    out.print(
+        f"score {score}, mean of {found.evaluation['episodes']} episodes; benches: {found.benches}; "
+        f"{found.tried:,} plans tried",
+        markup=False,
+    )
+
+
+@audit.command()
+def difficulty(
+    scenario: ScenarioArgument,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents, for each goal.")] = 20,
+    plans: Annotated[int, typer.Option(min=0, help="Constant plans tried for each goal; 0: none is searched.")] = 100,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how hard a scenario's chemistry is: steps, yield and selectivity, boiling points, scores.
+
+    Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and whether
+    reagents are put in at once or slowly.
+    """
+    with readable_errors():
+        from ..config.scenario import load_scenario
+        from ..openchem.difficulty import difficulty as measure
+
+        spec = load_scenario(scenario)
+        rows = measure(spec, episodes, plans, seed)
+    if as_json:
+        typer.echo(json.dumps([row.as_dict() for row in rows]))
+        return
+    shown = []
+    for row in rows:
+        c = row.conditions
+        slowly = f", {' and '.join(c.slowly)} slowly" if c is not None and c.slowly else ""
+        shown.append(
+            (
+                row.goal,
+                str(row.steps),
+                "none" if c is None else f"{c.reached:.2f}",
+                "none" if c is None else f"{c.selectivity:.2f}",
+                "" if c is None else f"{c.temperature_k:g} K{slowly}",
+                "" if row.boils_apart_k is None else f"{row.boils_apart_k:g} K to {row.boils_next}",
+                f"{row.scripted:.2f}",
+                "" if row.plan is None else f"{row.plan:.2f}",
+            )
+        )
+    head = ("goal", "steps", "yield", "selectivity", "at", "boils apart", "scripted", "constant plan")
+    show_table(f"{spec.name}: how hard its goals are", head, shown, right=(1, 2, 3, 6, 7))

@@ -1,4 +1,4 @@
-"""Commands that make data files, material, pairs, reactions, new, generate; and difficulty, which judges them."""
+"""Commands that write data files and scenarios: data, new, generate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_target, write_text, write_texts
-from .common import JsonOption, ScenarioArgument, SeedOption, app, out, readable_errors
+from .common import JsonOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from ..openchem.templates import Found, Rate
 
 __all__: list[str] = []
+
+data = typer.Typer(help="Write data files of your own chemistry (needs the extra `chem`).", no_args_is_help=True)
+app.add_typer(data, name="data")
 
 MaterialsOption = Annotated[
     list[Path] | None, typer.Option(help="Material file of your own; repeat the option for more.")
@@ -114,7 +117,7 @@ def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
         out.print(f"estimated as ideal mixtures, for want of groups in UNIFAC: {plain(', '.join(guessed))}")
 
 
-@app.command()
+@data.command()
 def material(
     what: Annotated[list[str] | None, typer.Argument(help="CAS numbers, names or structures (SMILES).")] = None,
     output: Annotated[Path, typer.Option("--out", "-o", help="Material file to write.")] = Path("materials.toml"),
@@ -160,14 +163,14 @@ def material(
         with counting() as progress:
             task = progress.add_task("materials", total=len(new))
             tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
-        texts[output] = material_text(tables, _command("material", *words))
+        texts[output] = material_text(tables, _command("data", "material", *words))
     keys = [*shipped.values(), *tables]
     known = _known(None) | compounds.checked_materials(tables)
     two = _missing_pairs(keys, known)
     rows: list[dict[str, Any]] = []
     if pairs is not None:
         words = [*keys, *_given({"--materials": [output] if new else []}), *(["--ideal"] if ideal else ())]
-        texts[pairs], rows = _made_pairs(two, known, _command("pairs", *words), ideal)
+        texts[pairs], rows = _made_pairs(two, known, _command("data", "pairs", *words), ideal)
     write_texts(texts)
     if as_json:
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
@@ -181,7 +184,7 @@ def material(
     if pairs is not None:
         out.print(f"{plain(pairs)}: {_count(len(two), 'pair')}")
     elif any(table["role"] in ("solvent", "solute") for table in tables.values()):
-        line = _command("pairs", *tables, "OTHERS", "--materials", output, "-o", "pairs.toml")
+        line = _command("data", "pairs", *tables, "OTHERS", "--materials", output, "-o", "pairs.toml")
         out.print(f"liquids of theirs need activity coefficients: chemlab new makes them, or {plain(line)}")
 
 
@@ -223,7 +226,7 @@ def _missing_pairs(keys: Sequence[str], known: dict[str, Material]) -> list[tupl
     return [two for two in itertools.combinations(molecules, 2) if frozenset(two) not in shipped_pairs()]
 
 
-@app.command()
+@data.command()
 def pairs(
     names: Annotated[list[str], typer.Argument(help="Materials, at least two.")],
     output: Annotated[Path, typer.Option("--out", "-o", help="Pair file to write.")] = Path("pairs.toml"),
@@ -249,7 +252,7 @@ def pairs(
             f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials"
         )
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
-    text, rows = _made_pairs(two, known, _command("pairs", *words), ideal)
+    text, rows = _made_pairs(two, known, _command("data", "pairs", *words), ideal)
     write_text(output, text)
     if as_json:
         typer.echo(json.dumps(rows))
@@ -260,7 +263,7 @@ def pairs(
     out.print(f"{plain(output)}: {_count(len(rows), 'pair')}; largest error of ln gamma {error:.2f}{left}")
 
 
-@app.command()
+@data.command()
 def reactions(
     smarts: Annotated[
         list[str], typer.Option(help="Template, reaction SMARTS; repeat the option for more.", show_default=False)
@@ -317,7 +320,7 @@ def reactions(
     given |= {"--rate": rate, "--activation": activation, "--equilibrium": equilibrium, "--catalyst": catalyst}
     given |= {"--source": [source] if source else (), "--generations": [generations]}
     given |= {"--materials": materials, "--name": name, "--values": values}
-    command = _command("reactions", *_given(given))
+    command = _command("data", "reactions", *_given(given))
     tables: dict[str, Any] = {}
     wanted: list[Compound] = []
     if strangers:
@@ -453,7 +456,7 @@ def new(
     asking = sys.stdin.isatty()
     reactions = reactions or (typer.prompt("reaction file") if asking else "")
     if not reactions:
-        raise ValueError("--reactions: name a reaction file (chemlab reactions makes one)")
+        raise ValueError("--reactions: name a reaction file (chemlab data reactions makes one)")
     file = Path(reactions)
     files = list(materials or ())
     made = file.parent / f"{file.stem}_materials.toml"
@@ -539,47 +542,5 @@ def generate(
         made.scenario()
         path = made.write(output, force)
     out.print(plain(made.tables["summary"]))
-    words = f"play it: chemlab run {plain(path)}; how hard it is: chemlab difficulty {plain(path)}"
+    words = f"play it: chemlab run {plain(path)}; how hard it is: chemlab audit difficulty {plain(path)}"
     out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")
-
-
-@app.command()
-def difficulty(
-    scenario: ScenarioArgument,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents, for each goal.")] = 20,
-    plans: Annotated[int, typer.Option(min=0, help="Constant plans tried for each goal; 0: none is searched.")] = 100,
-    seed: SeedOption = 0,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure how hard a scenario's chemistry is: steps, yield and selectivity, boiling points, scores.
-
-    Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and whether
-    reagents are put in at once or slowly.
-    """
-    with readable_errors():
-        from ..config.scenario import load_scenario
-        from ..openchem.difficulty import difficulty as measure
-
-        spec = load_scenario(scenario)
-        rows = measure(spec, episodes, plans, seed)
-    if as_json:
-        typer.echo(json.dumps([row.as_dict() for row in rows]))
-        return
-    shown = []
-    for row in rows:
-        c = row.conditions
-        slowly = f", {' and '.join(c.slowly)} slowly" if c is not None and c.slowly else ""
-        shown.append(
-            (
-                row.goal,
-                str(row.steps),
-                "none" if c is None else f"{c.reached:.2f}",
-                "none" if c is None else f"{c.selectivity:.2f}",
-                "" if c is None else f"{c.temperature_k:g} K{slowly}",
-                "" if row.boils_apart_k is None else f"{row.boils_apart_k:g} K to {row.boils_next}",
-                f"{row.scripted:.2f}",
-                "" if row.plan is None else f"{row.plan:.2f}",
-            )
-        )
-    head = ("goal", "steps", "yield", "selectivity", "at", "boils apart", "scripted", "constant plan")
-    show_table(f"{spec.name}: how hard its goals are", head, shown, right=(1, 2, 3, 6, 7))

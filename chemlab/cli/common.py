@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from ..envs.aec import raw_env
 
 __all__ = [
+    "FORMER_COMMANDS",
     "AddressOption",
+    "DefaultGroup",
     "EpisodesOption",
     "JsonOption",
     "PolicyOption",
@@ -84,10 +86,42 @@ def _was_printing(error: BaseException) -> bool:
     return any(code.co_name == "echo" or code.co_filename == _RICH for code in frames)
 
 
+FORMER_COMMANDS: dict[str, tuple[str, ...]] = {
+    "compare": ("evaluate",),
+    "plan": ("audit", "plan"),
+    "difficulty": ("audit", "difficulty"),
+    "figures": ("plot", "runs"),
+    "material": ("data", "material"),
+    "pairs": ("data", "pairs"),
+    "reactions": ("data", "reactions"),
+}
+"""Former commands with the words that replace them; they work for one release, with a notice on stderr."""
+
+
+def _current_command(args: list[str]) -> list[str]:
+    """Replace a former command by its present words."""
+    at = next((i for i, word in enumerate(args) if not word.startswith("-")), None)
+    if at is None or args[at] not in FORMER_COMMANDS:
+        return args
+    words = FORMER_COMMANDS[args[at]]
+    err.print(f"chemlab {args[at]} is now chemlab {' '.join(words)}; the old name ends with this release")
+    return [*args[:at], *words, *args[at + 1 :]]
+
+
+class DefaultGroup(TyperGroup):
+    """Commands of which the first one is meant where none is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in (*self.commands, "-h", "--help"):
+            args = [next(iter(self.commands)), *args]
+        return super().parse_args(ctx, args)
+
+
 class _Commands(TyperGroup):
     """The commands; whatever one of them ends with can be read."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        args = _current_command(args)
         # As a path, nothing would be the current folder.
         for before, word in zip(["", *args], args, strict=False):
             option = before if word == "" else word[:-1]

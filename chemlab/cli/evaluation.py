@@ -1,14 +1,15 @@
-"""Commands about results: evaluate, figures."""
+"""The command evaluate: policies on the same seeds."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..config.files import check_folder, write_text
+from ..config.files import check_marks, replace_between, write_text
 from .common import (
     AddressOption,
     JsonOption,
@@ -22,22 +23,42 @@ from .common import (
 )
 from .screen import counting, plain, show_table
 
-__all__: list[str] = []
+__all__ = ["RESULT_COLUMNS"]
+
+RESULT_COLUMNS: tuple[str, ...] = (
+    "scenario",
+    "policy",
+    "submitted (mol)",
+    "purity",
+    "score",
+    "manager actions",
+    "ticks",
+    "spill, vent, metal fire",
+)
+"""Headings of the results of laboratories."""
 
 
 @app.command()
 def evaluate(
-    target: Annotated[str, typer.Argument(help="A single bench's environment id, or a scenario (see `chemlab list`).")],
+    targets: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenarios, or environment ids of single benches. Default: all bundled scenarios."),
+    ] = None,
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="scripted, random, pretrained, the name of a policy that comes along, or the path of a training run, "
-            "of a checkpoint or of exported weights; repeat the option. Laboratories know more, see `chemlab run`. "
-            "Default: scripted and random."
+            help="scripted, random, pretrained, a bundled policy, or the path of a training run, a checkpoint or "
+            "exported weights; repeat the option. Laboratories accept more, see `chemlab run`. Default: scripted and "
+            "random."
         ),
     ] = None,
     bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
-    goal: Annotated[list[str] | None, typer.Option(help="A goal; repeat the option. Default: all.")] = None,
+    goal: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A goal; repeat the option. Default: all goals of a bench; those that episodes of a laboratory draw."
+        ),
+    ] = None,
     starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper, lab or both.")] = "paper",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
     seed: SeedOption = 0,
@@ -48,45 +69,90 @@ def evaluate(
     ] = None,
     address: AddressOption = None,
     output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON.")
+        Path | None,
+        typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON, one line each."),
+    ] = None,
+    update: Annotated[
+        Path | None, typer.Option(help="Write the rows of laboratories into this Markdown file's results.")
     ] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare policies goal by goal from the same seeds, with 95 % confidence intervals.
+    """Evaluate policies on the same seeds, with 95 % confidence intervals.
 
-    The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy does
-    better than the baseline does from the same seed, a tie counting one half.
+    The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy scores
+    above the baseline from the same seed, a tie counting one half.
     """
     with readable_errors():
         from ..agents.evaluate.play import evaluate as play
         from ..agents.evaluate.play import find_target
         from ..agents.executors import executor
+        from ..config.scenario import scenario_names
 
-        if output is not None:
-            check_result(output, target, baseline, *(policy or ()))
-        chosen = find_target(target, bench, starts, split)
         policies = policy or ["scripted", "random"]
-        total = len({baseline, *policies}) * len(goal or chosen.goals) * episodes
+        if output is not None:
+            check_result(output, *(targets or ()), baseline, *policies)
+        if update is not None:
+            check_marks(update, "results")
+            check_result(update, *(targets or ()), baseline, *policies)
+        chosen = [find_target(name, bench, starts, split) for name in targets or scenario_names()]
+        for target in chosen if len(chosen) > 1 else ():
+            for name in (baseline, *policies):
+                target.check(name)
+        total = len({baseline, *policies}) * sum(len(goal or target.default_goals) for target in chosen) * episodes
+        found = []
         # Most evaluations are over before other processes would have started.
         with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:
             task = progress.add_task("episodes", total=total)
-            results = play(
-                chosen, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), executor=jobs
-            )
-    if as_json:
+            for target in chosen:
+                found.append(
+                    play(target, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), jobs)
+                )
+    for results in found if as_json else ():
         brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
         typer.echo(json.dumps({**results, "policies": brief}))
-    else:
+    cells = [_cells(results["target"], row) for results in found for row in results["policies"] if row["measures"]]
+    for results in () if as_json else found:
         _show(results)
+    if not as_json and len(found) > 1 and cells:
+        show_table("Means of episodes", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
     if output is not None:
-        write_text(output, json.dumps(results, separators=(",", ":")) + "\n")
+        write_text(output, "".join(json.dumps(results, separators=(",", ":")) + "\n" for results in found))
         if not as_json:
             out.print(f"wrote {plain(output)}")
+    if update is not None:
+        _update(update, cells, whole=not targets)
+
+
+def _cells(target: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]:
+    """A policy's results in a laboratory in words, by ``RESULT_COLUMNS``."""
+    means = row["measures"]
+    return (
+        target["scenario"],
+        row["policy"],
+        *(f"{value:.3f}" for value in (means["submitted_mol"], means["purity"], row["mean"]["value"])),
+        *(f"{value:.1f}" for value in (means["manager_actions"], row["mean_length"])),
+        f"{means['unsafe']:.0%} of episodes",
+    )
+
+
+def _update(page: Path, cells: Sequence[tuple[str, ...]], whole: bool) -> None:
+    """Write rows between a Markdown file's marks; rows of other scenarios stay unless the table is made as a whole."""
+    text, start, stop = check_marks(page, "results")
+    found = {} if whole else {_row_of(line): line for line in text[start:stop].splitlines() if line.startswith("| `")}
+    found |= {(name, played): f"| `{name}` | {' | '.join((played, *others))} |" for name, played, *others in cells}
+    lines = ["| " + " | ".join(RESULT_COLUMNS) + " |", "|---|---" + "|--:" * (len(RESULT_COLUMNS) - 2) + "|"]
+    replace_between(page, "results", lines + [line for _, line in sorted(found.items())])
+
+
+def _row_of(line: str) -> tuple[str, str]:
+    """Scenario and policy of a line of the table."""
+    scenario, policy, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+    return scenario.strip("`"), policy
 
 
 def _show(results: dict[str, Any]) -> None:
-    """What people see of an evaluation: the whole, then goal by goal."""
+    """Print an evaluation: over all goals, then by goal."""
     from ..agents.evaluate.statistics import interval_text
 
     target, rows = results["target"], results["policies"]
@@ -110,55 +176,3 @@ def _show(results: dict[str, Any]) -> None:
     if rows[0]["measures"]:
         cells = [[name, *(f"{row['measures'][name]:.3f}" for row in rows)] for name in rows[0]["measures"]]
         show_table("means of episodes", ("", *names), cells, right=range(1, len(rows) + 1))
-
-
-@app.command()
-def figures(
-    results: Annotated[
-        Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it, or with tables of them.")
-    ],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Where pages and figures go.")] = Path("figures"),
-    collect: Annotated[
-        Path | None,
-        typer.Option(
-            help="First make tables of the runs in this folder, and play the managers among them and what they are "
-            "compared with; pages are made from the tables. What they have of other runs stays."
-        ),
-    ] = None,
-    file_format: Annotated[
-        list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
-    ] = None,
-    trust: TrustOption = False,
-) -> None:
-    """Make pages of training runs: what each algorithm came to, with intervals, and learning curves.
-
-    Managers of laboratories have a page of their own (laboratory.md), beside managers that learned nothing. Needs
-    nothing but runs' small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
-    """
-    with readable_errors():
-        from ..agents.evaluate.laboratory import collect as collect_tables
-        from ..agents.evaluate.laboratory import collect_count, write_laboratory
-        from ..agents.evaluate.page import write_page
-        from ..render.figure import FORMATS
-
-        formats = file_format or ["png"]
-        if unknown := [name for name in formats if name not in FORMATS]:
-            raise ValueError(f"--format: known: {', '.join(FORMATS)}; given {', '.join(unknown)}")
-        total = collect_count(results)
-        left_out = []
-        for folder in (output, *([collect] if collect is not None else [])):
-            check_folder(folder)
-        if collect is not None:
-            with counting() as progress:
-                task = progress.add_task("managers", total=total)
-                left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
-        page, others = write_page(collect or results, output, formats)
-        laboratory = write_laboratory(collect or results, output, formats)
-        left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
-    for line in left_out:
-        out.print(f"[yellow]left out[/yellow] {plain(line)}")
-    for written in (page, laboratory and laboratory.page):
-        if written is not None:
-            out.print(f"wrote {plain(written)}")
-    if page is None and laboratory is None:
-        out.print(f"{plain(results)}: has no training runs")

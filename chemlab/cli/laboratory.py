@@ -1,4 +1,4 @@
-"""Commands about laboratories: list, describe, run, compare, starts."""
+"""Commands about laboratories: list, describe, run, starts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.files import check_marks, replace_between
 from .common import (
     EpisodesOption,
     JsonOption,
@@ -25,11 +24,10 @@ from .common import (
     chosen_agents,
     prepare,
 )
-from .screen import err, event_words, happened, out, page, plain, show_table
+from .screen import err, event_words, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.episodes import EpisodeResult, PlayedTurn
-    from ..config.scenario import Scenario
     from ..envs.aec import raw_env
     from ..lab.describe import FactTable
     from ..lab.engine import Laboratories
@@ -287,104 +285,6 @@ def _show_results(results: list[EpisodeResult]) -> None:
         rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
     head = ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events")
     show_table("Results (mol of the goal submitted; actions of the manager)", head, rows, right=(0, *range(2, 8)))
-
-
-@app.command()
-def compare(
-    scenarios: Annotated[
-        list[str] | None, typer.Argument(help="Scenarios; default: all that come with chemlab.")
-    ] = None,
-    policy: Annotated[list[str] | None, typer.Option(help="Policies to compare; repeat the option.")] = None,
-    episodes: EpisodesOption = 100,
-    seed: SeedOption = 0,
-    split: SplitOption = "train",
-    as_json: JsonOption = False,
-    update: Annotated[Path | None, typer.Option(help="Put the rows into this Markdown file's results.")] = None,
-    trust: TrustOption = False,
-) -> None:
-    """Compare policies on the same seeds; --update writes the rows into a Markdown table."""
-    from rich.progress import Progress
-
-    from ..agents.policies import make_policies
-    from ..config.scenario import scenario_names
-
-    policies = policy or ["scripted", "random"]
-    rows: list[dict[str, Any]] = []
-    if update is not None:
-        check_marks(update, "results")
-        check_result(update, *(scenarios or ()), *policies)
-    with Progress(console=err, transient=True) as progress:
-        prepared = [prepare(name, quiet=True, split=split) for name in scenarios or scenario_names()]
-        for _, env in prepared:  # who cannot play is found before anybody has
-            for played in policies:
-                make_policies(played, env.laboratories, seed)
-        task = progress.add_task("episodes", total=len(prepared) * len(policies) * episodes)
-        for spec, env in prepared:
-            for played in policies:
-                results = []
-                for result in _play(env, played, range(seed, seed + episodes)):
-                    results.append(result)
-                    progress.advance(task)
-                rows.append(_summary(spec, played, results))
-    cells = [_cells(row) for row in rows]
-    if as_json:
-        typer.echo(json.dumps(rows))
-    else:
-        show_table("", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
-    if update is not None:
-        text, start, stop = check_marks(update, "results")
-        found = {_row_of(line): line for line in text[start:stop].splitlines() if line.startswith("| `")}
-        # Of scenarios that were not asked for, what stands there stays.
-        found = found if scenarios else {}
-        found |= {(name, played): f"| `{name}` | {' | '.join((played, *others))} |" for name, played, *others in cells}
-        lines = ["| " + " | ".join(RESULT_COLUMNS) + " |", "|---|---" + "|--:" * (len(RESULT_COLUMNS) - 2) + "|"]
-        replace_between(update, "results", lines + [line for _, line in sorted(found.items())])
-
-
-RESULT_COLUMNS: tuple[str, ...] = (
-    "scenario",
-    "policy",
-    "submitted (mol)",
-    "purity",
-    "score",
-    "manager actions",
-    "ticks",
-    "spill, vent, metal fire",
-)
-"""Headings of what ``chemlab compare`` shows."""
-
-
-def _row_of(line: str) -> tuple[str, str]:
-    """Scenario and policy of a line of the table."""
-    scenario, policy, *_ = (cell.strip() for cell in line.strip("|").split("|"))
-    return scenario.strip("`"), policy
-
-
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """A summary in words, by ``RESULT_COLUMNS``."""
-    return (
-        row["scenario"],
-        row["policy"],
-        *(f"{row[key]:.3f}" for key in ("submitted_mol", "purity", "score")),
-        *(f"{row[key]:.1f}" for key in ("manager_actions", "ticks")),
-        f"{row['unsafe_episodes']:.0%} of episodes",
-    )
-
-
-def _summary(spec: Scenario, policy: str, results: list[EpisodeResult]) -> dict[str, Any]:
-    count = len(results)
-    return {
-        "scenario": spec.name,
-        "policy": policy,
-        "episodes": count,
-        "submitted_mol": sum(r.submitted_mol for r in results) / count,
-        "purity": sum(r.purity for r in results) / count,
-        "score": sum(r.score for r in results) / count,
-        "manager_actions": sum(r.manager_actions for r in results) / count,
-        "ticks": sum(r.ticks for r in results) / count,
-        "unsafe_episodes": sum(bool(set(happened(r.safety_events)) - {"boiled_dry", "dry_heating"}) for r in results)
-        / count,
-    }
 
 
 @app.command()

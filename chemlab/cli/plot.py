@@ -1,4 +1,4 @@
-"""The command plot: pictures of runs and records."""
+"""The command plot: pages and pictures of training runs and records."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import TrustOption, app, check_result
-from .screen import out, plain
+from ..config.files import check_folder
+from .common import TrustOption, app, check_result, readable_errors
+from .screen import counting, out, plain
 
 __all__: list[str] = []
 
-plot = typer.Typer(help="Draw what people ask of runs and records (needs the extra `plot`).", no_args_is_help=True)
+plot = typer.Typer(help="Draw training runs and records (needs the extra `plot`).", no_args_is_help=True)
 app.add_typer(plot, name="plot")
 
 RecordArgument = Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")]
@@ -94,3 +95,55 @@ def moles(
 
     picture = output or _beside(record, "moles")
     _save(picture, force, lambda: draw_moles(read_record(record), trust, only or ()), record)
+
+
+@plot.command()
+def runs(
+    results: Annotated[
+        Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it, or with tables of them.")
+    ],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Where pages and figures go.")] = Path("figures"),
+    collect: Annotated[
+        Path | None,
+        typer.Option(
+            help="First make tables of the runs in this folder, and play the managers among them and what they are "
+            "compared with; pages are made from the tables. What they have of other runs stays."
+        ),
+    ] = None,
+    file_format: Annotated[
+        list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
+    ] = None,
+    trust: TrustOption = False,
+) -> None:
+    """Make pages of training runs: what each algorithm came to, with intervals, and learning curves.
+
+    Managers of laboratories have a page of their own (laboratory.md), beside managers that learned nothing. Needs
+    nothing but runs' small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
+    """
+    with readable_errors():
+        from ..agents.evaluate.laboratory import collect as collect_tables
+        from ..agents.evaluate.laboratory import collect_count, write_laboratory
+        from ..agents.evaluate.page import write_page
+        from ..render.figure import FORMATS
+
+        formats = file_format or ["png"]
+        if unknown := [name for name in formats if name not in FORMATS]:
+            raise ValueError(f"--format: known: {', '.join(FORMATS)}; given {', '.join(unknown)}")
+        total = collect_count(results)
+        left_out = []
+        for folder in (output, *([collect] if collect is not None else [])):
+            check_folder(folder)
+        if collect is not None:
+            with counting() as progress:
+                task = progress.add_task("managers", total=total)
+                left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
+        page, others = write_page(collect or results, output, formats)
+        laboratory = write_laboratory(collect or results, output, formats)
+        left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
+    for line in left_out:
+        out.print(f"[yellow]left out[/yellow] {plain(line)}")
+    for written in (page, laboratory and laboratory.page):
+        if written is not None:
+            out.print(f"wrote {plain(written)}")
+    if page is None and laboratory is None:
+        out.print(f"{plain(results)}: has no training runs")

@@ -148,7 +148,7 @@ def pair_table(names: Sequence[str], pairs: Mapping[frozenset[str], Pair]) -> Pa
         concerned = " ".join(repr(name) for name in names if any(name in two for two in missing))
         raise DataError(
             f"pairs: no activity coefficients of {shown}{more}; make them with "
-            f"pip install '.[chem]' and chemlab pairs {concerned} -o my_pairs.toml "
+            f"pip install '.[chem]' and chemlab data pairs {concerned} -o my_pairs.toml "
             "(--materials FILE for materials of your own), and name that file in pair_files"
         )
     size = len(names)

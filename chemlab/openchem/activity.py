@@ -440,7 +440,7 @@ def make_pairs(
     for name in (name for two in pairs for name in two):
         if name not in materials:
             raise DataError(
-                f"pairs: unknown material {name!r}; make it with chemlab material, and name its file with --materials"
+                f"pairs: unknown material {name!r}; make it with chemlab data material, then give its file: --materials"
             )
         if not is_molecule(materials[name]):
             role = materials[name].role

@@ -1,4 +1,4 @@
-"""How hard a scenario's chemistry is, measured: ``chemlab difficulty``.
+"""How hard a scenario's chemistry is, measured: ``chemlab audit difficulty``.
 
 | measure | what |
 |---|---|

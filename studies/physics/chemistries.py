@@ -6,9 +6,9 @@
 
 Chemistry i has seed i and the difficulty easy, medium or hard in turn. Each is generated, and its files are written and
 loaded again. The scripted agents play its hardest goal once (as ``chemlab run`` does), and its reaction bench is run
-under constant conditions (``chemlab difficulty``). ``atoms`` is the largest relative change of any element, from the
-initial stock to the submitted, discarded and remaining material. ``solved`` means a score of at least half of the score
-for all of the goal, pure, without costs; ``solved_of_yield`` means half of that times the yield under constant
+under constant conditions (``chemlab audit difficulty``). ``atoms`` is the largest relative change of any element, from
+the initial stock to the submitted, discarded and remaining material. ``solved`` means a score of at least half of the
+score for all of the goal, pure, without costs; ``solved_of_yield`` means half of that times the yield under constant
 conditions. Scores, purities, yields and selectivities are medians, except the yield's 5 % quantile.
 """
 

@@ -1,4 +1,4 @@
-"""Results of `chemlab material` for common compounds, compared with values it did not use.
+"""Results of `chemlab data material` for common compounds, compared with values it did not use.
 
     python studies/physics/compounds.py     # writes compounds.csv, compounds_blind.csv and compounds_worst.csv
 

@@ -3,8 +3,8 @@
     python studies/tools/pairs.py                     # the bundled file, of all bundled molecules
     python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
 
-Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab pairs`` makes pairs of
-your own materials.
+Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab data pairs`` makes
+pairs of your own materials.
 """
 
 from __future__ import annotations

@@ -230,8 +230,8 @@ def test_tables_fit_a_terminal_without_broken_words() -> None:
     [
         (["evaluate", DIT, "--out", "file/out.json"], "file: cannot write there"),
         (["evaluate", DIT, "--out", "."], "is a folder; give a file's name"),
-        (["compare", "fictitious", "--update", "nope.md"], "nope.md: no such file"),
-        (["compare", "fictitious", "--update", "file"], "needs the lines <!-- results: begin -->"),
+        (["evaluate", "fictitious", "--update", "nope.md"], "nope.md: no such file"),
+        (["evaluate", "fictitious", "--update", "file"], "needs the lines <!-- results: begin -->"),
     ],
 )
 def test_what_is_in_the_way_of_results_is_found_before_anything_is_played(

@@ -130,7 +130,7 @@ def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
     assert not (tables / "managers.csv").exists()
     assert write_laboratory(source, out) is None
     assert not out.exists()
-    done = runner.invoke(app, ["figures", str(source), "-o", str(out)])
+    done = runner.invoke(app, ["plot", "runs", str(source), "-o", str(out)])
     assert done.exit_code == 0, done.output
     assert "laboratory" not in done.output
     assert {path.name for path in out.iterdir()} == {"runs.md", "runs_curves.png"}
@@ -205,10 +205,10 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert len(written.left_out) == 2
     assert not rows_of(written.page)
     store(results, {"manager/seed-0": 0.7})
-    done = runner.invoke(app, ["figures", str(results), "-o", str(out), "--format", "png", "--format", "svg"])
+    done = runner.invoke(app, ["plot", "runs", str(results), "-o", str(out), "--format", "png", "--format", "svg"])
     assert done.exit_code == 0, done.output
     said = re.sub(r"\s+", " ", done.output)
-    assert "left out manager/seed-1: not played yet (chemlab figures RUNS --collect TABLES)" in said
+    assert "left out manager/seed-1: not played yet (chemlab plot runs RUNS --collect TABLES)" in said
     assert "seed-0: not" not in said
     page = (out / "laboratory.md").read_text()
     assert "- manager/seed-1: not played yet" in page
@@ -318,7 +318,7 @@ def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> 
     assert float(rows["learned"]["score"]) == pytest.approx(result.mean, abs=1e-12)
     assert float(rows["scripted"]["score"]) == pytest.approx(result.scripted_mean, abs=1e-12)
     assert rows["learned"]["same_task"] == "True"
-    done = runner.invoke(app, ["figures", str(tables), "-o", str(tmp_path)])
+    done = runner.invoke(app, ["plot", "runs", str(tables), "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "left out" not in done.output
     cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated", "tiny"]

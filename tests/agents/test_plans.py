@@ -277,7 +277,7 @@ def test_plans_by_name(tmp_path: Path) -> None:
         ("{", ["not a file of plans"]),
         ("[]", ["not a file of plans"]),
         ('{"kind": "evaluation", "format": 1}', ["not a file of plans"]),
-        ('{"kind": "plan", "format": 1, "scenario": "x"}', ["not a file of plans", "chemlab plan --out"]),
+        ('{"kind": "plan", "format": 1, "scenario": "x"}', ["not a file of plans", "chemlab audit plan --out"]),
     ],
 )
 def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list[str]) -> None:
@@ -295,14 +295,14 @@ def test_a_plan_that_does_not_fit_is_refused() -> None:
         plan_for(Laboratories("salt_from_oil"), str(plan_file("wurtz_dodecane", "scripted")))
     with pytest.raises(ValueError, match="may ask for 5-methylundecane"):
         plan_for(Laboratories("wurtz_any"), str(plan_file("wurtz_dodecane", "scripted")))
-    with pytest.raises(ValueError, match="chemlab plan wurtz_dodecane --benches scripted:unsafe --out"):
+    with pytest.raises(ValueError, match="chemlab audit plan wurtz_dodecane --benches scripted:unsafe --out"):
         plan_for(Laboratories("wurtz_dodecane"), "scripted:unsafe")
 
 
 def test_the_command(tmp_path: Path) -> None:
     """The plan in words, its score and how many were tried; the file can be played."""
     file = tmp_path / "plan.json"
-    arguments = ["plan", "salt_from_oil", "--budget", "400", "--episodes", "5"]
+    arguments = ["audit", "plan", "salt_from_oil", "--budget", "400", "--episodes", "5"]
     told = runner.invoke(app, [*arguments, "--out", str(file)])
     assert told.exit_code == 0, told.output
     assert "submit slot" in told.output
@@ -310,10 +310,12 @@ def test_the_command(tmp_path: Path) -> None:
     as_json = runner.invoke(app, [*arguments, "--json"])
     content = json.loads(as_json.stdout)
     assert content == json.loads(file.read_text())
-    assert content["command"] == "chemlab plan salt_from_oil --benches scripted --budget 400 --seed 0 --episodes 5"
+    assert (
+        content["command"] == "chemlab audit plan salt_from_oil --benches scripted --budget 400 --seed 0 --episodes 5"
+    )
     run = runner.invoke(app, ["run", "salt_from_oil", "--policy", f"scripted,manager=plan:{file}", "--json"])
     assert json.loads(run.stdout)["score"] == pytest.approx(content["evaluation"]["value"], abs=0.02)
-    assert runner.invoke(app, ["plan", "salt_from_oil", "--budget", "some"]).exit_code == 2
+    assert runner.invoke(app, ["audit", "plan", "salt_from_oil", "--budget", "some"]).exit_code == 2
 
 
 # -- replaying --------------------------------------------------------------------------------------------------------

@@ -145,10 +145,12 @@ def test_variants_have_looks_of_their_own() -> None:
 def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     tables = tmp_path / "tables"
-    done = runner.invoke(app, ["figures", str(runs), "--out", str(tmp_path / "a"), "--collect", str(tables)])
+    done = runner.invoke(app, ["plot", "runs", str(runs), "--out", str(tmp_path / "a"), "--collect", str(tables)])
     assert done.exit_code == 0, done.output
     before = sorted(runs.rglob("*"))
-    done = runner.invoke(app, ["figures", str(runs), "-o", str(tmp_path / "b"), "--format", "svg", "--format", "png"])
+    done = runner.invoke(
+        app, ["plot", "runs", str(runs), "-o", str(tmp_path / "b"), "--format", "svg", "--format", "png"]
+    )
     assert done.exit_code == 0, done.output
     assert "left out z: not finished" in done.output
     assert sorted(runs.rglob("*")) == before
@@ -173,7 +175,7 @@ def test_what_is_wrong_is_said_before_anything_is_made(
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
     before = sorted(runs.rglob("*"))
-    done = runner.invoke(app, ["figures", *arguments], env={"COLUMNS": "200"})
+    done = runner.invoke(app, ["plot", "runs", *arguments], env={"COLUMNS": "200"})
     assert done.exit_code == 2
     assert words in done.output
     assert sorted(runs.rglob("*")) == before

@@ -130,8 +130,8 @@ PICKLES = {
     ],
     "run": lambda at: ["run", SCENARIO, "--policy", at / "manager", "--json"],
     "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
-    "compare": lambda at: ["compare", SCENARIO, "--policy", at / "manager", "--episodes", 1],
-    "plan": lambda at: ["plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
+    "compare": lambda at: ["evaluate", SCENARIO, "--policy", at / "manager", "--episodes", 1],
+    "plan": lambda at: ["audit", "plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
     "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "imitate": lambda at: [
         *("train", "manager", "--algo", "maskable-ppo", "--imitate", at / "manager", "--out", at / "new"),
@@ -202,7 +202,7 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
 
 
 def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
-    words = ["figures", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
+    words = ["plot", "runs", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
     code, said = chemlab(*words)
     assert code == 0, said
     assert "left out" not in said
@@ -245,7 +245,7 @@ def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path
     (own / "config.json").write_text(json.dumps({**config, "scenario": str(bait / "bait.toml")}))
     code, said = chemlab("export", own, "--out", bait / "mine")
     assert (code, "--trust" in said) == (2, True)
-    code, said = chemlab("figures", own, "--out", bait / "pages", "--collect", bait / "tables")
+    code, said = chemlab("plot", "runs", own, "--out", bait / "pages", "--collect", bait / "tables")
     assert (code, "--trust" in said) == (0, True)
     assert not (bait / "ran").exists()
     chemlab_trusting(["export", own, "--out", bait / "mine"])
@@ -256,10 +256,10 @@ SCENARIOS = {
     "describe": ["describe", "bait.toml"],
     "run": ["run", "bait.toml", "--json"],
     "play": ["play", "bait.toml"],
-    "compare": ["compare", "bait.toml", "--episodes", 1],
+    "compare": ["evaluate", "bait.toml", "--episodes", 1],
     "starts": ["starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
     "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
-    "plan": ["plan", "bait.toml", "--budget", 1, "--episodes", 1],
+    "plan": ["audit", "plan", "bait.toml", "--budget", 1, "--episodes", 1],
     "train": ["train", "manager", "--scenario", "bait.toml", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],
     "train-together": ["train-together", "bait.toml", "--steps", 32, "--out", "new"],
     "sweep": ["sweep", "sweep.toml", "--status"],

@@ -1,6 +1,6 @@
 """Broken files, by the thousand: whatever is in a scenario, material, reaction, pair or starts file, in the scenario of
-a record, or in what ``chemlab new`` and ``chemlab material`` are given, either it loads or the error is a DataError
-that names the file.
+a record, or in what ``chemlab new`` and ``chemlab data material`` are given, either it loads or the error is a
+DataError that names the file.
 
     python tests/fuzz/fuzz_files.py --files 5000 --seed 0      # what fails is kept in --keep, one folder each
 
@@ -69,7 +69,7 @@ TEXTS = (
 
 
 NAMES = {"scenario": "lab.toml", "material": "goo.toml", "reaction": "own.toml", "pairs": "own_pairs.toml"}
-LOCK = {"command": "chemlab material 'goo'", "chemlab": "0.1.0", "rdkit": "not installed"}
+LOCK = {"command": "chemlab data material 'goo'", "chemlab": "0.1.0", "rdkit": "not installed"}
 
 
 class Files(NamedTuple):
@@ -364,12 +364,12 @@ def new(folder: Path, base: Files, donor: Files, rng: np.random.Generator) -> bo
 
 
 def values(folder: Path, base: Files, donor: Files, rng: np.random.Generator) -> bool:
-    """``chemlab material`` with broken values of one's own, and a laboratory that has what comes of it."""
+    """``chemlab data material`` with broken values of one's own, and a laboratory that has what comes of it."""
     own = {"anisole": {"melting_point_k": 235.65, "density_kg_l": 0.995, "source": {}}}
     own["anisole"]["source"] = dict.fromkeys(("melting_point_k", "density_kg_l"), "a handbook")
     write_toml(folder / "values.toml", own, changed(own, {"anisole": donor.material["goo"]}, rng), rng)
     made = folder / "made.toml"
-    if not succeeds(folder, "material", "anisole", "--values", folder / "values.toml", "-o", made):
+    if not succeeds(folder, "data", "material", "anisole", "--values", folder / "values.toml", "-o", made):
         assert not made.exists()
         return False
     (folder / "lab.toml").write_text('base = "crude"\nname = "lab"\nmaterial_files = ["made.toml"]\n', encoding="utf-8")

@@ -238,8 +238,8 @@ def test_water_and_acetic_acid_have_no_azeotrope() -> None:
 def test_water_and_formic_acid_boil_highest_where_they_were_measured_to() -> None:
     """Azeotrope at 107.6 C and a mole fraction of water of 0.43 (77.5 % of the mass formic acid; handbooks).
 
-    Material and pair as ``chemlab material`` and ``chemlab pairs`` make them: activity coefficients are UNIFAC's, and
-    leave 2 K.
+    Material and pair as ``chemlab data material`` and ``chemlab data pairs`` make them: activity coefficients are
+    UNIFAC's, and leave 2 K.
     """
     glass = Glass("water", "formic_acid", files=FORMIC_ACID)
     low, high = 0.2, 0.7
