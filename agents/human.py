@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -22,16 +20,14 @@ from rich.text import Text
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import action_words, measured_words
-from chemlab.roles.bench import Bench, Channel, channel_slices
-from chemlab.roles.manager_view import order_channels
+from chemlab.lab.text import RoleText, Shades, action_words, position_words
+from chemlab.roles.bench import Bench, channel_slices
 
-__all__ = ["HumanPolicy", "Left", "Menu", "Shades", "parse_numbers", "sparkline"]
+__all__ = ["HumanPolicy", "Left", "LetterShades", "Menu", "parse_numbers", "sparkline"]
 
 _FLAT = 12
 """Up to so many actions are listed one by one; more are grouped."""
 _BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
-_FULL = ("█", "#")
 
 
 class Left(Exception):
@@ -60,65 +56,31 @@ def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
     return grid
 
 
-def _bar(share: float, width: int, full: str) -> str:
-    return (full * round(min(max(share, 0.0), 1.0) * width)).ljust(width)
-
-
-class Shades:
-    """What the grey values of a layer camera stand for: every material has its own, and here a letter."""
+class LetterShades(Shades):
+    """Pictures of a layer camera as coloured letters, one letter for each material."""
 
     def __init__(self, scenario: Scenario) -> None:
-        found = [(m.shade, name, m.color) for name, m in scenario.materials.items() if m.role not in ("gas", "ion")]
-        air = scenario.materials["air"]
-        self._names = ["air", *(name for _, name, _ in found)]
-        self._colors = [air.color, *(color for _, _, color in found)]
-        self._values = np.array([air.shade, *(shade for shade, _, _ in found)])
+        super().__init__(scenario)
         self.letters = ["."]
-        for _, name, _ in found:
+        for name in self.names[1:]:
             options = [c for c in name.lower() + name.upper() + "abcdefghijklmnopqrstuvwxyz0123456789" if c.isalnum()]
             options = [c for c in options if c.isalpha()] + options
             self.letters.append(next(c for c in options if c not in self.letters))
-
-    def materials(self, pixels: npt.NDArray[Any]) -> IntArray:
-        """[pixels] which of the names each grey value is nearest to."""
-        return np.asarray(np.abs(np.asarray(pixels)[:, None] - self._values).argmin(axis=1), dtype=np.int64)
 
     def line(self, pixels: npt.NDArray[Any], width: int) -> Text:
         """A camera's picture lying on its side, the bottom at the left; a cell shows what most of its pixels are."""
         text = Text()
         for part in np.array_split(self.materials(pixels), min(width, len(pixels))):
             kind = int(np.bincount(part).argmax())
-            color = self._colors[kind]
+            color = self.colors[kind]
             light = sum(int(color[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1))) > 110.0
             text.append(self.letters[kind], style="" if kind == 0 else f"{'black' if light else 'white'} on {color}")
         return text
 
     def legend(self, *pictures: npt.NDArray[Any]) -> str:
-        """What the letters of some pictures mean."""
+        """The materials that the letters of some pictures stand for."""
         kinds = sorted({int(kind) for pixels in pictures for kind in self.materials(pixels)})
-        return ", ".join(f"{self.letters[kind]} {self._names[kind]}" for kind in kinds)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """An observation by channels."""
-
-    channels: Sequence[Channel]
-    slices: dict[str, slice]
-    observation: ObservationArray
-
-    def raw(self, name: str) -> npt.NDArray[np.float32]:
-        """The channel's numbers in [0, 1]."""
-        return self.observation[self.slices[name]]
-
-    def number(self, name: str) -> float:
-        """A channel's first number."""
-        return float(self.raw(name)[0])
-
-    def choice(self, name: str, names: Sequence[str]) -> str:
-        """Which of ``names`` a one-hot channel says; empty where it says none."""
-        values = self.raw(name)
-        return names[int(values.argmax())] if values.max() > 0.5 else ""
+        return ", ".join(f"{self.letters[kind]} {self.names[kind]}" for kind in kinds)
 
 
 # -- choosing ---------------------------------------------------------------------------------------------------------
@@ -313,10 +275,11 @@ class HumanPolicy:
         self._ask, self._console, self._before = ask, console or Console(), before
         self._role = laboratories.role(number)
         self._slices = channel_slices(self._role.channels)
-        self._shades = Shades(laboratories.scenario)
+        self._shades = LetterShades(laboratories.scenario)
+        self._text = RoleText(laboratories, number)
         self._last: npt.NDArray[Any] | None = None
         unicode = (self._console.encoding or "ascii").lower().replace("-", "").startswith("utf")
-        self._signs, self._full = (_BLOCKS, _FULL[0]) if unicode else (_PLAIN, _FULL[1])
+        self._signs = _BLOCKS if unicode else _PLAIN
 
     @property
     def agent(self) -> str:
@@ -334,141 +297,59 @@ class HumanPolicy:
         """
         if len(observation) != 1:
             raise ValueError(f"{self.agent}: a person plays one laboratory at a time, given {len(observation)}")
-        if step[0] == 0 and self._number > 0:
+        if step[0] == 0:
             self._last = None
+            self._text.begin()
         if self._before is not None:
             self._before()
         for part in self.view(observation[0], int(step[0])):
             self._console.print(part)
         chosen = self._numbers() if mask is None else np.int64(self._choose(mask[0]))
         self._last = np.asarray(chosen)
+        self._text.acted(chosen)
         return np.asarray(chosen)[None]
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def view(self, observation: ObservationArray, step: int) -> Iterator[Any]:
-        """What the person sees, as things rich can print.
+        """The text of the observation (see :class:`~chemlab.lab.text.RoleText`), and its pictures, as things rich can
+        print.
 
         Args:
             observation: the agent's.
             step: turns it has had (in the experiment, or as the manager in the episode).
         """
-        seen = _Seen(self._role.channels, self._slices, observation)
         yield ""
-        yield from self._bench(seen, step, self._role) if isinstance(self._role, Bench) else self._manager(seen)
+        if isinstance(self._role, Bench):
+            yield Text.assemble(
+                (self.agent, "bold"),
+                f": step {step + 1} of {self._role.spec.step_limit}; reward: {self._role.score_meaning}",
+            )
+        else:
+            costs = [f"{item} {value:.4f}" for item, value in self._labs.costs().items() if value > 0.0]
+            yield Text.assemble((self.agent, "bold"), f": costs so far: {', '.join(costs) or 'none'}")
+        yield _grid([("", line) for line in self._text.lines(observation)])
+        yield from self._pictures(observation)
 
     @property
     def _width(self) -> int:
         return max(min(self._console.width - 16, 60), 10)
 
-    def _bench(self, seen: _Seen, step: int, bench: Bench) -> Iterator[Any]:
-        goal = seen.choice("goal", bench.goals.names)
-        yield Text.assemble(
-            (self.agent, "bold"), f": step {step + 1} of {bench.spec.step_limit}, goal ", (goal, "bold"),
-            f"; reward: {bench.score_meaning}",
-        )  # fmt: skip
-        pictures = [seen.raw(c.name) for c in bench.channels if c.unit == "grey"]
+    def _pictures(self, observation: ObservationArray) -> Iterator[Any]:
+        """Layers as letters and spectra as blocks, where there are any."""
         rows: list[tuple[str, str | Text]] = []
-        for channel in bench.channels:
-            values, label = seen.raw(channel.name), channel.name.removeprefix("layers_")
-            if channel.unit == "grey":
+        layers = []
+        for channel in self._role.channels:
+            values, label = observation[self._slices[channel.name]], channel.name.removeprefix("layers_")
+            if channel.unit == "grey" and values.any():
+                layers.append(values)
                 rows.append((label, self._shades.line(values, self._width)))
-            elif channel.name == "reagents":
-                rows.append(("left", self._left(bench, values)))
-            elif channel.size == 1:
-                value = channel.low + float(values[0]) * (channel.high - channel.low)
-                rows.append((label, f"{value:.4g} {channel.unit} ({channel.low:g} to {channel.high:g})"))
-            elif channel.name != "goal":
-                line = sparkline(values, self._width, self._signs)
-                rows.append((label, line))
-                if channel.name == "spectrum":
-                    rows.append(("", "200".ljust(len(line) - 6) + "800 nm"))
-        if pictures:
-            rows.append(("", f"(bottom at the left; {self._shades.legend(*pictures)})"))
-        yield _grid(rows)
-
-    @staticmethod
-    def _left(bench: Bench, values: npt.NDArray[np.float32]) -> str:
-        names = getattr(bench, "reagent_names", ())
-        full = getattr(bench.options, "reagents", {})
-        return ", ".join(
-            f"{name} {value * full.get(name, 1.0):.3g} mol" for name, value in zip(names, values, strict=True)
-        )
-
-    def _manager(self, seen: _Seen) -> Iterator[Any]:
-        labs, scenario = self._labs, self._labs.scenario
-        limits = scenario.limits
-        orders = [seen.choice(name, scenario.goals) for name, _ in order_channels(scenario)]
-        left = (round(seen.number("actions") * limits.manager_actions), round(seen.number("ticks") * limits.ticks))
-        costs = [f"{item} {value:.4f}" for item, value in labs.costs().items() if value > 0.0]
-        yield Text.assemble(
-            (self.agent, "bold"), ": wanted ", (", ".join(goal or "(delivered)" for goal in orders), "bold"),
-            f"; left: {left[0]} actions, {left[1]} ticks, {seen.number('budget') * limits.budget:.4f} for measuring",
-        )  # fmt: skip
-        yield Text(f"  costs so far: {', '.join(costs) or 'none'}")
-        yield self._shelf(seen)
-        yield from self._readings(seen)
-        rows: list[tuple[str, str | Text]] = []
-        for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
-            if seen.number(f"{agent}_busy") > 0.5:
-                steps = round(seen.number(f"{agent}_steps_left") * bench.spec.step_limit)
-                goal = seen.choice(f"{agent}_goal", scenario.goals)
-                doing = f"goal {goal}, {steps} of {bench.spec.step_limit} steps left"
-            else:
-                doing = "idle"
-            rows.append((agent, doing))
-        if scenario.stock:
-            parts = zip(scenario.stock.items(), seen.raw("stock"), strict=True)
-            rows.append(("stock", ", ".join(f"{name} {share * full:.3g} mol" for (name, full), share in parts)))
-        yield _grid(rows)
-
-    def _shelf(self, seen: _Seen) -> Table:
-        scenario = self._labs.scenario
-        table = Table(box=SIMPLE, pad_edge=False)
-        for name in ("slot", "contents", "temperature", "comes from"):
-            table.add_column(name, justify="right" if name == "temperature" else "left", overflow="fold")
-        empty = []
-        for s in range(scenario.shelf.slots):
-            if seen.number(f"slot_{s}_occupied") < 0.5:
-                empty.append(str(s))
-                continue
-            channels = {c.name: c for c in self._role.channels}
-            capacity = seen.number(f"slot_{s}_capacity") * channels[f"slot_{s}_capacity"].high
-            warm = channels[f"slot_{s}_temperature"]
-            kelvin = warm.low + seen.number(f"slot_{s}_temperature") * (warm.high - warm.low)
-            fill = seen.number(f"slot_{s}_fill")
-            key = seen.choice(f"slot_{s}_last_bench", ["", *scenario.benches])
-            bench = next((b for b in self._labs.benches if b.key == key), None)
-            role = seen.choice(f"slot_{s}_last_position", bench.positions) if bench and len(bench.positions) > 1 else ""
-            contents = f"[{_bar(fill, 12, self._full)}] {fill * capacity:.2f} of {capacity:.2f} L"
-            table.add_row(str(s), Text(contents), f"{kelvin:.1f} K", f"{key} {role}".strip() or "(start)")
-        if empty:
-            table.add_row(",".join(empty), "(empty)", "", "")
-        return table
-
-    def _readings(self, seen: _Seen) -> Iterator[Any]:
-        instruments = self._labs.instruments
-        for s in range(self._labs.scenario.shelf.slots):
-            for i, (name, channel) in enumerate(zip(instruments.names, instruments.channels, strict=True)):
-                if name not in self._labs.scenario.seen_instruments:
-                    continue
-                age = seen.number(f"slot_{s}_{name}_age")
-                values = seen.raw(f"slot_{s}_{name}")
-                # The age alone does not tell a reading of the episode's whole length ago from none: both are 1.
-                if age >= 1.0 and not values.any():
-                    continue
-                if seen.number(f"slot_{s}_occupied") < 0.5:
-                    continue
-                ticks = round(age * self._labs.scenario.limits.ticks)
-                when = "just now" if ticks == 0 else f"{ticks} ticks ago"
-                yield Text(f"  slot {s}, {name} ({when}):")
-                if channel.unit == "grey":
-                    yield Text("    ") + self._shades.line(values, self._width)
-                    yield Text(f"    (bottom at the left; {self._shades.legend(values)})")
-                elif channel.unit == "absorption":
-                    yield Text("    " + sparkline(values, self._width, self._signs))
-                else:
-                    yield Text("    " + measured_words(self._labs, i, values))
+            elif channel.unit == "absorption" and values.any():
+                rows.append((label, sparkline(values, self._width, self._signs)))
+        if layers:
+            rows.append(("", f"(bottom at the left; {self._shades.legend(*layers)})"))
+        if rows:
+            yield _grid(rows)
 
     # -- what is typed ------------------------------------------------------------------------------------------------
 
@@ -556,7 +437,12 @@ class HumanPolicy:
                 "start puts a vessel on a bench; wait lets the benches work until one is done.",
             ]
         elif isinstance(self._role, Bench):
-            lines.append(f"You are paid {self._role.score_meaning}, when the experiment ends.")
+            gauges = [c for c in self._role.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
+            lines += [
+                f"You are paid {self._role.score_meaning}, when the experiment ends.",
+                f"Vessels: {position_words(self._role)}.",
+                *(f"{c.name}: {c.low:g} to {c.high:g} {c.unit}, {c.meaning}" for c in gauges),
+            ]
         if self._labs.action_counts[self._number]:
             lines += [
                 "Type the number of a line (several numbers go through the groups at once: 1 3),",

@@ -117,7 +117,7 @@ def _show_scenario(labs: Laboratories) -> None:
     if spec.instruments:
         _show("Instruments", facts.instrument_table(labs))
     if spec.world.draws:
-        _show("Drawn for each episode, and not told", facts.world_table(spec))
+        _show("Hidden parameters, drawn for each episode", facts.world_table(spec))
     wear = facts.wear_words(spec)
     for words in (*wear, facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
         page.print(plain(words.replace("`", "")))

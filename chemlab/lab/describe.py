@@ -13,6 +13,7 @@ from typing import Any
 
 import gymnasium
 
+from ..config.draws import Draw
 from ..config.scenario import InstrumentSpec, Scenario
 from ..roles.bench import Bench, Channel
 from .engine import Laboratories
@@ -175,7 +176,7 @@ def vessel_table(spec: Scenario) -> FactTable:
 
 
 def world_table(spec: Scenario) -> FactTable:
-    """What is drawn for an episode and not told."""
+    """The hidden parameters that are drawn for an episode, and whether a number is a factor or a value."""
     rows = []
     for name, draw in spec.world.draws.items():
         numbers = draw.distribution.model_dump(exclude_none=True)
@@ -188,8 +189,15 @@ def world_table(spec: Scenario) -> FactTable:
         what = f"{draw.what} of {_code(draw.material)}" if draw.material else draw.what
         whose = _codes(draw.of) or "the laboratory"
         each = "one number" if draw.variables == 1 else "each its own"
-        rows.append((_code(name), what, whose, f"{kind}: {words}", each))
-    return _facts(("draw", "what", "of", "drawn from", "shared"), rows)
+        change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if _is_change(draw) else ""
+        rows.append((_code(name), what, whose, f"{change}{kind}: {words}", each))
+    note = "x: multiplies the stated value, +: is added to it, =: replaces it"
+    return _facts(("draw", "what", "of", "drawn from", "shared"), rows, note=note if rows else "")
+
+
+def _is_change(draw: Draw) -> bool:
+    """Whether a draw changes a stated number; identities and shares are what they are."""
+    return draw.what not in ("identity", "titre")
 
 
 def stock_table(spec: Scenario) -> FactTable:

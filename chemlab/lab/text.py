@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ..config.scenario import Scenario
+from ..kernels.arrays import IntArray, ObservationArray
+from ..physics.chemistry import WAVELENGTHS_NM
+from ..roles.bench import Bench, Channel, channel_slices
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
+from ..roles.manager_view import order_channels
 from .engine import Laboratories
 
-__all__ = ["action_words", "describe_laboratory", "measured_words", "named_costs", "named_events", "reading_words"]
+__all__ = [
+    "RoleText",
+    "Shades",
+    "action_words",
+    "curve_words",
+    "describe_laboratory",
+    "measured_words",
+    "named_costs",
+    "named_events",
+    "position_words",
+    "reading_words",
+]
 
 _BAR = 20
+_CURVE_ERROR = 0.05
+"""Largest error of a curve in words: linear interpolation between the printed points is that close to every value."""
+_LONG = 16
+"""Channels with more values are described as curves."""
+_PURE = 3
+"""A layer is listed by itself if at least this many pixels in a row show it; thinner ones are part of a mixed zone."""
 
 
 def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:
@@ -61,15 +86,352 @@ def reading_words(laboratories: Laboratories, slot: int, instrument: str, member
     return f"{measured_words(labs, i, values)}; price {table.price[i]:g}"
 
 
-def measured_words(laboratories: Laboratories, instrument: int, values: Any) -> str:
+def measured_words(
+    laboratories: Laboratories, instrument: int, values: Any, name: Callable[[str], str] | None = None
+) -> str:
     """A reading in words.
 
     Args:
-        laboratories: whose instruments they are.
-        instrument: number of the instrument.
+        laboratories: the laboratories that own the instruments.
+        instrument: index of the instrument.
         values: the reading, in [0, 1].
+        name: replaces the names of materials; default: their own.
     """
-    return laboratories.instruments.words(instrument, values)
+    table = laboratories.instruments
+    channel = table.channels[instrument]
+    if channel.unit == "grey":
+        return Shades(laboratories.scenario).words(values, name)
+    if channel.size > _LONG:
+        return curve_words(channel, values)
+    analytes = table.analytes[instrument]
+    return table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
+
+
+def position_words(bench: Bench) -> str:
+    """The vessels at a bench, in words."""
+    first, *others = bench.positions
+    clean = f"; {', '.join(others)}: clean, empty vessels of {bench.auxiliary_capacity_l:g} L" if others else ""
+    return f"{first}: the vessel brought to the bench{clean}"
+
+
+# -- pictures and curves ----------------------------------------------------------------------------------------------
+
+
+def curve_words(channel: Channel, values: npt.NDArray[Any]) -> str:
+    """A curve as the points ``x:percent`` between which it is straight, to within 0.05 of every value."""
+    found = np.asarray(values, dtype=np.float64)
+    spectrum = channel.unit == "absorption" and len(found) == len(WAVELENGTHS_NM)
+    x = WAVELENGTHS_NM if spectrum else np.arange(len(found))
+    points = " ".join(f"{x[i]:.0f}:{100.0 * found[i]:.0f}" for i in _vertices(found))
+    return f"{'nm:%' if spectrum else 'index:%'} {points}"
+
+
+def _vertices(values: npt.NDArray[np.float64]) -> list[int]:
+    """Indices of the points that a curve needs (Ramer, Douglas and Peucker's algorithm)."""
+    kept, open_spans = {0, len(values) - 1}, [(0, len(values) - 1)]
+    while open_spans:
+        first, last = open_spans.pop()
+        if last - first < 2:
+            continue
+        inside = np.arange(first + 1, last)
+        error = np.abs(values[inside] - np.interp(inside, [first, last], values[[first, last]]))
+        if error.max() > _CURVE_ERROR:
+            worst = int(inside[error.argmax()])
+            kept.add(worst)
+            open_spans += [(first, worst), (worst, last)]
+    return sorted(kept)
+
+
+class Shades:
+    """The materials that the grey values of a layer camera stand for.
+
+    Attributes:
+        names: of the materials, air first.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        visible = {name: m for name, m in scenario.materials.items() if m.role not in ("gas", "ion")}
+        shown = {"air": scenario.materials["air"], **visible}
+        self.names = list(shown)
+        self.colors = [material.color for material in shown.values()]
+        self._values = np.array([material.shade for material in shown.values()])
+
+    def materials(self, pixels: npt.NDArray[Any]) -> IntArray:
+        """[pixels] index of the name that each grey value is nearest to."""
+        return np.asarray(np.abs(np.asarray(pixels)[:, None] - self._values).argmin(axis=1), dtype=np.int64)
+
+    def words(self, pixels: npt.NDArray[Any], name: Callable[[str], str] | None = None) -> str:
+        """A camera's picture as heights of layers in percent, from the bottom; air at the top is left out."""
+        kinds = self.materials(pixels).tolist()
+        while kinds and kinds[-1] == 0:
+            kinds.pop()
+        zones: list[list[int]] = []
+        for _, group in groupby(kinds):
+            run = list(group)
+            if len(run) < _PURE and zones and not self._is_pure(zones[-1]):
+                zones[-1] += run
+            else:
+                zones.append(run)
+        words, at, full = [], 0, len(pixels)
+        for zone in zones:
+            places = f"{100 * at / full:.0f}-{100 * (at + len(zone)) / full:.0f}"
+            at += len(zone)
+            shares = {self.names[kind]: zone.count(kind) for kind in sorted(set(zone))}
+            called = [name(one) if name and one != "air" else one for one in shares]
+            if len(shares) == 1:
+                words.append(f"{called[0]} {places}")
+            else:
+                parts = zip(called, shares.values(), strict=True)
+                mixed = "/".join(f"{one} {100 * count / full:.0f}" for one, count in parts)
+                words.append(f"mixed {places} ({mixed})")
+        return ", ".join(words) or "empty"
+
+    @staticmethod
+    def _is_pure(zone: Sequence[int]) -> bool:
+        return len(zone) >= _PURE and len(set(zone)) == 1
+
+
+# -- what a role observes ---------------------------------------------------------------------------------------------
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _listed(channel: Channel) -> list[str]:
+    """Names of a channel's values, as its meaning lists them after a colon; none where it does not."""
+    names = channel.meaning.rpartition(": ")[2].split(", ")
+    return names if len(names) == channel.size else []
+
+
+class RoleText:
+    """Text of what one role observes, generated from its declared channels: the same for people and for models.
+
+    It holds what the role did itself (:meth:`acted`): which vessel it sent to which bench, and which orders it filled.
+
+    Args:
+        laboratories: only the public scenario and the declared channels are used.
+        agent: index of the agent.
+        name: replaces the names of materials; default: their own.
+    """
+
+    def __init__(self, laboratories: Laboratories, agent: int, name: Callable[[str], str] | None = None) -> None:
+        self._labs, self._agent = laboratories, agent
+        self._role = laboratories.role(agent)
+        self._slices = channel_slices(self._role.channels)
+        self._shades = Shades(laboratories.scenario)
+        self._name = name or str
+        self._subjects = self._group()
+        self._scales = self._known_scales()
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the role's own actions: an episode begins."""
+        self._away: dict[str, tuple[str, str]] = {}
+        self._filled: set[str] = set()
+        self._seen: dict[str, str] = {}
+
+    def acted(self, action: Any) -> None:
+        """Take note of an action of the role that was carried out."""
+        if self._agent > 0:
+            return
+        kind, *arguments = self._labs.actions.decode(int(action))
+        if kind == "start":
+            slot = f"slot_{arguments[1]}"
+            self._away[slot] = (str(arguments[0]), self._seen.get(slot, ""))
+        elif kind == "submit" and len(arguments) > 1:
+            self._filled.add(f"goal_{arguments[1]}")
+
+    def _group(self) -> dict[str, list[tuple[str, Channel]]]:
+        """(label, channel) of every channel, by the slot, bench, order or instrument that it is about; '' if none."""
+        scenario = self._labs.scenario
+        known = [f"slot_{s}" for s in range(scenario.shelf.slots)] + self._labs.bench_agents
+        known += [order for order, _ in order_channels(scenario)] + list(scenario.instruments)
+        subjects: dict[str, list[tuple[str, Channel]]] = {}
+        for channel in self._role.channels:
+            mine = self._agent == 0
+            fitting = [k for k in known if mine and (channel.name == k or channel.name.startswith(f"{k}_"))]
+            subject = max(fitting, key=len, default="")
+            label = channel.name[len(subject) :].strip("_") if subject else channel.name
+            subjects.setdefault(subject, []).append((label.replace("_", " "), channel))
+        return subjects
+
+    def _known_scales(self) -> dict[str, tuple[list[float], list[str], str]]:
+        """(factor and name of every value, unit) of channels that are shares of something the scenario states."""
+        labs, scenario = self._labs, self._labs.scenario
+        limits, scales = scenario.limits, {}
+        if self._agent == 0:
+            scales["stock"] = ([*scenario.stock.values()], [*map(self._name, scenario.stock)], "mol")
+            scales["budget"] = ([limits.budget], [""], "for measuring")
+            scales["actions"] = ([float(limits.manager_actions)], [""], "actions")
+            scales["ticks"] = ([float(limits.ticks)], [""], "ticks")
+            for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
+                scales[f"{agent}_steps_left"] = ([float(bench.step_limit)], [""], f"of {bench.step_limit} steps")
+        elif isinstance(self._role, Bench):
+            full = getattr(self._role.options, "reagents", {})
+            scales["reagents"] = ([*full.values()], [*map(self._name, full)], "mol")
+            if self._role.grades.names:
+                factors = [self._role.grades.largest, 1.0, float(self._role.step_limit)]
+                scales["grade"] = (factors, ["mol at least", "purity at least", "ticks allowed"], "")
+            named = [
+                name if scenario.world.draws[name].variables == 1 else f"{name} {k}"
+                for name in self._role.told
+                for k in range(scenario.world.draws[name].variables)
+            ]
+            scales["told"] = ([1.0] * len(named), [f"{name} quantile" for name in named], "")
+        return scales
+
+    def lines(self, observation: ObservationArray) -> list[str]:
+        """The observation in lines. Lines of slots or orders that are alike are one."""
+        found: dict[str, list[str]] = {}
+        for subject, channels in self._subjects.items():
+            values = {channel.name: observation[self._slices[channel.name]] for _, channel in channels}
+            if not subject:
+                found.update((line, [""]) for line in self._general(channels, values))
+                continue
+            words = self._about(subject, channels, values)
+            self._seen[subject] = words
+            found.setdefault(words, []).append(subject)
+        return [f"{_together(subjects)}: {words}" if subjects[0] else words for words, subjects in found.items()]
+
+    def text(self, observation: ObservationArray) -> str:
+        """The observation as one text."""
+        return "\n".join(self.lines(observation))
+
+    def _general(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
+        """Channels that are about the role itself: long ones a line each, the others together."""
+        short = [(label, one) for label, one in channels if one.size == 1 and one.unit != "one-hot"]
+        lines = [
+            f"{label}: {self._words(label, channel, values[channel.name], '')}"
+            for label, channel in channels
+            if (label, channel) not in short
+        ]
+        if short:
+            together = [self._words(label, channel, values[channel.name], label) for label, channel in short]
+            lines.append(("left: " if self._agent == 0 else "") + ", ".join(together))
+        return lines
+
+    def _about(self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
+        """What is observed of a slot, a bench, an order or an instrument."""
+        ages = {channel.name for label, channel in channels if label.endswith("age")}
+        still = all((value >= 1.0).all() if name in ages else not value.any() for name, value in values.items())
+        if subject.startswith("slot_"):
+            if not still:
+                self._away.pop(subject, None)
+                return self._vessel(channels, values)
+            if subject in self._away:
+                bench, before = self._away[subject]
+                return f"vessel at {bench}" + (f" (before: {before})" if before else "")
+            return "empty"
+        if subject.startswith("goal"):
+            return self._order(subject, channels, values, still)
+        if not any(values[one.name].any() for label, one in channels if label.startswith("reported")):
+            channels = [pair for pair in channels if not pair[0].startswith("reported")]
+        words = [self._words(label, channel, values[channel.name], label) for label, channel in channels]
+        if subject in self._labs.bench_agents and not values[f"{subject}_busy"].any():
+            own = (f"{subject}_busy", f"{subject}_goal", f"{subject}_steps_left")
+            if not any(values[name].any() for name in own):
+                rest = [w for w, (_, channel) in zip(words, channels, strict=True) if channel.name not in own]
+                words = ["idle", *rest]
+            for slot in [slot for slot, (bench, _) in self._away.items() if bench == subject]:
+                del self._away[slot]
+        return ", ".join(filter(None, words))
+
+    def _order(
+        self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]], still: bool
+    ) -> str:
+        if still:
+            return "filled" if subject in self._filled or len(channels) == 1 else "not arrived yet"
+        self._filled.discard(subject)
+        words = [
+            self._words(label, channel, values[channel.name], label)
+            for label, channel in channels
+            if values[channel.name].any() or not label.endswith("at least")
+        ]
+        return ", ".join(filter(None, words))
+
+    def _vessel(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
+        """A vessel on the shelf: its outside, and the readings taken of it."""
+        labels = dict(channels)
+        value = {label: float(values[channel.name][0]) for label, channel in labels.items() if channel.size == 1}
+        capacity = value["capacity"] * labels["capacity"].high
+        warm = labels["temperature"]
+        words = [] if value["occupied"] > 0.5 else ["no vessel"]
+        words.append(f"{_number(value['fill'] * capacity)}/{_number(capacity)} L")
+        words.append(f"{_number(warm.low + value['temperature'] * (warm.high - warm.low))} K")
+        bench, position = (self._chosen(labels[f"last {which}"], values) for which in ("bench", "position"))
+        origin = f"{bench} {self._position(bench, position)}".strip()
+        if origin not in ("", "none"):
+            words.append(f"from {origin}")
+        instruments = [name.replace("_", " ") for name in self._labs.instruments.names]
+        known = {"occupied", "fill", "temperature", "capacity", "last bench", "last position"}
+        for i, instrument in enumerate(instruments):
+            known |= {instrument, f"{instrument} age"}
+            reading, age = labels.get(instrument), value[f"{instrument} age"]
+            shown = None if reading is None else values[reading.name]
+            # The age alone does not tell a reading of the episode's whole length ago from none: both are 1.
+            if age >= 1.0 and (shown is None or not shown.any()):
+                continue
+            ago = f"{_number(age * labels[f'{instrument} age'].high)} ticks ago"
+            measured = "" if shown is None else f": {measured_words(self._labs, i, shown, self._name)}"
+            words.append(f"{self._labs.instruments.names[i]} {ago}{measured}")
+        words += [self._words(label, one, values[one.name], label) for label, one in channels if label not in known]
+        return ", ".join(words)
+
+    def _position(self, key: str, position: str) -> str:
+        """A bench's own name of a position, which the channel numbers in the order of its positions."""
+        bench = next((bench for bench in self._labs.benches if bench.key == key), None)
+        generic = {"main vessel": 0, "B1": 1, "B2": 2}.get(position)
+        if bench is None or generic is None or generic >= len(bench.positions):
+            return position
+        return bench.positions[generic] if len(bench.positions) > 1 else ""
+
+    @staticmethod
+    def _chosen(channel: Channel, values: Mapping[str, npt.NDArray[Any]]) -> str:
+        """What a one-hot channel says; empty where it says nothing."""
+        own = values[channel.name]
+        names = channel.meaning.rpartition(": ")[2].split(", ")
+        return names[int(own.argmax())] if own.any() else ""
+
+    def _words(self, label: str, channel: Channel, values: npt.NDArray[Any], before: str) -> str:
+        """The values of one channel; ``before`` is put in front of single numbers."""
+        if channel.unit == "one-hot":
+            chosen = self._chosen(channel, {channel.name: values})
+            own = chosen in self._labs.scenario.materials
+            return (self._name(chosen) if own else chosen) or "none"
+        if channel.unit == "0 or 1":
+            return before if values[0] > 0.5 else f"not {before}" if label != "broken" else ""
+        if channel.unit == "grey":
+            return self._shades.words(values, self._name)
+        if channel.name in self._scales:
+            factors, names, unit = self._scales[channel.name]
+            numbers = [_number(round(float(v) * f, 6)) for v, f in zip(values, factors, strict=True)]
+            pairs = zip(names, numbers, strict=True)
+            return ", ".join(f"{name} {number} {unit}".strip() for name, number in pairs)
+        scaled = [_number(channel.low + float(value) * (channel.high - channel.low)) for value in values]
+        unit = "" if channel.unit in ("fraction", *label.split()) else f" {channel.unit}"
+        if channel.size == 1:
+            return f"{before} {scaled[0]}{unit}".strip()
+        if channel.size > _LONG:
+            return curve_words(channel, values)
+        names = _listed(channel)
+        materials = self._labs.scenario.materials
+        named = [self._name(one) if one in materials else one for one in names] or [str(i) for i in range(channel.size)]
+        return ", ".join(f"{one} {number}" for one, number in zip(named, scaled, strict=True)) + unit
+
+
+def _together(subjects: Sequence[str]) -> str:
+    """Names of slots, orders and benches that share a line: ``slots 0-3, 5``."""
+    kind, _, number = subjects[0].rpartition("_")
+    words = {"slot": "slot", "goal": "order"}.get(kind)
+    if words is None or not number.isdigit():
+        return ", ".join("order" if subject == "goal" else subject for subject in subjects)
+    numbers = [int(subject.rpartition("_")[2]) for subject in subjects]
+    spans = []
+    for _, group in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0]):
+        run = [n for _, n in group]
+        spans.append(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}")
+    return f"{words}{'s' if len(numbers) > 1 else ''} {', '.join(spans)}"
 
 
 def describe_laboratory(laboratories: Laboratories, member: int) -> str:

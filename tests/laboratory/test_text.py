@@ -1,0 +1,125 @@
+"""The text of an observation: complete, and the same for people and for models."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import laboratory
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import RoleText, Shades, curve_words, reading_words
+from chemlab.roles.bench import Channel, channel_slices
+
+LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)
+
+
+def live(labs: Laboratories, channels: tuple[Channel, ...]) -> npt.NDArray[np.float32]:
+    """An observation in which every channel says something."""
+    shades = Shades(labs.scenario)
+    parts = []
+    for channel in channels:
+        if channel.unit == "one-hot":
+            parts.append(np.eye(channel.size)[0])
+        elif channel.unit == "0 or 1":
+            parts.append(np.ones(1))
+        elif channel.unit == "grey":
+            parts.append(np.full(channel.size, labs.scenario.materials[shades.names[1]].shade))
+        else:
+            parts.append(np.full(channel.size, 0.5))
+    return np.concatenate(parts).astype(np.float32)
+
+
+def variants(labs: Laboratories, channel: Channel) -> list[npt.NDArray[Any]]:
+    """Values of a channel that all differ from each other by more than what is displayed."""
+    n = channel.size
+    if channel.unit == "one-hot":
+        return [*np.eye(n), *([np.zeros(n)] if n > 1 else [])]
+    if channel.unit == "0 or 1":
+        return [np.zeros(1), np.ones(1)]
+    if channel.unit == "grey":
+        shades = [labs.scenario.materials[name].shade for name in Shades(labs.scenario).names]
+        rows = [np.full(n, shade) for shade in shades]
+        for first in (0, 40, 95):  # a layer elsewhere, and a single pixel
+            for size in (1, 5):
+                rows.append(rows[1].copy())
+                rows[-1][first : first + size] = shades[0] if first < 95 else shades[-1]
+        return rows if len(shades) > 2 else rows[:-2]
+    rows = [np.full(n, level) for level in LEVELS]
+    for i in range(n) if n > 1 else ():
+        rows.append(np.full(n, 0.3))
+        rows[-1][i] = 0.6
+    return rows
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_observations_that_differ_in_a_channel_differ_in_text(name: str) -> None:
+    labs = Laboratories(load_scenario(name))
+    for agent in range(len(labs.agents)):
+        channels = tuple(labs.role(agent).channels)
+        view, base, slices = RoleText(labs, agent), live(labs, channels), channel_slices(channels)
+        for channel in channels:
+            texts = {}
+            for values in variants(labs, channel):
+                seen = base.copy()
+                seen[slices[channel.name]] = values
+                text = view.text(seen)
+                assert text not in texts, f"{labs.agents[agent]}: {channel.name}: {values} and {texts[text]}: {text}"
+                texts[text] = values
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=20, max_size=60))
+def test_a_curve_in_words_is_within_its_error(values: list[float]) -> None:
+    words = curve_words(Channel("x", len(values), "volts", 0.0, 1.0, "a curve"), np.array(values))
+    points = [tuple(map(float, point.split(":"))) for point in words.removeprefix("index:% ").split()]
+    places, heights = zip(*points, strict=True)
+    again = np.interp(np.arange(len(values)), places, np.array(heights) / 100.0)
+    assert np.abs(again - values).max() <= 0.05 + 0.005 + 1e-9
+
+
+def test_layers_in_words_are_heights() -> None:
+    scenario = load_scenario("wurtz_dodecane")
+    shade = {name: scenario.materials[name].shade for name in ("water", "diethyl_ether", "air")}
+    shades = Shades(scenario)
+    layered = np.repeat([shade["water"], shade["diethyl_ether"], shade["air"]], [50, 30, 20])
+    assert shades.words(layered) == "water 0-50, diethyl_ether 50-80"
+    mixed = np.concatenate([[shade["water"]] * 10, [shade["water"], shade["diethyl_ether"]] * 20, [shade["air"]] * 50])
+    assert shades.words(mixed) == "water 0-11, mixed 11-50 (water 19/diethyl_ether 20)"
+    assert shades.words(np.full(100, shade["air"])) == "empty"
+
+
+def test_orders_reports_and_vessels_at_benches_are_told() -> None:
+    """Terms of orders, and what became of a vessel that the manager has sent to a bench."""
+    env = laboratory("relay")
+    labs = env.laboratories
+    view = RoleText(labs, 0)
+    first = view.text(env.observe("manager_0"))
+    assert "not arrived yet" in first
+    assert "empty" in first or "slots" in first
+    start = labs.actions.encode("start", "rxn_0", 0, "F", "quick")
+    env.step(start)
+    view.acted(start)
+    assert "slot 0: vessel at rxn_0 (before: " in view.text(env.observe("manager_0"))
+    assert "reported" not in first
+    said = ""
+    while labs.state.busy.any():
+        env.step(labs.actions.encode("wait") if env.agent_selection == "manager_0" else np.full(3, 0.5))
+        later = view.text(env.observe("manager_0"))
+        said += later
+    assert "vessel at" not in later
+    for part in ("reported amount", "price", "ticks left", "amount at least"):
+        assert part in said
+
+
+def test_readings_of_records_are_complete() -> None:
+    env = laboratory("unlabelled")
+    labs = env.laboratories
+    env.step(labs.actions.encode("measure", 0, "uv_vis"))
+    words = reading_words(labs, 0, "uv_vis")
+    assert words.startswith("nm:% 200:")
+    assert "price 0.015" in words
