@@ -260,6 +260,8 @@ class Recorder:
         policies: names of who plays each agent, for information.
         rounds: turns are rounds, in which all busy benches act on what they saw when the tick began (parallel API).
         force: replace the file at ``path``.
+        held: keep the record in memory until the episode is over or the recorder is closed, because the first line has
+            the seed and the true contents.
 
     Raises:
         ValueError: ``path`` is there already, or is no file that can be written.
@@ -273,6 +275,7 @@ class Recorder:
         policies: Mapping[str, str] | None = None,
         rounds: bool = False,
         force: bool = False,
+        held: bool = False,
     ) -> None:
         self.path = Path(path)
         self.part = self.path.parent / f"{self.path.name}.part"
@@ -284,6 +287,7 @@ class Recorder:
             for agent, name in (policies or {}).items()
         }
         self._file: BinaryIO | None = None
+        self._held: list[bytes] | None = [] if held else None
         self._witness: Witness | None = None
         self._tick = 0
         for there in (self.path, self.part):
@@ -311,7 +315,7 @@ class Recorder:
             OSError: the file cannot be written.
             ValueError: another process is recording there.
         """
-        if self._file is not None:
+        if self._file is not None or self._held:
             raise ValueError(f"{self.path}: its episode is not over; a record holds one episode")
         labs = self._labs
         self._witness = Witness(labs, self._member)
@@ -325,7 +329,8 @@ class Recorder:
         )
         validated(Header, opening, f"{self.path}: header")  # what could not be read again is not written either
         self.part.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self._opened()
+        if self._held is None:
+            self._file = self._opened()
         self._tick = 0
         self._write(opening)
 
@@ -352,7 +357,7 @@ class Recorder:
         Args:
             plays: who acted, in the agents' order.
         """
-        if self._witness is None or self._file is None:
+        if self._witness is None or (self._file is None and not self._held):
             raise ValueError(f"{self.path}: begin() comes first, and nothing after the end of the episode")
         self._write(self._witness.turn(self._tick, plays))
         self._tick = int(self._labs.state.ticks[self._member])
@@ -362,6 +367,7 @@ class Recorder:
 
     def _finish(self) -> None:
         """Give the whole record its final name."""
+        self._release()
         assert self._file is not None
         with naming(self.part):
             os.fsync(self._file.fileno())
@@ -375,19 +381,32 @@ class Recorder:
         self.close()
         sync_folder(self.path.parent)
 
+    def _release(self) -> None:
+        """Write what was held back."""
+        held, self._held = self._held, None
+        if held:
+            self._file = self._opened()
+            with naming(self.part):
+                self._file.write(b"".join(held))
+                self._file.flush()
+
     def _write(self, line: dict[str, Any]) -> None:
-        assert self._file is not None
         try:
             text = to_text(line)
         except ValueError as error:
             where = f"turn {line['turn']}" if "turn" in line else "the beginning or the end"
             raise ValueError(f"{self.part}: {where} has a number that is not finite; it cannot be recorded") from error
+        if self._held is not None:
+            self._held.append(text.encode() + b"\n")
+            return
+        assert self._file is not None
         with naming(self.part):
             self._file.write(text.encode() + b"\n")
             self._file.flush()
 
     def close(self) -> None:
         """Close the file; the record of an unfinished episode stays ``FILE.part``."""
+        self._release()
         file, self._file = self._file, None
         if file is not None:
             with naming(self.part):
