@@ -1,11 +1,11 @@
 """Bayesian optimization of how long batches are heated.
 
-In `campaign` four batches react in the same unknown world, to the product and on to waste. Each batch is an evaluation:
-it is heated for as many runs of the oven as promise the most expected improvement (Jones et al. 1998, "Efficient Global
-Optimization of Expensive Black-Box Functions"), its purity is read from one chromatogram, and a Gaussian process of
-purity over the logarithm of the runs learns from that. The last batch is heated for what the process thinks best, and
-not measured. It knows nothing of kinetics; the scripted manager beside it knows everything but the rate, and may
-measure and go on. PPO has no part in this: nothing is trained.
+In `campaign`, four batches react in the same unknown world, to the product and on to waste. Each batch is one
+evaluation: it is heated for the number of oven runs with the highest expected improvement (Jones et al. 1998,
+"Efficient Global Optimization of Expensive Black-Box Functions"), and its purity is read from one chromatogram. A
+Gaussian process of purity over the logarithm of the runs is fitted to the readings. The last batch is heated for the
+optimum of the process and not measured. The method uses no kinetics. The scripted manager, in comparison, knows
+everything except the rate, and may measure and continue. PPO is not compared, because nothing is trained.
 
     python recipes/bayesian.py --out recipes/results/bayesian.json
 
@@ -30,13 +30,13 @@ TARGET = LaboratoryTarget(load_scenario("campaign"), "test")
 GOAL, INSTRUMENT = "2-chlorohexane", "gas_chromatograph"
 RUNS = np.arange(1, 41)
 KERNEL = ConstantKernel(0.3**2) * RBF(0.7) + WhiteKernel(0.05**2)
-"""Guesses: purities differ by some 0.3, over factors of two of time, and are read to 0.05."""
+"""Guesses: purities differ by some 0.3 over factors of two in time, and are read to 0.05."""
 GUESS = 0.4
-"""Purity that is expected where nothing is known."""
+"""Prior mean of the purity."""
 
 
 def improvement(process: GaussianProcessRegressor, best: float) -> FloatArray:
-    """[runs] expected improvement over the best purity so far."""
+    """Return [runs] expected improvement over the best purity so far."""
     mean, deviation = process.predict(np.log(RUNS)[:, None], return_std=True)
     above = mean + GUESS - best
     gained: FloatArray = above * norm.cdf(above / deviation) + deviation * norm.pdf(above / deviation)
@@ -44,7 +44,7 @@ def improvement(process: GaussianProcessRegressor, best: float) -> FloatArray:
 
 
 def purity(labs: Laboratories, slot: int) -> float:
-    """Of a vessel, as a chromatogram that is paid for has it."""
+    """Return the purity of a vessel from a paid chromatogram."""
     labs.act(0, labs.members, np.array([labs.actions.encode("measure", slot, INSTRUMENT)]))
     names = labs.instruments.analytes[labs.instruments.names.index(INSTRUMENT)]
     amounts = np.maximum(labs.state.reading[0, slot, : len(names)], 0.0)
@@ -52,7 +52,7 @@ def purity(labs: Laboratories, slot: int) -> float:
 
 
 def campaign(seed: int, first: int) -> float:
-    """Score of one episode, whose first batch has so many runs."""
+    """Return the score of one episode whose first batch has a given number of runs."""
     labs = Laboratories(TARGET.scenario, 1, split=TARGET.split)
     labs.seed(0, np.random.SeedSequence(seed))
     labs.reset(labs.members, GOAL)
@@ -75,7 +75,7 @@ def campaign(seed: int, first: int) -> float:
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed: of how long the first batch is heated, of which nothing is known."""
+    """Play one seed for each duration of the first batch, about which there is no information."""
     random = np.random.default_rng(budget.seed)
     firsts = random.integers(2, 20, budget.episodes)
     scores = [campaign(AUDIT_SEED + i, int(first)) for i, first in enumerate(firsts)]

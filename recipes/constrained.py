@@ -1,11 +1,11 @@
 """Constrained learning: PPO with a Lagrange multiplier.
 
 Maximise the return while the mean cost of an episode stays below a limit (a constrained Markov decision process, Altman
-1999). The multiplier is what a unit of cost takes off the reward, and goes up after rollouts that cost more than the
-limit, down after others (PPO-Lagrangian of Ray, Achiam and Amodei 2019, "Benchmarking Safe Exploration in Deep
-Reinforcement Learning"). The cost is ``info["cost"]``: what boils off in `runaway` and is not condensed. The
-scenario's own price of it is set to nothing, so that returns say how much was made. Beside it, PPO that does not know
-the cost, and PPO with the price that the scenario has.
+1999). The multiplier is the price of a unit of cost in the reward. It rises after rollouts that cost more than the
+limit and falls after others (PPO-Lagrangian of Ray, Achiam and Amodei 2019, "Benchmarking Safe Exploration in Deep
+Reinforcement Learning"). The cost is ``info["cost"]``: in `runaway`, vapour that is not condensed. The scenario's own
+price is set to zero, so that returns measure the product. The comparison has PPO without the cost, and PPO with the
+scenario's price.
 
     python recipes/constrained.py --seeds 2 --out recipes/results/constrained.json
 
@@ -35,7 +35,7 @@ RATE = 2.0
 
 
 class Priced(VecEnvWrapper):
-    """Takes cost off the reward at the present multiplier, and remembers what episodes have cost."""
+    """Subtracts cost at the current multiplier from the reward, and records the cost of episodes."""
 
     def __init__(self, envs: Any, multiplier: float = 0.0) -> None:
         super().__init__(envs)
@@ -44,12 +44,12 @@ class Priced(VecEnvWrapper):
         self._costs = np.zeros(envs.num_envs)
 
     def reset(self) -> Any:
-        """Begin experiments."""
+        """Start new experiments."""
         self._costs[:] = 0.0
         return self.venv.reset()
 
     def step_wait(self) -> tuple[Any, npt.NDArray[Any], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """A step of all of them, at the multiplier's price."""
+        """Step all experiments at the multiplier's price."""
         observations, rewards, dones, infos = self.venv.step_wait()
         cost = np.array([info["cost"] for info in infos])
         self._costs += cost
@@ -59,7 +59,7 @@ class Priced(VecEnvWrapper):
 
 
 class DualAscent(BaseCallback):
-    """Moves the multiplier after every rollout."""
+    """Updates the multiplier after every rollout."""
 
     def _on_step(self) -> bool:
         return True
@@ -71,7 +71,7 @@ class DualAscent(BaseCallback):
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of each learner."""
+    """Train one seed of each learner."""
     envs = {name: Priced(training_envs(TARGET, GOAL)) for name in ("lagrangian", "plain")}
     price = PRICED.safety.reward_price
     models = {

@@ -1,9 +1,9 @@
 """Curriculum: a manager that learns the last step of a workflow first.
 
-A random manager rarely finishes a workflow. The preset `manager-curriculum` of ``chemlab train`` begins with a finished
-vessel, or one on its way to the last bench, then to the one before, at last with the scenario's own shelf. Beside it,
-the same learner (MaskablePPO, same settings, same steps) that begins with the whole workflow at once. The benches are
-scripted in all of them, so this is the upper level of a hierarchy as well.
+A random manager rarely finishes a workflow. The preset `manager-curriculum` of ``chemlab train`` starts with a finished
+vessel, or one on its way to the last bench, then moves one bench back at a time, and ends with the scenario's own shelf
+(a reverse curriculum). The comparison is the same learner (MaskablePPO, same settings, same steps) on the whole
+workflow. The benches are scripted in both, so this is also the upper level of a hierarchy.
 
     python recipes/curriculum.py --out recipes/results/curriculum.json
 
@@ -27,7 +27,7 @@ GOAL = "dodecane"
 
 
 def manager(budget: Budget, staged: bool) -> Outcome:
-    """What a run of ``chemlab train manager`` comes to with its last checkpoint."""
+    """Train a manager with ``chemlab train manager`` and score its last checkpoint."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {}
     given = {"env_id": "manager", "preset": "manager-curriculum", "scenario": TARGET.scenario.name, "seed": budget.seed}
     arguments = TrainArguments.of({**given, "steps": budget.steps, **ONCE, **size})
@@ -37,7 +37,7 @@ def manager(budget: Budget, staged: bool) -> Outcome:
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of both managers, and the scripted one."""
+    """Train one seed of both managers, and score the scripted one."""
     return {
         "curriculum": manager(budget, staged=True),
         PLAIN: manager(budget, staged=False),

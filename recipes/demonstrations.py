@@ -1,10 +1,10 @@
 """Learning from demonstrations: a clone of recorded play, which learns on.
 
-Episodes of the scripted laboratory of `wurtz_dodecane` are recorded, and become a Minari dataset of what the manager
-saw, did and earned, as ``chemlab demos`` makes one of anybody's records. A learner is fitted to the actions and to the
-returns they had (behaviour cloning: it sees the dataset alone, and nobody is asked what else to do), and goes on as PPO
-with masks. Beside it the clone as it is, whose steps are the dataset's, and the same learner that begins with nothing.
-The benches are scripted in all of them.
+Episodes of the scripted laboratory of `wurtz_dodecane` are recorded and exported as a Minari dataset of the manager's
+observations, actions and rewards, as ``chemlab demos`` does for any record. A learner is fitted to the actions and
+their returns (behaviour cloning from the dataset alone, without queries) and continues as PPO with masks. The
+comparison has the clone itself, whose steps are those of the dataset, and the same learner from scratch. The benches
+are scripted in all of them.
 
     python recipes/demonstrations.py --out recipes/results/demonstrations.json
 
@@ -37,11 +37,11 @@ from chemlab.record import Recorder
 
 SCENARIO, GOAL = "wurtz_dodecane", "dodecane"
 DEMONSTRATED = 20
-"""Episodes."""
+"""Number of recorded episodes."""
 
 
 def dataset(folder: Path, episodes: int, seed: int) -> Any:
-    """The Minari dataset of the manager in some recorded episodes; all of it stays in the folder."""
+    """Record episodes and return the manager's Minari dataset; all files stay in the folder."""
     env = raw_env(SCENARIO)
     labs = env.laboratories
     records = [folder / f"{seed + i}.jsonl" for i in range(episodes)]
@@ -54,7 +54,7 @@ def dataset(folder: Path, episodes: int, seed: int) -> Any:
 
 
 def examples(demonstrated: Any, gamma: float) -> tuple[npt.NDArray[Any], ...]:
-    """(observations, masks, actions, discounted returns) of the T turns of a dataset."""
+    """Return (observations, masks, actions, discounted returns) of the T turns of a dataset."""
     episodes = list(demonstrated.iterate_episodes())
     seen = np.concatenate([episode.observations[:-1] for episode in episodes])
     masks = np.concatenate([episode.infos["action_mask"][:-1] for episode in episodes])
@@ -64,13 +64,13 @@ def examples(demonstrated: Any, gamma: float) -> tuple[npt.NDArray[Any], ...]:
 
 
 def begun(budget: Budget) -> Any:
-    """A manager's learner that has learned nothing yet."""
+    """Return an untrained learner for the manager."""
     envs = ChemlabVecEnv(focal_vector_env(64, SCENARIO, autoreset_mode="SameStep"))
     return learner("maskable-ppo", envs, budget, n_steps=16, batch_size=256)
 
 
 def played(budget: Budget, manager: Any = None) -> Outcome:
-    """What a manager, or the scripted one, comes to over scripted benches."""
+    """Score a manager, or the scripted one, over scripted benches."""
     labs = Laboratories(SCENARIO, budget.episodes)
     policies = make_policies("scripted", labs, AUDIT_SEED)
     if manager is not None:
@@ -79,7 +79,7 @@ def played(budget: Budget, manager: Any = None) -> Outcome:
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of the clone, before and after it learns on, of PPO from nothing, and the scripted manager."""
+    """Train one seed: the clone before and after PPO, and PPO from scratch; score the scripted manager."""
     model = begun(budget)
     with tempfile.TemporaryDirectory() as folder:
         demonstrated = dataset(Path(folder), 2 if budget.toy else DEMONSTRATED, 1000 * budget.seed)

@@ -1,8 +1,8 @@
 """Distributional learning: quantile regression DQN.
 
 QR-DQN (Dabney et al. 2018, "Distributional Reinforcement Learning with Quantile Regression") learns quantiles of an
-action's return where DQN learns its mean. The reaction bench takes numbers; ``actions="discrete"`` makes a choice among
-representative ones of them, which all three learners have here.
+action's return, of which DQN learns the mean. The reaction bench has continuous actions; ``actions="discrete"``
+replaces them by a choice among representative ones, for all three learners.
 
     python recipes/distributional.py --out recipes/results/distributional.json
 
@@ -28,13 +28,16 @@ REPLAY = {
     "target_update_interval": 500,
     "exploration_fraction": 0.5,
 }
-"""Of DQN and QR-DQN alike: 64 updates after 16 steps of all environments, from returns of whole experiments (20 steps).
-With one step, and Stable-Baselines3's own interval and exploration, neither learns anything."""
+"""Settings of DQN and QR-DQN: 64 updates per 16 steps of all environments, with returns of whole experiments (20
+steps).
+
+With one-step returns and Stable-Baselines3's default interval and exploration, neither learns.
+"""
 QUANTILES = {"policy_kwargs": {"n_quantiles": 50}}
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of each learner, and the scripted agent with the same choice of actions."""
+    """Train one seed of each learner, and score the scripted agent with the same discrete actions."""
     policies = {
         "QR-DQN": learned("qr-dqn", training_envs(TARGET, GOAL), budget, **REPLAY, **QUANTILES),
         "DQN": learned("dqn", training_envs(TARGET, GOAL), budget, **REPLAY),

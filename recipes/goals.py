@@ -1,10 +1,10 @@
 """Goal-conditioned learning with hindsight.
 
-The goal is a mixture: amounts of the products E to I of `fictitious`, drawn from what random play comes to. There is a
-reward at the end: 1 where every amount is within a tolerance of the goal, else 0. Hindsight experience replay
-(Andrychowicz et al. 2017) learns from each experiment as if what came of it had been the goal as well. Beside it, DQN
-without hindsight and PPO, on the same rewards and the same discrete actions. Nobody is scripted for mixtures; a return
-is the share of episodes that succeed. Goals to score with are none of those to train with.
+The goal is a mixture: amounts of the products E to I of `fictitious`, drawn from results of random play. The reward at
+the end is 1 if every amount is within a tolerance of the goal, else 0. Hindsight experience replay (Andrychowicz et al.
+2017) also learns from each experiment with its own result as the goal. The comparison has DQN without hindsight and
+PPO, with equal rewards and discrete actions. There is no scripted policy for mixtures. A return is the share of
+successful episodes. Evaluation goals differ from training goals.
 
     python recipes/goals.py --out recipes/results/goals.json
 
@@ -29,7 +29,7 @@ PRODUCTS = ("E", "F", "G", "H", "I")
 TOLERANCE_MOL = 0.05
 REPLAY = {"learning_rate": 5e-4, "train_freq": 8, "gradient_steps": 32, "learning_starts": 500, "batch_size": 64}
 SOONER = {"target_update_interval": 500, "exploration_fraction": 0.5}
-"""With these DQN does better where it has hindsight, and worse where it has not."""
+"""Settings that improve DQN with hindsight, and impair it without."""
 HINDSIGHT = {"n_sampled_goal": 4, "goal_selection_strategy": "final"}
 Observation = dict[str, npt.NDArray[np.float32]]
 
@@ -47,13 +47,13 @@ class Mixtures(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.goals, self.goal, self.over = goals, np.zeros(len(PRODUCTS) + 1), False
 
     def made(self) -> FloatArray:
-        """[6] mol of each product in the vessel, and whether the experiment is over."""
+        """Return [6] mol of each product in the vessel, and whether the experiment is over."""
         bench: Any = self.env
         amounts = bench.batch.shelf.vessel(0, 0).amounts(0.0)
         return np.array([*(amounts.get(name, 0.0) for name in PRODUCTS), float(self.over)])
 
     def compute_reward(self, achieved: Any, desired: Any, infos: Any) -> npt.NDArray[np.float32]:
-        """1 where all of it is within the tolerance, else 0; of one goal or of rows of them."""
+        """Return 1 where all amounts are within the tolerance, else 0; for one goal or rows of goals."""
         return np.asarray((np.abs(achieved - desired) < TOLERANCE_MOL).all(axis=-1), dtype=np.float32)
 
     def _seen(self, observation: npt.NDArray[np.float32]) -> Observation:
@@ -61,13 +61,13 @@ class Mixtures(gymnasium.Wrapper[Any, Any, Any, Any]):
         return {"observation": observation, "achieved_goal": made, "desired_goal": goal}
 
     def reset(self, **arguments: Any) -> tuple[Observation, dict[str, Any]]:
-        """Begin an experiment, for a goal that is drawn."""
+        """Start an experiment with a random goal."""
         observation, info = self.env.reset(**arguments)
         self.over, self.goal = False, self.goals[self.env.unwrapped.np_random.integers(len(self.goals))]
         return self._seen(observation), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """A step; what the bench itself would pay is left out."""
+        """Take a step; the bench's own reward is dropped."""
         observation, _, self.over, truncated, info = self.env.step(int(action))
         seen = self._seen(observation)
         reward = float(self.compute_reward(self.made(), self.goal, info))
@@ -75,7 +75,11 @@ class Mixtures(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def played(env: Mixtures, episodes: int, model: Any = None) -> tuple[FloatArray, Outcome]:
-    """Episodes of a model, or of random play: ([episodes, 6] what came of them, how many succeeded, and cost)."""
+    """Play episodes of a model, or of random play.
+
+    Returns:
+        [episodes, 6] results, and the success rate and mean cost.
+    """
     env.action_space.seed(0)
     ends, won, cost = np.zeros((episodes, len(PRODUCTS) + 1)), 0.0, 0.0
     for i in range(episodes):
@@ -89,7 +93,7 @@ def played(env: Mixtures, episodes: int, model: Any = None) -> tuple[FloatArray,
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of each learner, and random play."""
+    """Train one seed of each learner, and score random play."""
     random, _ = played(Mixtures(np.zeros((1, len(PRODUCTS) + 1))), 20 if budget.toy else 600)
     train, test = np.split(random, 2)
 

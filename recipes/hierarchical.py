@@ -1,10 +1,10 @@
-"""Hierarchical learning: a manager over benches that know their work.
+"""Hierarchical learning: a manager over competent benches.
 
-A manager's decision, to put a vessel on a bench and what for, is an option: it runs until the bench's agent has ended
-the experiment (Sutton, Precup and Singh 1999, "Between MDPs and semi-MDPs"). The benches are scripted, or pretrained
-(policies that come along), and PPO with masks learns the upper level from nothing. Beside it, no hierarchy: the same
-learner for every role at once, all from nothing. Its steps are the turns of all roles, of which there are five to a
-decision of the manager where benches know their work, so it has five times as many.
+A manager's decision, which vessel to put on a bench for which goal, is an option: it runs until the bench's agent ends
+the experiment (Sutton, Precup and Singh 1999, "Between MDPs and semi-MDPs"). The benches are scripted or pretrained
+(bundled policies), and PPO with masks learns the upper level from scratch. The comparison has no hierarchy: the same
+learner for every role at once, all from scratch. Its steps are turns of all roles. With competent benches there are
+five of them per decision of the manager, so it has five times as many.
 
     python recipes/hierarchical.py --out recipes/results/hierarchical.json
 
@@ -25,13 +25,13 @@ from chemlab.config.scenario import load_scenario
 TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
 TURNS = 5
-"""Of all roles together to a decision of the manager: the scripted laboratory's 43 to 9."""
+"""Turns of all roles per decision of the manager: 43 to 9 in the scripted laboratory."""
 
 
 def learned_together(
     budget: Budget, roles: tuple[str, ...], steps: int, background: str = "scripted", **settings: Any
 ) -> Outcome:
-    """What roles that learn from nothing come to, over others that are played by policies of that name."""
+    """Train roles from scratch, with the other roles played by named policies, and score them."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64, "rollout": 64}
     size |= {"roles": roles, "background": background, "learning_rate": 1e-3}
     arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=steps, **{**size, **ONCE, **settings})
@@ -39,7 +39,7 @@ def learned_together(
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of managers over both kinds of benches, of all roles at once, and the scripted laboratory."""
+    """Train one seed of managers over both kinds of benches and of all roles at once; score the scripted laboratory."""
     everybody = ("manager", *TARGET.scenario.benches)
     return {
         "manager over scripted benches": learned_together(budget, ("manager",), budget.steps),

@@ -1,12 +1,12 @@
-"""Multi-agent learning: every role at once, with critics of their own or one that sees everything.
+"""Multi-agent learning: every role at once, with separate or centralised critics.
 
-Manager, reaction bench and distillation bench of `wurtz_dodecane_direct` learn together, half for what each earns and
-half for what the laboratory comes to. All begin as clones of the scripted agents: from nothing they come to nothing
-(see `hierarchical.py`). Independent learners (IPPO, de Witt et al. 2020, "Is Independent Learning All You Need in the
-StarCraft Multi-Agent Challenge?") have critics that see what their agent sees; MAPPO's (Yu et al. 2022, "The Surprising
-Effectiveness of PPO in Cooperative Multi-Agent Games") see the laboratory's true state in training, too. Beside them,
-one learner: the manager, cloned alike, over scripted benches. Steps are turns of those who learn; clones' are not
-counted.
+Manager, reaction bench and distillation bench of `wurtz_dodecane_direct` learn together; half of each reward is the
+agent's own and half the laboratory's result. All start as clones of the scripted agents, because learners from scratch
+fail (see `hierarchical.py`). Independent learners (IPPO, de Witt et al. 2020, "Is Independent Learning All You Need in
+the StarCraft Multi-Agent Challenge?") have critics of their own observations. The critics of MAPPO (Yu et al. 2022,
+"The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games") also observe the true state in training. The
+comparison is a single learner: the manager, cloned alike, over scripted benches. Steps are turns of the learning
+agents; demonstrations do not count.
 
     python recipes/multi_agent.py --out recipes/results/multi_agent.json
 
@@ -36,7 +36,7 @@ LEARNING: dict[str, Any] = {
 
 
 def team(budget: Budget, **settings: Any) -> Outcome:
-    """What a run of ``chemlab train-together`` comes to."""
+    """Train a team with ``chemlab train-together`` and score it."""
     size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
     if budget.toy:
         size = {"envs": 4, "rollout": 12, "imitate_steps": 50, "imitate_rounds": 1}
@@ -46,7 +46,7 @@ def team(budget: Budget, **settings: Any) -> Outcome:
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of both teams, of the manager alone, and the scripted laboratory."""
+    """Train one seed of both teams and of the manager alone; score the scripted laboratory."""
     return {
         "IPPO": team(budget),
         "MAPPO": team(budget, critic="state"),

@@ -1,15 +1,15 @@
 """Model-based planning with snapshots.
 
 The cross-entropy method (Rubinstein 1999) as model predictive control: before every step, sequences of actions for the
-rest of the experiment are tried on copies of it (``get_state``, ``set_state``), more of them where the best were, and
-the first action of the best is taken; the search goes on from there. A batch of the environment is its own model:
-every member is a copy. The copies share the random streams, so the planner knows what noise there will be: here that
-is the spectrum's, which it does not look at.
+rest of the experiment are tried on copies of it (``get_state``, ``set_state``), sampled more densely around the best
+ones. The first action of the best sequence is taken, and the search continues from there. A batched environment is its
+own model: every member is a copy. The copies share the random streams, so the planner could exploit future noise; here
+that is only the spectrum's, which it does not use.
 
     python recipes/planning.py --seeds 3 --out recipes/results/planning.json
 
-PPO learns from as many steps as all of the planned episodes may try (by default there is one: this bench begins in one
-way); it needs the extra ``train``, and is left out without it. Nothing else is needed.
+PPO learns from as many steps as all planned episodes may try (by default one episode, because this bench has a single
+initial state). It needs the extra ``train`` and is left out without it. Nothing else is needed.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ GOAL = "I"
 TARGET = BenchTarget(load_scenario("fictitious"), "rxn", split="test")
 COPIES, ELITES = 64, 8
 SMALLEST = 0.1
-"""Standard deviation of actions, of a range of 1, below which the search does not go."""
+"""Minimum standard deviation of the sampled actions, whose range is 1."""
 
 
 def tried(env: BenchVectorEnv, sequences: FloatArray) -> FloatArray:
-    """[copies] what each copy earns until its experiment is over, with sequences [copies, steps, numbers]."""
+    """Return [copies] the return of each copy with sequences [copies, steps, numbers]."""
     returns, running = np.zeros(env.num_envs), np.ones(env.num_envs, dtype=np.bool_)
     for step in range(sequences.shape[1]):
         _, rewards, terminated, truncated, _ = env.step(sequences[:, step])
@@ -42,7 +42,7 @@ def tried(env: BenchVectorEnv, sequences: FloatArray) -> FloatArray:
 
 
 def planned(env: BenchVectorEnv, seed: int, rounds: int, random: np.random.Generator) -> tuple[float, float, int]:
-    """An episode: (return, cost, steps tried)."""
+    """Plan an episode; return (return, cost, steps tried)."""
     env.reset(seed=[seed] * COPIES, options={"goal": GOAL})
     earned, cost, steps = 0.0, 0.0, 0
     numbers = (env.bench.step_limit, *(env.single_action_space.shape or ()))
@@ -69,7 +69,7 @@ def planned(env: BenchVectorEnv, seed: int, rounds: int, random: np.random.Gener
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed, of the planner's random numbers and of PPO."""
+    """Play one seed of the planner's random numbers and of PPO."""
     env = TARGET.environment(COPIES)
     random, limit = np.random.default_rng(budget.seed), env.bench.step_limit
     rounds = max(1, budget.steps // (budget.episodes * COPIES * limit * (limit + 1) // 2))

@@ -1,4 +1,4 @@
-"""What recipes share: their arguments, plain PPO, who scored what, and the file where that is kept."""
+"""Common parts of recipes: arguments, plain PPO, scoring, and the file of results."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ PLAIN = "plain PPO"
 SCRIPTED = "scripted"
 _ENVS, _ROLLOUT = 16, 64
 ONCE = {"evaluations": 1, "checkpoints": 1, "eval_episodes": 2, "final_episodes": 2}
-"""What runs of ``chemlab train`` and ``train-together`` are told where recipes score them."""
+"""Settings of ``chemlab train`` and ``train-together`` runs whose evaluation is done by recipes."""
 
 
 class Budget(NamedTuple):
-    """What a recipe may take for one seed.
+    """Resources of a recipe for one seed.
 
     Attributes:
-        seed: of networks, exploration and training environments.
-        steps: environment steps, of the recipe and of whoever it is compared with.
-        episodes: played to score each of them, the same for all.
-        toy: whether to leave out everything that takes more than seconds.
+        seed: seed of networks, exploration and training environments.
+        steps: environment steps of the recipe and of each learner it is compared with.
+        episodes: evaluation episodes, the same for all.
+        toy: whether to skip everything that takes more than seconds.
     """
 
     seed: int
@@ -61,7 +61,7 @@ class Budget(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What somebody came to: mean return of an episode, mean cost (weighted safety events), environment steps taken."""
+    """Result of a policy: mean return per episode, mean cost (weighted safety events), environment steps taken."""
 
     mean: float
     cost: float
@@ -69,7 +69,7 @@ class Outcome(NamedTuple):
 
     @classmethod
     def of(cls, played: Played, steps: int = 0) -> Outcome:
-        """The means of some episodes."""
+        """Return the means of some episodes."""
         return cls(float(played.returns.mean()), float(played.cost.mean()), steps)
 
 
@@ -77,29 +77,29 @@ Recipe = Callable[[Budget], Mapping[str, Outcome]]
 
 
 def cook(recipe: Recipe, page: str | None, environment: str, steps: int, episodes: int = 100) -> dict[str, Any]:
-    """Run a recipe as a command: for every seed, then print, and perhaps keep, what everybody came to.
+    """Run a recipe as a command for every seed; print the results and optionally store them.
 
     Args:
-        recipe: one seed of it: {who: what they came to}; the first is the paradigm's, beside :data:`PLAIN` or
-            :data:`SCRIPTED`, or both.
-        page: the module's documentation, whose first line says what paradigm it is.
-        environment: where it is played.
+        recipe: runs one seed and returns {name: result}; the first is the paradigm's, the others include :data:`PLAIN`
+            or :data:`SCRIPTED`, or both.
+        page: the module's docstring, whose first line names the paradigm.
+        environment: description of the environment.
         steps: default of ``--steps``.
         episodes: default of ``--episodes``.
 
     Returns:
-        What is printed: of everybody the mean over seeds, and each seed's.
+        The printed data: the mean over seeds of each result, and each seed's.
 
     Raises:
-        SystemExit: the arguments are none.
+        SystemExit: the arguments are invalid.
     """
     parser = argparse.ArgumentParser(description=page, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--toy", action="store_true", help="seconds instead of minutes; the numbers mean nothing")
+    parser.add_argument("--toy", action="store_true", help="a run of seconds; its numbers are not meaningful")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--seeds", type=int, default=1, help="how many, one after the other")
+    parser.add_argument("--seeds", type=int, default=1, help="number of seeds, run one after the other")
     parser.add_argument("--steps", type=int, default=steps, help="environment steps for each seed and learner")
-    parser.add_argument("--episodes", type=int, default=episodes, help="episodes that score each of them")
-    parser.add_argument("--out", type=Path, help="a JSON file to keep the numbers in")
+    parser.add_argument("--episodes", type=int, default=episodes, help="evaluation episodes of each")
+    parser.add_argument("--out", type=Path, help="JSON file for the results")
     given = parser.parse_args()
     if min(given.seeds, given.steps, given.episodes) < 1 or given.seed < 0:
         parser.error("--seeds, --steps and --episodes must be at least 1, --seed at least 0")
@@ -136,7 +136,7 @@ def _summary(outcomes: list[Outcome]) -> dict[str, Any]:
 
 
 def score(policy: Any, target: BenchTarget, goal: str, budget: Budget) -> Outcome:
-    """What a policy, or the one of that name, comes to in episodes that nobody trains on, the same for everybody."""
+    """Score a policy, given or named, on the evaluation episodes, which are not used in training."""
     env = target.environment(budget.episodes)
     player = bench_policy(policy, env.bench, AUDIT_SEED) if isinstance(policy, str) else as_policy(policy)
     return Outcome.of(play_bench(env, player, goal, AUDIT_SEED), getattr(policy, "num_timesteps", 0))
@@ -145,14 +145,14 @@ def score(policy: Any, target: BenchTarget, goal: str, budget: Budget) -> Outcom
 def score_run(
     train: Callable[..., Any], arguments: Any, target: LaboratoryTarget, goal: str, budget: Budget
 ) -> Outcome:
-    """What a run of ``chemlab train`` or ``train-together`` comes to with its last checkpoint, which is not kept.
+    """Train with ``chemlab train`` or ``train-together`` and score the last checkpoint, which is not kept.
 
     Args:
         train: the function behind the command.
-        arguments: what it is told.
-        target: the laboratory, in episodes that nobody trains on.
-        goal: of these.
-        budget: how many they are.
+        arguments: its arguments.
+        target: the laboratory of the evaluation episodes.
+        goal: goal of these episodes.
+        budget: resources.
     """
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
@@ -162,26 +162,28 @@ def score_run(
 
 
 def training_envs(target: BenchTarget, goal: str) -> Any:
-    """The bench as Stable-Baselines3 wants it, in worlds of the split ``train``, all experiments for one goal."""
+    """Return the bench as a vector environment of Stable-Baselines3, with worlds of the split ``train`` and one
+    goal.
+    """
     from chemlab.agents.sb3 import ChemlabVecEnv
 
     return ChemlabVecEnv(_ENVS, scenario=target.scenario, bench=target.bench, goals=goal, starts=target.starts)
 
 
 def learner(algorithm: str, envs: Any, budget: Budget, **settings: Any) -> Any:
-    """A learner of ``chemlab train --algo`` that has learned nothing yet.
+    """Return an untrained learner of ``chemlab train --algo``.
 
     Args:
         algorithm: its name there.
-        envs: :func:`training_envs`.
-        budget: of it, the seed.
-        settings: of the learner, where they are not Stable-Baselines3's own.
+        envs: environments of :func:`training_envs`.
+        budget: resources, of which the seed is used.
+        settings: settings that differ from Stable-Baselines3's defaults.
     """
     import torch
 
     from chemlab.agents.learners import LEARNERS
 
-    torch.set_num_threads(1)  # networks this small are slower on several
+    torch.set_num_threads(1)  # networks this small are slower on several threads
     network = "MlpLstmPolicy" if algorithm.startswith("recurrent") else "MlpPolicy"
     if isinstance(envs.observation_space, gymnasium.spaces.Dict):
         network = "MultiInputPolicy"
@@ -191,10 +193,10 @@ def learner(algorithm: str, envs: Any, budget: Budget, **settings: Any) -> Any:
 
 
 def learned(algorithm: str, envs: Any, budget: Budget, callback: Any = None, **settings: Any) -> Any:
-    """The same when it has taken the budget's steps.
+    """Return a learner trained for the budget's steps.
 
     Args:
         algorithm, envs, budget, settings: see :func:`learner`.
-        callback: Stable-Baselines3's.
+        callback: callback of Stable-Baselines3.
     """
     return learner(algorithm, envs, budget, **settings).learn(budget.steps, callback=callback)

@@ -1,8 +1,9 @@
 """Memory for what is hidden: recurrent PPO.
 
-In `runaway` nobody is told how strong the solution is, how hot the reaction gets, nor how much the jacket takes: what
-portions do to the temperature, one after the other, tells. sb3-contrib's PPO with an LSTM can remember that; plain PPO
-has the present observation alone. Training is in worlds of the split ``train``, the score in those of ``test``.
+In `runaway`, the strength of the solution, the heat of reaction and the cooling power of the jacket are hidden; the
+temperature response to successive portions reveals them. sb3-contrib's PPO with an LSTM can remember the responses;
+plain PPO has only the current observation. Training uses worlds of the split ``train``, and the score those of
+``test``.
 
     python recipes/recurrent.py --out recipes/results/recurrent.json
 
@@ -22,7 +23,7 @@ NETWORK = {"lstm_hidden_size": 64}
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of both learners, and the scripted agent."""
+    """Train one seed of both learners, and score the scripted agent."""
     policies = {
         "PPO with an LSTM": learned("recurrent-ppo", training_envs(TARGET, GOAL), budget, policy_kwargs=NETWORK),
         PLAIN: learned("ppo", training_envs(TARGET, GOAL), budget),

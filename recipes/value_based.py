@@ -1,15 +1,15 @@
-"""Value-based learning of a whole team: every role learns what its actions are worth (IQL, by BenchMARL).
+"""Value-based learning of a whole team: every role learns action values (IQL, by BenchMARL).
 
 Independent Q-learning (Tan 1993, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents") by
-BenchMARL, on the task that comes with chemlab: both benches of `wurtz_dodecane_direct` under the scripted manager, all
-with discrete actions and from nothing, half for what each earns and half for what the laboratory comes to; then the
-manager, too. Where a role has one agent, VDN and QMIX mix the values of that one. Beside it, PPO for the same benches,
-with continuous actions where they have them (IPPO). Steps are rounds of a laboratory for Q-learning, turns of those who
-learn for PPO.
+BenchMARL, on the bundled task: both benches of `wurtz_dodecane_direct` under the scripted manager, with discrete
+actions and from scratch; half of each reward is the agent's own and half the laboratory's result. Then the manager
+learns as well. For a role with one agent, VDN and QMIX mix the values of that agent alone. The comparison is PPO for
+the same benches, with continuous actions where they have them (IPPO). Steps are rounds of a laboratory for Q-learning,
+and turns of the learning agents for PPO.
 
     python recipes/value_based.py --out recipes/results/value_based.json
 
-Needs the extra ``train`` and BenchMARL, which asks for an older TorchRL than the extra ``torchrl``.
+Needs the extra ``train`` and BenchMARL, which requires an older TorchRL than the extra ``torchrl``.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ REWARDS = "mixed"
 
 
 def learned_values(budget: Budget, roles: Sequence[str]) -> Any:
-    """An experiment of BenchMARL in which some roles have learned, over scripted others, after the budget's rounds."""
+    """Train some roles with BenchMARL over scripted others for the budget's rounds; return the experiment."""
     from benchmarl.algorithms import IqlConfig
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
 
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of buffers where results are printed
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs buffers between the printed results
     envs, rollout, updates = (4, 16, 2) if budget.toy else (64, 64, 200)
     settings = ExperimentConfig.get_from_yaml()
     settings.off_policy_n_envs_per_worker, settings.off_policy_collected_frames_per_batch = envs, envs * rollout
@@ -62,7 +62,7 @@ def learned_values(budget: Budget, roles: Sequence[str]) -> Any:
 
 
 def greedy(experiment: Any, group: str) -> Callable[[Any, Any], Any]:
-    """What a role plays that takes what it holds for best, as a function of observations and masks."""
+    """Return the greedy policy of a role as a function of observations and masks."""
 
     def act(observation: Any, mask: Any) -> Any:
         seen = {"observation": torch.as_tensor(observation)[:, None], "action_mask": torch.as_tensor(mask)[:, None] > 0}
@@ -74,7 +74,7 @@ def greedy(experiment: Any, group: str) -> Callable[[Any, Any], Any]:
 
 
 def scored(budget: Budget, roles: Sequence[str]) -> Outcome:
-    """What these come to that have learned."""
+    """Train and score some roles."""
     experiment = learned_values(budget, roles)
     labs = Laboratories(TARGET.scenario.with_actions("discrete"), budget.episodes)
     policies = make_policies("scripted", labs)
@@ -84,8 +84,10 @@ def scored(budget: Budget, roles: Sequence[str]) -> Outcome:
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
-    """One seed of Q-learning, for benches and for every role, of PPO for benches, and the scripted laboratory."""
-    torch.set_num_threads(1)  # networks this small are slower on several
+    """Train one seed of Q-learning for benches and for every role, and of PPO for benches; score the scripted
+    laboratory.
+    """
+    torch.set_num_threads(1)  # networks this small are slower on several threads
     benches = tuple(TARGET.scenario.benches)
     return {
         "IQL": scored(budget, benches),

@@ -316,10 +316,14 @@ NOT_YET = (
     *(f"agents/{name}.py" for name in ("background", "episodes", "human", "learners", "player", "policies")),
     *(f"agents/{name}.py" for name in ("pretrained", "runs", "sb3")),
     "chemlab",
-    "recipes",
 )
 """Folders and files whose words are still to be revised."""
-DONE = ("chemlab/render", *(f"chemlab/record/{name}.py" for name in ("__init__", "format", "replay", "verify")))
+DONE = (
+    "chemlab/render",
+    "chemlab/openchem",
+    *(f"chemlab/cli/{name}.py" for name in ("chemistry", "plot", "records", "screen")),
+    *(f"chemlab/record/{name}.py" for name in ("__init__", "format", "replay", "verify")),
+)
 """Revised parts of these."""
 
 

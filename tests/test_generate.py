@@ -109,8 +109,8 @@ def test_a_size_is_what_was_asked_for_or_there_is_none(name: str, materials: int
         ({"goals": 3}, "goals = 3: must be from 1 to 2"),
         ({"difficulty": "dire"}, "difficulty = 'dire': must be one of easy, medium, hard"),
         ({"physics": "none"}, "physics = 'none': must be one of paper, real"),
-        ({"seed": -1}, "seed = -1: must be a whole number from 0"),
-        ({"seed": 1.5}, "seed = 1.5: must be a whole number"),
+        ({"seed": -1}, "seed = -1: must be an integer from 0"),
+        ({"seed": 1.5}, "seed = 1.5: must be an integer"),
     ],
 )
 def test_what_there_is_not_is_said_with_what_to_do(arguments: dict[str, Any], message: str) -> None:
@@ -226,7 +226,7 @@ def test_files_are_the_scenario_and_are_written_once(physics: str, tmp_path: Pat
     assert loaded.materials == made.scenario().materials
     assert loaded.family == made.scenario().family
     assert scenario_hash(loaded) == scenario_hash(made.scenario())
-    with pytest.raises(ValueError, match=r"mine\.toml: is already there"):
+    with pytest.raises(ValueError, match=r"mine\.toml: already exists"):
         made.write(tmp_path / "new")
     made.write(tmp_path / "new", force=True)
 

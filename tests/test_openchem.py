@@ -199,7 +199,7 @@ def test_a_fitted_vapor_pressure_is_the_curve_it_was_fitted_to() -> None:
         ("7732-18-6", ["check digit"]),
         ("[Na+].[Cl-]", ["2 fragments", "by hand", "'NaCl'"]),
         ("potassium iodide", ["2 fragments", "by hand"]),
-        ("CCO.CCN", ["2 fragments", "each molecule on its own"]),
+        ("CCO.CCN", ["2 fragments", "each molecule separately"]),
         ("deuterium oxide", ["isotope", "give O without it"]),
         ("[13CH3]O", ["isotope", "give CO without it"]),
         ("CC(=O)[O-]", ["charge of -1"]),
@@ -363,7 +363,7 @@ def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None
     real = load_materials([path])["diphenyl_sulfone"].real
     assert real is not None
     assert (real.fusion_enthalpy_j_mol, real.source["fusion_enthalpy_j_mol"]) == (18700.0, "an example")
-    assert "is already there" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
+    assert "already exists" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
 
 
 def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
@@ -435,10 +435,10 @@ def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: 
     ("words", "part"),
     [
         (["data", "pairs", "toluene", "toluene"], "with itself"),
-        (["data", "pairs", "toluene", "NaCl"], "no molecule in a liquid (its role is 'solid')"),
-        (["data", "pairs", "toluene", "H2"], "no molecule in a liquid (its role is 'gas')"),
+        (["data", "pairs", "toluene", "NaCl"], "not a molecule in a liquid (its role is 'solid')"),
+        (["data", "pairs", "toluene", "H2"], "not a molecule in a liquid (its role is 'gas')"),
         (["data", "pairs", "toluene", "4-nitrotoluene"], "make it with chemlab data material"),
-        (["data", "material", "--name", "toluene=CCCCCCCCCCCCO"], "another material that is shipped"),
+        (["data", "material", "--name", "toluene=CCCCCCCCCCCCO"], "id of another bundled material"),
     ],
 )
 def test_what_no_file_can_be_made_of_is_refused(tmp_path: Path, words: list[str], part: str) -> None:
@@ -557,8 +557,8 @@ def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
 @pytest.mark.parametrize(
     ("smarts", "parts"),
     [
-        ("xyz", ["no reaction SMARTS", "REACTANTS>>PRODUCTS"]),
-        ("[C:1][Cl>>[C:1]", ["no reaction SMARTS"]),
+        ("xyz", ["not a reaction SMARTS", "REACTANTS>>PRODUCTS"]),
+        ("[C:1][Cl>>[C:1]", ["not a reaction SMARTS"]),
         ("[C:1]>>", ["no reactants or no products"]),
         ("[C:1][Cl:2]>[Pd]>[C:1].[Cl:2]", ["[Pd] over the arrow", "--catalyst"]),
         ("[C:1][Br:2].[Na:3]>>[C:1].[Na:3][Br:2]", ["fits none of 1-chlorohexane, Na"]),
@@ -592,7 +592,7 @@ def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> 
     # What the reactions of a template share is said, and a reaction that is none is refused.
     assert "4 reactions share a template and its rate constant" in " ".join(run(*words, "--force").output.split())
     refused = " ".join(run(*words, "--force", "--rate", "A -> B=1", fails=True).output.split())
-    assert "no reaction 'A -> B'; made here: 2,4-difluoronitrobenzene + pyrrolidine -> para" in refused
+    assert "unknown reaction 'A -> B'; choose from 2,4-difluoronitrobenzene + pyrrolidine -> para" in refused
     assert "must be NUMBER or REACTION=NUMBER" in run(*words, "--force", "--rate", "fast", fails=True).output
 
 
@@ -614,7 +614,7 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
     }  # fmt: skip
     (step,) = load_reactions(str(path), materials).reaction
     assert step.words == "acetic_anhydride + 1-butanol -> butyl_acetate + acetic_acid"
-    assert "is already there" in run(*words, fails=True).output
+    assert "already exists" in run(*words, fails=True).output
     # What the file says it was made by makes it again.
     again = tmp_path / "again" / "ester.toml"
     run(*shlex.split(read_toml(path)["lock"]["command"])[1:], "-o", again)
@@ -753,7 +753,7 @@ def test_what_is_fed_follows_from_the_reactions_backwards() -> None:
     ]
     family = ReactionFamily.model_validate({"name": "steps", "reaction": tables})
     assert feeds("goal", family, 1.0) == {"a": 1.0, "b": 0.5, "c": 0.5}
-    with pytest.raises(DataError, match=r"no reaction of 'steps' makes it; made here: goal, m, over, waste"):
+    with pytest.raises(DataError, match=r"no reaction of 'steps' makes it; choose from goal, m, over, waste"):
         feeds("a", family, 1.0)
 
 
@@ -851,10 +851,10 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
         (["--goal", "toluene"], ["no reaction of 'acetate' makes it"]),
         (["--goal", "unobtainium"], ["unknown material", "acetic_acid"]),
         (["--solvent", "unobtainium"], ["--solvent", "unknown material"]),
-        (["--solvent", "NaCl"], ["is no liquid"]),
+        (["--solvent", "NaCl"], ["is not a known liquid"]),
         (["--solvent", "ethyl_acetate"], ["is the goal itself"]),
         (["--reactions", "fischer"], ["catalyst 'H+'", "is an ion", "shipped fischer"]),
-        (["--mol", "5"], ["too much for a vessel"]),
+        (["--mol", "5"], ["exceed a vessel's"]),
     ],
 )
 def test_a_laboratory_that_cannot_be_is_refused(acetate: Path, words: list[str], parts: list[str]) -> None:

@@ -340,5 +340,5 @@ def test_the_tool_says_what_it_cannot_do(tmp_path: Path) -> None:
     command = [sys.executable, "studies/tools/pairs.py", "water", "Na+", "--output", str(tmp_path / "x.toml")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode != 0
-    assert "'Na+' is no molecule in a liquid" in done.stderr
+    assert "'Na+' is not a molecule in a liquid" in done.stderr
     assert "Traceback" not in done.stderr

@@ -28,38 +28,36 @@ __all__: list[str] = []
 data = typer.Typer(help="Write data files of your own chemistry (needs the extra `chem`).", no_args_is_help=True)
 app.add_typer(data, name="data")
 
-MaterialsOption = Annotated[
-    list[Path] | None, typer.Option(help="Material file of your own; repeat the option for more.")
-]
+MaterialsOption = Annotated[list[Path] | None, typer.Option(help="Material file of your own; repeatable.")]
 ValuesOption = Annotated[
     list[Path] | None,
-    typer.Option(help="File with values of your own, tables as in a material file, each with its source."),
+    typer.Option(help="File with your own values, as tables of a material file, each with its source."),
 ]
 NameOption = Annotated[
-    list[str] | None, typer.Option(help="KEY=WHAT: the id that a compound (CAS number, name, SMILES) is to have.")
+    list[str] | None, typer.Option(help="KEY=WHAT: id KEY for the compound WHAT (CAS number, name, SMILES).")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 IdealOption = Annotated[
     bool,
-    typer.Option("--ideal", help="Take pairs that UNIFAC has no groups for as ideal mixtures; their source says so."),
+    typer.Option("--ideal", help="Treat pairs without UNIFAC groups as ideal mixtures; their source states it."),
 ]
 RateOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Rate constant at 298.15 K in (L/mol)^(order-1)/s of all reactions of a template, one for each --smarts, "
+        help="Rate constant at 298.15 K in (L/mol)^(order-1)/s of all reactions of a template: one for each --smarts, "
         "then each --side; or 'A + B -> C=NUMBER' for one reaction, as the table names it."
     ),
 ]
 
 
 def _free(path: Path, force: bool, *read: Path) -> None:
-    """Refuse to write over something, whatever is forced over what is ``read``."""
+    """Check that an output path is free, or may be overwritten and is not one of the input files."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
     if path.exists() and not force:
-        raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
     check_apart([path], read)
     check_target(path)
 
@@ -79,7 +77,7 @@ def _command(*words: object) -> str:
 
 
 def _given(options: Mapping[str, Iterable[object] | None]) -> list[object]:
-    """Words of a command for options that were given, each as often as it has values."""
+    """Return the command-line words of the given options, each repeated for every value."""
     return [word for option, values in options.items() for value in values or () for word in (option, value)]
 
 
@@ -96,7 +94,7 @@ def _known(files: Sequence[Path] | None) -> dict[str, Material]:
 def _made_pairs(
     two: list[tuple[str, str]], known: dict[str, Material], command: str, ideal: bool
 ) -> tuple[str, list[dict[str, Any]]]:
-    """Make some pairs; returns the text of their file, and its rows."""
+    """Make pairs; return the text of their file, and its rows."""
     from ..openchem.activity import make_pairs
     from ..openchem.writing import pair_text
 
@@ -107,14 +105,14 @@ def _made_pairs(
 
 
 def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Say which pairs are taken as ideal mixtures."""
+    """Print the pairs treated as ideal mixtures."""
     if not rows:
-        return  # the extra is not needed where nothing was made
+        return  # the extra is not needed without new pairs
     from ..openchem.activity import IDEAL
 
     guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
     if guessed:
-        out.print(f"estimated as ideal mixtures, for want of groups in UNIFAC: {plain(', '.join(guessed))}")
+        out.print(f"treated as ideal mixtures, because UNIFAC has no groups for them: {plain(', '.join(guessed))}")
 
 
 @data.command()
@@ -124,7 +122,8 @@ def material(
     name: NameOption = None,
     values: ValuesOption = None,
     pairs: Annotated[
-        Path | None, typer.Option(help="Also write activity coefficients of every two here; shipped ones may be named.")
+        Path | None,
+        typer.Option(help="Pair file to write for all of these; bundled materials may be named."),
     ] = None,
     ideal: IdealOption = False,
     force: ForceOption = False,
@@ -132,7 +131,7 @@ def material(
 ) -> None:
     """Write a material file, every number with its source (needs the extra `chem`).
 
-    Estimates are called so, and what is not found is asked for. What is shipped already is left out. Works offline.
+    Estimates are marked as such, and missing values are requested. Bundled materials are left out. Works offline.
     """
     from ..openchem import compounds
     from ..openchem.writing import material_text
@@ -144,17 +143,19 @@ def material(
     own = compounds.own_values(values or ())
     wanted = compounds.compounds(what or [], _named(name))
     if not wanted:
-        raise ValueError("nothing is asked for; name a compound by CAS number, name or structure")
+        raise ValueError("no compound is given; name one by CAS number, name or structure")
     shipped = {c.key: key for c in wanted if (key := compounds.known_as(c, _known(None)))}
     new = [compound for compound in wanted if compound.key not in shipped]
     for compound in new:
         if compound.key in _known(None):
-            raise ValueError(f"{compound.key}: is another material that is shipped; give it an id with --name KEY=WHAT")
+            raise ValueError(
+                f"{compound.key}: is the id of another bundled material; give another with --name KEY=WHAT"
+            )
     strangers = sorted(set(own) - {compound.key for compound in new})
     if strangers:
         raise ValueError(
-            f"--values: {strangers[0]}: is none of the materials that are written: "
-            f"{', '.join(compound.key for compound in new) or 'all that were asked for are shipped'}"
+            f"--values: {strangers[0]}: is not written by this command; written: "
+            f"{', '.join(compound.key for compound in new) or 'none, all given compounds are bundled'}"
         )
     words = [*(what or []), *_given({"--name": name, "--values": values})]
     tables: dict[str, Any] = {}
@@ -176,7 +177,7 @@ def material(
         typer.echo(json.dumps({"materials": tables, "shipped": shipped, "pairs": len(two) if pairs else 0}))
         return
     for key, as_ in shipped.items():
-        out.print(f"{plain(key)}: is shipped as {plain(as_)} ({plain(_meant(wanted, key))})")
+        out.print(f"{plain(key)}: is bundled as {plain(as_)} ({plain(_meant(wanted, key))})")
     _show_materials(tables, wanted)
     _show_ideal(rows)
     if new:
@@ -185,17 +186,17 @@ def material(
         out.print(f"{plain(pairs)}: {_count(len(two), 'pair')}")
     elif any(table["role"] in ("solvent", "solute") for table in tables.values()):
         line = _command("data", "pairs", *tables, "OTHERS", "--materials", output, "-o", "pairs.toml")
-        out.print(f"liquids of theirs need activity coefficients: chemlab new makes them, or {plain(line)}")
+        out.print(f"liquid mixtures need activity coefficients: made by chemlab new, or by {plain(line)}")
 
 
 def _meant(wanted: Iterable[Compound], key: str) -> str:
-    """Common name and CAS number of a compound, as far as it has them."""
+    """Return common name and CAS number of a compound, if known."""
     found = next(compound for compound in wanted if compound.key == key)
     return ", ".join(filter(None, (found.common_name, found.cas))) or found.smiles
 
 
 def _show_materials(tables: dict[str, Any], wanted: Sequence[Compound]) -> None:
-    """Print what was taken for each material, and which of its numbers to check."""
+    """Print the chosen values of each material, and which of its numbers to check."""
     from ..openchem.compounds import doubts, estimates
 
     guessed = estimates(tables)
@@ -212,13 +213,13 @@ def _show_materials(tables: dict[str, Any], wanted: Sequence[Compound]) -> None:
     for key, table in tables.items():
         if "melting_point_k" not in table and table["role"] in ("solvent", "solute"):
             out.print(
-                f"{plain(key)}: no melting point was found: it is taken for a liquid; if it is a solid, give "
+                f"{plain(key)}: no melting point was found, so it is treated as a liquid; if it is a solid, give "
                 "melting_point_k and fusion_enthalpy_j_mol with --values"
             )
 
 
 def _missing_pairs(keys: Sequence[str], known: dict[str, Material]) -> list[tuple[str, str]]:
-    """Every two molecules of some materials that no shipped pair file has."""
+    """Return every pair of molecules among some materials that no bundled pair file has."""
     from ..config.pairs import shipped_pairs
     from ..openchem.activity import is_molecule
 
@@ -235,21 +236,21 @@ def pairs(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write activity coefficients of every two of some materials, fitted to UNIFAC (needs the extra `chem`).
+    """Write activity coefficients of every pair of materials, fitted to UNIFAC (needs the extra `chem`).
 
-    Pairs that are shipped are left out: a file of yours would replace them, also where they were measured.
+    Bundled pairs are left out, because a file of yours would replace them, even measured ones.
     """
     from ..config.pairs import shipped_pairs
 
     _free(output, force, *(materials or ()))
     if len(names) < 2:
-        raise ValueError("a pair is of two materials; name one more")
+        raise ValueError("a pair needs two materials; name one more")
     known = _known(materials)
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:
         raise ValueError(
-            f"{_count(len(every), 'pair')}, all shipped: scenarios have them without a file; name other materials"
+            f"{_count(len(every), 'pair')}, all bundled: scenarios need no file for them; name other materials"
         )
     words = [*names, *_given({"--materials": materials}), *(["--ideal"] if ideal else ())]
     text, rows = _made_pairs(two, known, _command("data", "pairs", *words), ideal)
@@ -258,19 +259,17 @@ def pairs(
         typer.echo(json.dumps(rows))
         return
     error = max(row["error"] for row in rows)
-    left = f"; {len(every) - len(two)} shipped ones left out" if len(every) > len(two) else ""
+    left = f"; {len(every) - len(two)} bundled ones left out" if len(every) > len(two) else ""
     _show_ideal(rows)
     out.print(f"{plain(output)}: {_count(len(rows), 'pair')}; largest error of ln gamma {error:.2f}{left}")
 
 
 @data.command()
 def reactions(
-    smarts: Annotated[
-        list[str], typer.Option(help="Template, reaction SMARTS; repeat the option for more.", show_default=False)
-    ],
+    smarts: Annotated[list[str], typer.Option(help="Template, reaction SMARTS; repeatable.", show_default=False)],
     reactants: Annotated[
         list[str],
-        typer.Option(help="Material, CAS number, name or structure; repeat the option for more.", show_default=False),
+        typer.Option(help="Material, CAS number, name or structure; repeatable.", show_default=False),
     ],
     more: Annotated[list[str] | None, typer.Argument(help="More reactants.")] = None,
     output: Annotated[Path, typer.Option("--out", "-o", help="Reaction file to write.")] = Path("reactions.toml"),
@@ -281,22 +280,21 @@ def reactions(
         list[str] | None,
         typer.Option(help="Equilibrium constant at 298.15 K, given likewise; 0: not reversible."),
     ] = None,
-    source: Annotated[str, typer.Option(help="Where these are from.")] = "",
+    source: Annotated[str, typer.Option(help="Source of these values.")] = "",
     catalyst: Annotated[
-        list[str] | None, typer.Option(help="Material without which the main reaction stands still.")
+        list[str] | None, typer.Option(help="Material without which the main reaction does not run.")
     ] = None,
-    generations: Annotated[int, typer.Option(min=1, max=10, help="How often products react on.")] = 2,
+    generations: Annotated[int, typer.Option(min=1, max=10, help="Number of times that products react further.")] = 2,
     materials: MaterialsOption = None,
     name: NameOption = None,
     values: ValuesOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the reactions that templates make of some materials, balanced (needs the extra `chem`).
+    """Write the balanced reactions that templates make of some materials (needs the extra `chem`).
 
-    All reactions of one template have its rate constant, unless one is given for a reaction of its own. Rate constants
-    that are not given are guesses, and are called so. Materials that are not known yet are written to a
-    file beside it, NAME_materials.toml.
+    All reactions of one template share its rate constant, unless a reaction is given its own. Missing rate constants
+    are guessed and marked as guesses. Unknown materials are written to a second file, NAME_materials.toml.
     """
     from ..openchem import compounds, templates
     from ..openchem.identity import compound_of
@@ -329,9 +327,7 @@ def reactions(
         tables = compounds.material_tables(wanted, given_here)
         known |= compounds.checked_materials(tables)
     elif given_here:
-        raise ValueError(
-            f"--values: {min(given_here)}: is none of the materials that are written: all of them are known"
-        )
+        raise ValueError(f"--values: {min(given_here)}: is not written by this command: all materials are known")
     family = templates.family_tables(output.stem, found, known, command, catalyst or ())
     results = {output: family_text(family)}
     if strangers:
@@ -354,17 +350,17 @@ def reactions(
     if shared:
         example = shlex.quote(f"{shared[-1].words}=NUMBER")
         out.print(
-            f"{_count(len(shared), 'reaction')} share a template and its rate constant; give one its own with "
+            f"{_count(len(shared), 'reaction')} share a template and its rate constant; give a reaction its own with "
             f"{plain(f'--rate {example}')}"
         )
     if strangers:
         out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
-    guesses = "; rate constants that were not given are guesses" if any("guess" in row[2] for row in rows) else ""
+    guesses = "; rate constants that were not given are guessed" if any("guess" in row[2] for row in rows) else ""
     out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
 
 
 def _rate_words(found: Found) -> str:
-    """Its rate constant, and whether that is a guess."""
+    """Describe a rate constant, and whether it is a guess."""
     from ..openchem.templates import rate_constant
 
     constant = rate_constant(found.template)
@@ -377,10 +373,10 @@ _RATES = {"--rate": "constant", "--activation": "activation_j_mol", "--equilibri
 def _rates(
     count: int, options: Mapping[str, Sequence[str] | None], source: str
 ) -> tuple[list[Rate], dict[str, dict[str, float]]]:
-    """Rates of the templates, in order, and what is given for single reactions, by their words and field of a rate.
+    """Return the rates of the templates in order, and the fields given for single reactions, by their words.
 
     Raises:
-        ValueError: more numbers than templates, or something else than a number.
+        ValueError: there are more numbers than templates, or a value is not a number.
     """
     from ..openchem.templates import Rate
 
@@ -405,15 +401,15 @@ def _rates(
 
 
 def _with_own_rates(found: list[Found], own: Mapping[str, Mapping[str, float]]) -> list[Found]:
-    """The reactions, those with rates of their own in a template of their own.
+    """Return the reactions, with a separate template for each reaction that has its own rate.
 
     Raises:
-        ValueError: there is no such reaction.
+        ValueError: a named reaction does not exist.
     """
     words = [step.words for step in found]
     for name in own:
         if name not in words:
-            raise ValueError(f"no reaction {name!r}; made here: {'; '.join(words)}")
+            raise ValueError(f"unknown reaction {name!r}; choose from {'; '.join(words)}")
     made = []
     for step in found:
         numbers: dict[str, Any] = dict(own.get(step.words, {}))
@@ -428,21 +424,21 @@ def _with_own_rates(found: list[Found], own: Mapping[str, Mapping[str, float]]) 
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Of the scenario: lower-case letters, digits and _.")],
-    reactions: Annotated[str, typer.Option(help="Reaction file, or a shipped family's name.")] = "",
+    name: Annotated[str, typer.Argument(help="Name of the scenario: lower-case letters, digits and _.")],
+    reactions: Annotated[str, typer.Option(help="Reaction file, or the name of a bundled family.")] = "",
     materials: MaterialsOption = None,
-    pairs: Annotated[list[Path] | None, typer.Option(help="Pair file of your own; repeat the option for more.")] = None,
-    goal: Annotated[str, typer.Option(help="What is to be made; default: the first product.")] = "",
-    solvent: Annotated[str, typer.Option(help="What it is made in; default: one that boils far from the goal.")] = "",
-    mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Most of the goal that there can be.")] = 0.25,
+    pairs: Annotated[list[Path] | None, typer.Option(help="Pair file of your own; repeatable.")] = None,
+    goal: Annotated[str, typer.Option(help="Goal; default: the first product.")] = "",
+    solvent: Annotated[str, typer.Option(help="Solvent; default: one that boils far from the goal.")] = "",
+    mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Theoretical maximum of the goal, in mol.")] = 0.25,
     ideal: IdealOption = False,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Default: NAME.toml here.")] = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a scenario of your own reaction, physics `real`, that `chemlab run` plays at once.
+    """Write a playable scenario of your own reaction with the physics backend `real`.
 
-    Asks for what is not given where there is somebody to ask. Activity coefficients that are missing are made (that
-    needs the extra `chem`) and written beside it, NAME_pairs.toml.
+    Prompts for missing values in an interactive terminal. Missing activity coefficients are made (needs the extra
+    `chem`) and written to a second file, NAME_pairs.toml.
     """
     from ..config.pairs import load_pairs, shipped_pairs
     from ..config.reactions import load_reactions
@@ -468,11 +464,11 @@ def new(
     family = load_reactions(reactions, known)
     candidates = [key for step in family.reaction for key in step.products if known[key].role in ("solvent", "solute")]
     if not candidates and not goal:
-        raise ValueError(f"--goal: none of the products of {family.name!r} is a molecule")
+        raise ValueError(f"--goal: no product of {family.name!r} is a molecule")
     if not goal:
         goal = typer.prompt("goal", default=candidates[0]) if asking else candidates[0]
     if goal not in known:
-        raise ValueError(f"--goal: unknown material {goal!r}; made here: {', '.join(dict.fromkeys(candidates))}")
+        raise ValueError(f"--goal: unknown material {goal!r}; choose from {', '.join(dict.fromkeys(candidates))}")
     if not solvent:
         proposed = designs.solvent_for(goal, family, known)
         solvent = typer.prompt("solvent", default=proposed) if asking else proposed
@@ -495,7 +491,7 @@ def new(
         found |= {"material_files": [name_of(f) for f in files]} if files else {}
         return found | ({"pair_files": [name_of(f) for f in pair_files]} if pair_files else {})
 
-    # Everything is made and loaded before anything is written.
+    # Make and load everything before writing anything.
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "pairs.toml"
@@ -519,21 +515,21 @@ def new(
 
 @app.command()
 def generate(
-    name: Annotated[str, typer.Argument(help="Of the scenario: lower-case letters, digits and _.")],
+    name: Annotated[str, typer.Argument(help="Name of the scenario: lower-case letters, digits and _.")],
     seed: Annotated[int, typer.Option(help="Which chemistry.")] = 0,
-    materials: Annotated[int | None, typer.Option(help="How many, without the solvent.")] = None,
-    reactions: Annotated[int | None, typer.Option(help="How many, side reactions included.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Reactions of the route to the last goal.")] = None,
-    goals: Annotated[int, typer.Option(help="How many of the last products of the route may be asked for.")] = 1,
+    materials: Annotated[int | None, typer.Option(help="Number of materials, without the solvent.")] = None,
+    reactions: Annotated[int | None, typer.Option(help="Number of reactions, side reactions included.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Number of reactions of the route to the last goal.")] = None,
+    goals: Annotated[int, typer.Option(help="Number of goals: the last products of the route.")] = 1,
     difficulty: Annotated[str, typer.Option(help="easy, medium or hard.")] = "medium",
     physics: Annotated[str, typer.Option(help="paper or real.")] = "paper",
-    output: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path(),
+    output: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path(),
     force: ForceOption = False,
 ) -> None:
-    """Write a random chemistry: invented materials and reactions that balance, with a route to every goal.
+    """Write a random chemistry: invented materials and balanced reactions with a route to every goal.
 
-    The same options give the same files on every machine. What is left out of materials, reactions and steps is as
-    usual for the difficulty.
+    Equal options give equal files on every machine. Omitted numbers of materials, reactions and steps depend on the
+    difficulty.
     """
     with readable_errors():
         from ..openchem.generate import generated
@@ -542,5 +538,5 @@ def generate(
         made.scenario()
         path = made.write(output, force)
     out.print(plain(made.tables["summary"]))
-    words = f"play it: chemlab run {plain(path)}; how hard it is: chemlab audit difficulty {plain(path)}"
+    words = f"play it: chemlab run {plain(path)}; measure its difficulty: chemlab audit difficulty {plain(path)}"
     out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")

@@ -1,4 +1,4 @@
-"""The command plot: pages and pictures of training runs and records."""
+"""The command plot: pages and figures of training runs and records."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ app.add_typer(plot, name="plot")
 RecordArgument = Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", help="Where to draw, .png, .svg or .pdf (default: FILE-KIND.png beside the file)."),
+    typer.Option("--output", "-o", help="Output file, .png, .svg or .pdf (default: FILE-KIND.png beside the file)."),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace the picture if it is there already.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite an existing figure.")]
 
 
 def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None:
-    """Draw into a file; what is in the way or has no such format is found before anything is drawn."""
+    """Draw into a file; an existing file or an unknown format is reported before anything is drawn."""
     from ..render.figure import FORMATS, SETTINGS, import_matplotlib, save_figure
 
     if path.suffix.removeprefix(".") not in FORMATS:
-        raise ValueError(f"{path}: ends with {path.suffix or 'nothing'}; known: {', '.join(FORMATS)}")
+        raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from {', '.join(FORMATS)}")
     if path.exists() and not force:
-        raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
     check_result(path, *read)
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)
@@ -45,13 +45,13 @@ def _beside(record: Path, kind: str) -> Path:
 
 @plot.command()
 def curves(
-    folders: Annotated[list[Path], typer.Argument(help="Training runs, or folders with such below them.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Where to draw, .png, .svg or .pdf.")] = Path(
+    folders: Annotated[list[Path], typer.Argument(help="Training runs, or folders that contain training runs.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output file, .png, .svg or .pdf.")] = Path(
         "curves.png"
     ),
     force: ForceOption = False,
 ) -> None:
-    """Learning curves of training runs, finished or not, with evaluations and the scripted policy's line."""
+    """Draw learning curves of training runs, finished or not, with evaluations and the scripted policy's score."""
     from ..agents.evaluate.curves import draw_curves
 
     _save(output, force, lambda: draw_curves(folders))
@@ -61,7 +61,7 @@ def curves(
 def timeline(
     record: RecordArgument, output: OutputOption = None, force: ForceOption = False, trust: TrustOption = False
 ) -> None:
-    """Who did what when: actions and experiments of every agent, costs and rewards adding up."""
+    """Draw a timeline: actions and experiments of every agent, cumulative costs and rewards."""
     from ..record import read_record
     from ..render.charts import draw_timeline
 
@@ -72,7 +72,7 @@ def timeline(
 def spectra(
     record: RecordArgument, output: OutputOption = None, force: ForceOption = False, trust: TrustOption = False
 ) -> None:
-    """Spectra of the vessel before and after each reaction experiment, with the materials' peaks."""
+    """Draw spectra of the vessel before and after each reaction experiment, with the materials' peaks."""
     from ..record import read_record
     from ..render.charts import draw_spectra
 
@@ -83,13 +83,13 @@ def spectra(
 def moles(
     record: RecordArgument,
     only: Annotated[
-        list[str] | None, typer.Option(help="An element or a material to show; repeat the option. Default: all.")
+        list[str] | None, typer.Option(help="Element or material to draw; repeatable. Default: all.")
     ] = None,
     output: OutputOption = None,
     force: ForceOption = False,
     trust: TrustOption = False,
 ) -> None:
-    """Where the moles went, from start to product: a balance for each element that reacted and each other material."""
+    """Draw the mole balance from start to product, for each element that reacted and each other material."""
     from ..record import read_record
     from ..render.charts import draw_moles
 
@@ -100,25 +100,25 @@ def moles(
 @plot.command()
 def runs(
     results: Annotated[
-        Path, typer.Argument(help="Folder with training runs, as `chemlab sweep` leaves it, or with tables of them.")
+        Path, typer.Argument(help="Folder of training runs made by `chemlab sweep`, or of tables of runs.")
     ],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Where pages and figures go.")] = Path("figures"),
+    output: Annotated[Path, typer.Option("--out", "-o", help="Output folder of pages and figures.")] = Path("figures"),
     collect: Annotated[
         Path | None,
         typer.Option(
-            help="First make tables of the runs in this folder, and play the managers among them and what they are "
-            "compared with; pages are made from the tables. What they have of other runs stays."
+            help="First make tables of the runs in this folder and play their managers and the baselines; "
+            "pages are made from the tables. Rows of other runs are kept."
         ),
     ] = None,
     file_format: Annotated[
-        list[str] | None, typer.Option("--format", help="png, svg or pdf; repeat the option. Default: png.")
+        list[str] | None, typer.Option("--format", help="png, svg or pdf; repeatable. Default: png.")
     ] = None,
     trust: TrustOption = False,
 ) -> None:
-    """Make pages of training runs: what each algorithm came to, with intervals, and learning curves.
+    """Make pages of training runs: results of each algorithm with intervals, and learning curves.
 
-    Managers of laboratories have a page of their own (laboratory.md), beside managers that learned nothing. Needs
-    nothing but runs' small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
+    Managers have a separate page (laboratory.md), beside policies without training. The command needs only the runs'
+    small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
         from ..agents.evaluate.laboratory import collect as collect_tables
@@ -128,7 +128,7 @@ def runs(
 
         formats = file_format or ["png"]
         if unknown := [name for name in formats if name not in FORMATS]:
-            raise ValueError(f"--format: known: {', '.join(FORMATS)}; given {', '.join(unknown)}")
+            raise ValueError(f"--format: must be one of {', '.join(FORMATS)}; given {', '.join(unknown)}")
         total = collect_count(results)
         left_out = []
         for folder in (output, *([collect] if collect is not None else [])):
@@ -146,4 +146,4 @@ def runs(
         if written is not None:
             out.print(f"wrote {plain(written)}")
     if page is None and laboratory is None:
-        out.print(f"{plain(results)}: has no training runs")
+        out.print(f"{plain(results)}: contains no training runs")

@@ -1,4 +1,4 @@
-"""Commands about records of episodes: verify, replay."""
+"""Commands on records of episodes: verify, replay."""
 
 from __future__ import annotations
 
@@ -34,25 +34,26 @@ def verify(
     scenario: Annotated[
         str | None,
         typer.Option(
-            help="What the records must have been made on: a shipped scenario or a path. "
-            "Default: the shipped scenario of the same name."
+            help="Required scenario of the records: a bundled scenario or a path. "
+            "Default: the bundled scenario of the same name."
         ),
     ] = None,
     trust: TrustOption = False,
     split: Annotated[
-        str | None, typer.Option(help="private:SALT, to prove that a record of that split is in the world of its seed.")
+        str | None,
+        typer.Option(help="private:SALT, to prove that a record's world follows from its seed."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check records of episodes by playing their actions on the simulator again and comparing every number.
+    """Verify records of episodes: replay their actions on the simulator and compare every number.
 
-    Of a leaderboard (a file that ends in .json) every line is computed again from the scores of its episodes, and its
-    records are played again. Lines without scores are counted: nothing but their records is proven.
+    For a leaderboard (a file with suffix .json), every line is recomputed from the scores of its episodes, and its
+    records are replayed. For lines without scores, only their records are verified; these lines are counted.
 
-    Ends with 0 if every record is right, 1 if something in one is not what happens (the first difference is named),
-    3 if the end is missing, 4 if it is of another version or platform, 5 if it is no record or cannot be played here,
-    6 if it is right but on a scenario that is neither shipped nor given, 7 if it is right but in a world that was asked
-    for; of several records, with the first of 1, 5, 4, 6, 7, 3 there is.
+    Exit codes: 0 if every record is right; 1 if a value differs from the replay (the first difference is named); 3 if
+    the end is missing; 4 if another version or platform made the record; 5 if the file is not a record or cannot be
+    replayed here; 6 if the record is right, but its scenario is neither bundled nor given; 7 if the record is right,
+    but its world was requested instead of drawn. For several records, the first of 1, 5, 4, 6, 7, 3 that occurs.
     """
     from ..record import EXIT_CODES, verify_record
 
@@ -75,7 +76,7 @@ def verify(
 
 
 def _verify_leaderboard(path: Path, as_json: bool) -> Status:
-    """Check a leaderboard, and say what is wrong and what is not proven."""
+    """Verify a leaderboard; print what is wrong and what is not proven."""
     from ..agents.evaluate.leaderboard import check_leaderboard, summary
 
     with counting() as progress:
@@ -96,13 +97,13 @@ def _verify_leaderboard(path: Path, as_json: bool) -> Status:
 def replay(
     file: Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The page (default: the record's name with .html).")
+        Path | None, typer.Option("--output", "-o", help="Output file (default: the record's name with .html).")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there already.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing page.")] = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     trust: TrustOption = False,
 ) -> None:
-    """Make a page of a record: one HTML file to look through the episode with, which needs no network."""
+    """Make an interactive HTML page of a record; the page needs no network."""
     with readable_errors():
         from ..config.files import write_text
         from ..record import read_record
@@ -110,11 +111,11 @@ def replay(
 
         path = output or file.parent / f"{file.stem}.html"
         if path.exists() and not force:
-            raise ValueError(f"{path}: is already there; give another name with -o, or --force to replace it")
+            raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
         check_result(path, file)
         record = read_record(file)
         if record.torn:
-            err.print(f"{plain(file)}: the end is missing; the page shows the episode as far as it goes")
+            err.print(f"{plain(file)}: the end is missing; the page shows the available turns")
         text = replay_page(record, trust)
         write_text(path, text)
     out.print(f"{plain(path)}: {len(record.turns)} turns, {len(text.encode()) / 1e6:.2f} MB")

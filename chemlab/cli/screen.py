@@ -1,4 +1,4 @@
-"""What people see: consoles that show text from files as it is, and tables that break no word."""
+"""Terminal output: consoles that print text from files verbatim, and tables that break no word."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from rich.text import Text
 __all__ = ["TextConsole", "counting", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
 
 _NARROWEST, _USUAL = 20, 80
-"""Columns of text below which a terminal's word is not taken, and where it says none."""
+"""Widths below this many columns are ignored; the default width if the terminal reports none."""
 _NOISE = 1e-9
-"""Safety events below this (mol, L or whatever they are in) are what rounding leaves of none."""
+"""Safety events below this amount (in their own unit) are rounding errors."""
 
 
 class TextConsole(Console):
-    """A console on which text can do nothing but be read: characters that would steer the terminal are shown as signs,
-    ``:words:`` stay words. What a message's own style does is not touched."""
+    """A console that neutralizes control characters in text and keeps ``:words:`` verbatim.
+
+    Characters that would control the terminal are shown as visible signs. Styles of the message itself are kept.
+    """
 
     def __init__(self, *, stderr: bool = False, soft_wrap: bool = False) -> None:
         super().__init__(stderr=stderr, soft_wrap=soft_wrap, highlight=False, emoji=False)
-        if self.width < _NARROWEST:  # where it is 0, nothing would be shown at all
+        if self.width < _NARROWEST:  # a width of 0 would show nothing
             self.width = _NARROWEST if self.width else _USUAL
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
@@ -38,50 +40,52 @@ class TextConsole(Console):
 
 
 class _Signs(dict[int, int]):
-    """For ``str.translate``: control and invisible formatting characters as signs of one column."""
+    """Table for ``str.translate``: control and invisible formatting characters become signs of one column."""
 
     def __missing__(self, code: int) -> int:
         steers = unicodedata.category(chr(code)) in ("Cc", "Cf", "Cs", "Zl", "Zp") and chr(code) not in "\n\t"
-        # Below 32 Unicode has a picture of each.
+        # Unicode has control pictures for codes below 32.
         self[code] = (0x2400 + code if code < 32 else 0xFFFD) if steers else code
         return self[code]
 
 
 _SIGNS = _Signs()
 
-# Text for people goes where it can be read without spoiling what a program reads from standard output.
+# Messages for people go to standard error if a program reads standard output.
 out = TextConsole(soft_wrap=True)
 err = TextConsole(stderr=True, soft_wrap=True)
 page = TextConsole()
-"""Standard output, for what is fitted to the terminal's width."""
+"""Standard output, fitted to the terminal's width."""
 
 
 def plain(text: object) -> str:
-    """Text from files and of people, to stand in a message with markup: brackets in it are brackets."""
+    """Escape text from files or users for use in a message with markup."""
     return escape(str(text).translate(_SIGNS))
 
 
 def happened(events: Mapping[str, float]) -> dict[str, float]:
-    """Safety events, without what rounding leaves of none."""
+    """Return the safety events without rounding errors."""
     return {kind: amount for kind, amount in events.items() if amount >= _NOISE}
 
 
 def event_words(events: Mapping[str, float]) -> list[str]:
-    """Safety events that happened, with their amounts."""
+    """Describe the safety events that happened, with their amounts."""
     return [f"{kind} {amount:.3g}" for kind, amount in happened(events).items()]
 
 
 def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], right: Iterable[int] = ()) -> None:
-    """Print a table as wide as the terminal at most. Cells are broken between words only; where the longest words do
-    not fit beside each other, every row becomes a paragraph.
+    """Print a table that fits the terminal.
+
+    Cells are broken between words only. If the longest words do not fit beside each other, every row is printed as a
+    paragraph.
 
     Args:
-        title: above it; nothing where it is empty.
+        title: title above the table; may be empty.
         head: names of the columns.
-        rows: cells, shown as they are (markup is none here), or ``Text`` with a style.
-        right: columns that stand flush right (numbers).
+        rows: cells, printed verbatim (without markup), or ``Text`` with a style.
+        right: right-aligned columns (numbers).
     """
-    # Signs are put in here already: what steers a terminal counts as no column when widths are worked out.
+    # Translate here, because control characters count as zero columns when widths are computed.
     cells = [[cell if isinstance(cell, Text) else Text(str(cell).translate(_SIGNS)) for cell in row] for row in rows]
     flush = set(right)
     if title:
@@ -100,8 +104,10 @@ def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def _widths(rows: Sequence[Sequence[Text]], most: int) -> list[int] | None:
-    """A width for each column, none below its longest word; None if that is more than there is. The first column, which
-    says what a row is of, is not broken at all where the others leave it the room."""
+    """Return a width for each column, none below its longest word; None if they do not fit.
+
+    The first column, which names the row, is not broken if the others leave it enough room.
+    """
     columns = list(zip(*rows, strict=True))
     widths = [max(cell_len(line) for cell in column for line in cell.plain.splitlines() or [""]) for column in columns]
     least = [max(cell_len(word) for cell in column for word in cell.plain.split() or [""]) for column in columns]
@@ -119,7 +125,7 @@ def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
     for row in rows:
         grid = Table.grid(padding=(0, 1))
         for _ in range(2):
-            grid.add_column(overflow="fold")  # no letter is left out
+            grid.add_column(overflow="fold")  # never drop letters
         for name, cell in zip(head, row, strict=True):
             grid.add_row(Text(f"  {name}:"), cell)
         page.print(grid)
@@ -127,6 +133,6 @@ def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
 
 
 def counting() -> Progress:
-    """A line of progress with how many are done of how many, on standard error; it is gone when they all are."""
+    """Return a progress line "done of total" on standard error, which disappears at the end."""
     parts = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     return Progress(*parts, console=err, transient=True)

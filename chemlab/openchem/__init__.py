@@ -1,8 +1,8 @@
-"""Open chemistry: from a name, a structure, a template or a seed to materials, pairs, reactions and a scenario.
+"""Open chemistry: materials, pairs, reactions and scenarios from names, structures, templates or a seed.
 
-Runs offline and before any environment does: it makes data, which the rest of chemlab reads. What is made of names,
-structures and templates needs the extra ``chem`` (rdkit, chemicals, thermo, ugropy), what is invented does not
-(:mod:`.generate`); nothing below imports it.
+It runs offline and makes data files, which the rest of chemlab reads. Names, structures and templates need the extra
+``chem`` (rdkit, chemicals, thermo, ugropy); invented chemistries (:mod:`.generate`) do not. No other part of the
+package imports it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Binary NRTL parameters from UNIFAC and from measured solubilities.
 
-Of UNIFAC the Dortmund form where it has all groups and interactions (but for water with hydrocarbons and their
+The Dortmund form of UNIFAC is used if it has all groups and interactions (except for water with hydrocarbons and their
 chlorides), else the original, else the Dortmund form with interactions completed by machine learning. Parameters are
-fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite dilution included;
-pairs that were measured to what was measured instead. Groups are those that thermo lists for a CAS number, else those
-that ugropy finds in the structure.
+fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite dilution included.
+Measured pairs are fitted to the measurements instead. Groups come from thermo's list for a CAS number, else from
+ugropy for the structure.
 """
 
 from __future__ import annotations
@@ -53,33 +53,39 @@ Array = npt.NDArray[np.float64]
 TEMPERATURES_K: Array = np.array([270.0, 285.0, 300.0, 320.0, 340.0, 365.0, 390.0, 420.0, 450.0, 480.0])
 _HALF = [1e-10, 1e-4, 0.002, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]
 FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])
-"""Of the first of two; 1e-10 stands for infinite dilution."""
+"""Mole fractions of the first component; 1e-10 represents infinite dilution."""
 ALPHAS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.47, 0.55, 0.65)
-"""Renon and Prausnitz propose 0.2 to 0.47; mixtures of alcohols often want more, those that hardly mix less."""
+"""Candidate values of alpha. Renon and Prausnitz propose 0.2 to 0.47; alcohol mixtures often need more, nearly
+immiscible mixtures less.
+"""
 _DILUTE = 0.03
 _LIGHT = 0.1
 _MEASURED_ALPHAS = (0.2, 0.3, 0.4, 0.47)
 _SHAPE = 0.02
-"""Weight of UNIFAC's ln gamma of the solvent beside a measured solubility."""
+"""Weight of UNIFAC's ln gamma of the solvent relative to a measured solubility."""
 _SMALL = 0.01
-"""Weight of the parameters there."""
+"""Weight of the parameters' size in that fit."""
 _ENDS = 3.0
-"""Weight of infinite dilution against one mixture."""
+"""Weight of infinite dilution relative to one mixture."""
 _PASSES = 6
-"""Fits, each with more weight on what the last one met worst."""
+"""Number of fits; each puts more weight on the largest errors of the previous one."""
 _RIDGE = 1e-3
 _TRIES = ((1.0, 20.0), (_LIGHT, 20.0), (1.0, 0.0))
-"""Weight of high dilution, and of an activity that falls with its mole fraction where there is one liquid, which makes
-up a second one. What follows the first is for mixtures whose dilute ends NRTL cannot meet without that."""
+"""Candidate weights of high dilution, and of a spurious second liquid.
+
+A liquid is spurious if an activity falls with its mole fraction although the reference has one liquid. The later
+candidates are for mixtures whose dilute ends NRTL cannot meet otherwise.
+"""
 _MADE_UP = 0.1
-"""What a temperature with a second liquid counts, as an error of ln gamma."""
+"""Penalty, as an error of ln gamma, of each temperature with a spurious second liquid."""
 
 GROUPS: dict[str, dict[str, int]] = {
-    # Groups of an isomer, for molecules that neither form of UNIFAC can build.
+    # Groups of an isomer, for molecules that neither form of UNIFAC can represent.
     "acetanilide": {"ACH": 5, "AC": 1, "CONHCH3": 1},  # N-methylbenzamide
-    "acetic_anhydride": {"CH3CO": 1, "CH3COO": 1},  # the halves as a ketone and an ester
+    "acetic_anhydride": {"CH3CO": 1, "CH3COO": 1},  # the halves represented as a ketone and an ester
     "2,4-difluoronitrobenzene": {"ACH": 3, "ACF": 2, "ACNO2": 1},
-    # A nitrogen between a ring and two CH2 as that of a tertiary aliphatic amine; isomers of place are alike.
+    # A nitrogen between a ring and two CH2 is represented by that of a tertiary aliphatic amine; positional isomers are
+    # equal.
     "ortho_pyrrolidinyl": {"ACH": 3, "AC": 1, "ACF": 1, "ACNO2": 1, "CY-CH2": 3, "CH2N": 1},
     "para_pyrrolidinyl": {"ACH": 3, "AC": 1, "ACF": 1, "ACNO2": 1, "CY-CH2": 3, "CH2N": 1},
     "bis_pyrrolidinyl": {"ACH": 3, "AC": 2, "ACNO2": 1, "CY-CH2": 6, "CH2N": 2},
@@ -90,11 +96,14 @@ APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "A
     "CHCL",
     "CCL",
 }
-"""Groups of what hardly mixes with water. There the original UNIFAC is right within 0.5 for the water that they take up
-(hexane: x = 7e-4, measured 5e-4), and the Dortmund form ten times too high."""
+"""Groups of materials that hardly mix with water.
+
+For the water that they dissolve, the original UNIFAC is right within 0.5 (hexane: x = 7e-4, measured 5e-4), and the
+Dortmund form ten times too high.
+"""
 
 IDEAL = "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC has the groups of both"
-"""Source of a pair that nothing is known of."""
+"""Source of a pair without any data."""
 
 Groups = dict[int, int]
 
@@ -110,7 +119,7 @@ class Model:
     assignments: Mapping[str, Groups]
 
     def groups(self, key: str, material: Material) -> Groups | None:
-        """Groups of a material, or none where they are not known."""
+        """Return the groups of a material, or None if unknown."""
         if key in GROUPS:
             numbers = {group.group: number for number, group in self.subgroups.items()}
             if not numbers.keys() >= GROUPS[key].keys():
@@ -119,19 +128,19 @@ class Model:
         if material.cas is not None:
             try:
                 listed = self.assignments.get(chemicals.search_chemical(material.cas).InChI_key)
-            except ValueError:  # a number that is in no list
+            except ValueError:  # the CAS number is in no list
                 listed = None
             if listed:
                 return dict(listed)
         return _groups_of_structure(material.smiles, self.version) if material.smiles else None
 
     def lacks(self, groups: Iterable[Groups]) -> bool:
-        """Whether an interaction between some of the groups is missing."""
+        """Return True if an interaction between some of the groups is missing."""
         mains = {self.subgroups[number].main_group_id for found in groups for number in found}
         return any(j not in self.interactions.get(i, {}) for i, j in itertools.permutations(mains, 2))
 
     def log_gamma(self, groups: list[Groups]) -> Array:
-        """[T, X, 2] ln of the activity coefficients of two, at TEMPERATURES_K and FRACTIONS."""
+        """Return [T, X, 2] ln of the activity coefficients of two materials, at TEMPERATURES_K and FRACTIONS."""
         made = thermo.unifac.UNIFAC.from_subgroups(
             T=300.0,
             xs=[0.5, 0.5],
@@ -146,7 +155,7 @@ class Model:
 
 @functools.cache
 def _groups_of_structure(smiles: str, version: int) -> Groups | None:
-    """Groups that ugropy finds in a structure, for the form of UNIFAC that has this version number of thermo."""
+    """Return the groups that ugropy finds in a structure, for the form of UNIFAC with this thermo version number."""
     try:
         import ugropy
     except ImportError:
@@ -159,7 +168,7 @@ def _groups_of_structure(smiles: str, version: int) -> Groups | None:
 
 @functools.cache
 def models() -> list[Model]:
-    """The forms of UNIFAC, the better one first."""
+    """Return the forms of UNIFAC, the best first."""
     u = thermo.unifac
     u.load_unifac_ip()
     u.load_group_assignments_DDBST()
@@ -172,7 +181,7 @@ def models() -> list[Model]:
 
 
 def stable(log_gamma: Array) -> npt.NDArray[np.bool_]:
-    """[T, X] whether a mixture stays one liquid: it lies on the lower hull of the Gibbs energy of mixing."""
+    """Return [T, X] True where a mixture stays one liquid: on the lower hull of the Gibbs energy of mixing."""
     x = FRACTIONS
     ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
     energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
@@ -191,7 +200,7 @@ def stable(log_gamma: Array) -> npt.NDArray[np.bool_]:
 
 
 def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array) -> Array:
-    """[T, X, 2] ln gamma by NRTL with ``parameters`` a12, a21, b12, b21, c12, c21."""
+    """Return [T, X, 2] ln gamma by NRTL with ``parameters`` a12, a21, b12, b21, c12, c21."""
     tau = np.zeros((len(temperatures), 1, 2, 2))
     rest = np.log(temperatures / REFERENCE_K)
     tau[:, 0, 0, 1] = parameters[0] + parameters[2] / temperatures + parameters[4] * rest
@@ -202,7 +211,7 @@ def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array)
 
 @dataclass(frozen=True)
 class Fit:
-    """NRTL parameters and how well they fit."""
+    """NRTL parameters and their errors."""
 
     parameters: Array
     alpha: float
@@ -210,7 +219,7 @@ class Fit:
 
 
 def _candidates(log_gamma: Array, alpha: float, tails: float, splits: float) -> list[tuple[int, Fit]]:
-    """Fits with one alpha, each with the number of temperatures at which it makes up a second liquid."""
+    """Return fits with one alpha, each with its number of temperatures with a spurious second liquid."""
     one_liquid = stable(log_gamma)
     whole: npt.NDArray[np.bool_] = one_liquid[:, 1:] & one_liquid[:, :-1]
     rises = np.diff(np.log(FRACTIONS))
@@ -241,9 +250,9 @@ def _candidates(log_gamma: Array, alpha: float, tails: float, splits: float) -> 
 
 
 def fit(log_gamma: Array) -> Fit:
-    """NRTL parameters whose largest error of ln gamma [T, X, 2] is small wherever the mixture is one liquid.
+    """Return NRTL parameters with a small maximum error of ln gamma [T, X, 2] wherever the mixture is one liquid.
 
-    Where NRTL makes up a second liquid or misses high dilution by much, both are weighed against each other.
+    If NRTL predicts a spurious second liquid or large errors at high dilution, both are weighed against each other.
     """
     scored: list[tuple[float, Fit]] = []
     for tails, splits in _TRIES:
@@ -268,7 +277,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Mutual:
-    """What two liquids take up of each other: mole fractions by temperature."""
+    """Mutual solubility of two liquids: mole fractions by temperature."""
 
     first: str
     second: str
@@ -279,8 +288,10 @@ class Mutual:
 
 
 def measured_pairs(path: Path) -> dict[frozenset[str], Measured | Mutual]:
-    """What was measured, by pair: the tables ``solubility`` and ``mutual`` of a file, with the keys of
-    :class:`Measured` and :class:`Mutual`."""
+    """Return measurements by pair.
+
+    They are the tables ``solubility`` and ``mutual`` of a file, with the keys of :class:`Measured` and :class:`Mutual`.
+    """
     out: dict[frozenset[str], Measured | Mutual] = {}
     tables = read_toml(path)
     for row in [*tables["solubility"], *tables["mutual"]]:
@@ -291,7 +302,7 @@ def measured_pairs(path: Path) -> dict[frozenset[str], Measured | Mutual]:
 
 
 def ideal_solubility(material: Material, temperature_k: Array) -> Array:
-    """ln of the mole fraction that melting alone allows: -dHfus / R (1 / T - 1 / Tm)."""
+    """Return ln of the ideal solubility as a mole fraction: -dHfus / R (1 / T - 1 / Tm)."""
     assert material.real is not None
     assert material.real.fusion_enthalpy_j_mol is not None
     assert material.melting_point_k is not None
@@ -300,9 +311,11 @@ def ideal_solubility(material: Material, temperature_k: Array) -> Array:
 
 
 def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
-    """NRTL parameters that give the measured solubilities, and are otherwise small, with little of them independent of
-    temperature; where the two do not mix, the solvent has the ``log_gamma`` (of solute and solvent) of UNIFAC as far as
-    that allows. The error is that of the measured ln gamma."""
+    """Fit NRTL parameters to measured solubilities.
+
+    Parameters are otherwise small and depend mostly on temperature. If the two do not mix, the solvent has UNIFAC's
+    ``log_gamma`` (of solute and solvent) as far as the measurements allow. The error is that of the measured ln gamma.
+    """
     temperature, x = measured.temperature_k, measured.mole_fraction
     wanted = ideal_solubility(solute, temperature) - np.log(x)
     near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
@@ -331,8 +344,10 @@ def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
 
 
 def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
-    """NRTL parameters by which both liquids have equal activities in the two layers; Renon and Prausnitz propose this
-    alpha for what does not mix. The error is that of ln of the activities."""
+    """Fit NRTL parameters that give both liquids equal activities in the two layers.
+
+    Renon and Prausnitz propose this alpha for immiscible liquids. The error is that of ln of the activities.
+    """
     temperature = mutual.temperature_k
     poor, rich = mutual.first_in_second, 1.0 - mutual.second_in_first
     ideal = np.log(np.stack([poor / rich, (1.0 - poor) / (1.0 - rich)], axis=-1))
@@ -349,7 +364,7 @@ def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
 
 
 def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]) -> bool:
-    """Whether one of two is water and the other a hydrocarbon or its chloride."""
+    """Return True if one of two materials is water and the other a hydrocarbon or its chloride."""
     others = [name for name in names if name != "water"]
     found = forms[0].groups(others[0], materials[others[0]]) if len(others) == 1 else None
     return found is not None and {forms[0].subgroups[number].group for number in found} <= APOLAR
@@ -358,7 +373,7 @@ def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: lis
 def _form(
     names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]
 ) -> tuple[Model, list[Groups]] | None:
-    """The form of UNIFAC to take for two materials, and their groups in it; None where no form has them all."""
+    """Return the form of UNIFAC for two materials, and their groups in it; None if no form has all groups."""
     for form in sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms:
         groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
         if len(groups) == len(names) and not form.lacks(groups):
@@ -373,7 +388,7 @@ def described(
     measured: Mapping[frozenset[str], Measured | Mutual],
     known: dict[Any, Fit],
 ) -> dict[str, Any]:
-    """A row of the pair file; of an ideal mixture where no form of UNIFAC has the groups of both."""
+    """Return a row of the pair file; an ideal mixture if no form of UNIFAC has the groups of both."""
     low, high = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
     chosen = _form(names, materials, forms)
     if chosen is None:
@@ -413,7 +428,7 @@ def _has_groups(name: str, materials: Mapping[str, Material]) -> bool:
 
 
 def is_molecule(material: Material) -> bool:
-    """Whether a material can be in a liquid as a molecule."""
+    """Return True if a material can be in a liquid as a molecule."""
     return material.role in ("solvent", "solute") and not any(re.match("Q[a-z]", e) for e in material.composition)
 
 
@@ -427,15 +442,15 @@ def make_pairs(
     """Return the rows of a pair file.
 
     Args:
-        pairs: of two materials each.
-        materials: what they are, by id.
-        measured: what stands in for UNIFAC.
-        progress: is called with the name of every pair that is done.
-        ideal: whether pairs that UNIFAC has no groups for become ideal mixtures, which their source says.
+        pairs: pairs of materials.
+        materials: materials by id.
+        measured: measurements that replace UNIFAC.
+        progress: called with the name of every finished pair.
+        ideal: whether pairs without UNIFAC groups become ideal mixtures, as their source then states.
 
     Raises:
-        DataError: a material is unknown, no molecule, or paired with itself; no form of UNIFAC has the groups of some
-            pairs, and they are not to be ideal; the message names all of them.
+        DataError: a material is unknown, not a molecule, or paired with itself; or ``ideal`` is False and UNIFAC lacks
+            the groups of some pairs, all of which are named.
     """
     for name in (name for two in pairs for name in two):
         if name not in materials:
@@ -444,18 +459,20 @@ def make_pairs(
             )
         if not is_molecule(materials[name]):
             role = materials[name].role
-            raise DataError(f"pairs: {name!r} is no molecule in a liquid (its role is {role!r}), and has no groups")
+            raise DataError(
+                f"pairs: {name!r} is not a molecule in a liquid (its role is {role!r}), so it has no groups"
+            )
     for one, other in pairs:
         if one == other:
-            raise DataError(f"pairs: {one!r} with itself; a pair is of two materials")
+            raise DataError(f"pairs: {one!r} with itself; a pair needs two different materials")
     if not ideal and (without := [two for two in pairs if _form(two, materials, models()) is None]):
         listed = "; ".join(f"{one!r} with {other!r}" for one, other in without)
         strange = [name for name in dict.fromkeys(itertools.chain(*without)) if not _has_groups(name, materials)]
         groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
         raise DataError(
             f"pairs: no form of UNIFAC in thermo has the groups and interactions of {listed}{groups}; write measured "
-            "parameters into a pair file of your own and name it with --pairs (docs: Write a material or a reaction), "
-            "or take these pairs as ideal mixtures with --ideal"
+            "parameters into your own pair file and name it with --pairs (docs: Write a material or a reaction), "
+            "or treat these pairs as ideal mixtures with --ideal"
         )
     known: dict[Any, Fit] = {}
     rows = []

@@ -31,19 +31,19 @@ OWN_FIELDS = (
     "density_kg_l", "heat_capacity_j_mol_k", "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol",
     "critical_temperature_k", "formation_enthalpy_j_mol", "fusion_enthalpy_j_mol",
 )  # fmt: skip
-"""What may be given instead of being looked up."""
+"""Fields that users may give instead of looked-up values."""
 _PALETTE = ("#332288", "#88ccee", "#44aa99", "#117733", "#999933", "#ddcc77", "#cc6677", "#882255", "#aa4499")
 """Paul Tol's muted colours."""
 _WATERY = 0.14
-"""The camera takes grey values this close to water's for it."""
+"""The camera classifies grey values this close to water's as water."""
 _DESIGN = "design value: palette colour, spread shade, artificial bands"
 
 
 def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
-    """Values of the user's own, by material and field: tables as in a material file, with a ``source`` each.
+    """Read the user's own values, by material and field: tables as in a material file, each with a ``source``.
 
     Raises:
-        DataError: a file is malformed, a field is unknown, no number, or has no source.
+        DataError: a file is malformed, or a field is unknown, not a number, or without a source.
     """
     found: dict[str, dict[str, Value]] = {}
     for path in paths:
@@ -66,14 +66,14 @@ def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
 
 
 def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> list[Compound]:
-    """The compounds that some texts mean, in order, each once.
+    """Return the compounds denoted by some texts, in order and without repetition.
 
     Args:
         texts: CAS numbers, names, structures.
-        named: the same, by the id that each is to have.
+        named: further ones by required id.
 
     Raises:
-        DataError: some are none; all of them are named.
+        DataError: some texts denote no compound; all of them are named.
     """
     found: dict[str, Compound] = {}
     wrong = []
@@ -85,7 +85,7 @@ def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> l
             continue
         twin = next((other for other in found.values() if made.key == other.key and made.smiles != other.smiles), None)
         if twin is not None:
-            wrong.append(f"{text!r}: would be called {made.key!r} as {twin.smiles} is; name it with --name KEY={text}")
+            wrong.append(f"{text!r}: would have the id {made.key!r} of {twin.smiles}; use --name KEY={text}")
         found.setdefault(made.smiles, made)
     if wrong:
         raise DataError("\n".join(wrong))
@@ -93,7 +93,7 @@ def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> l
 
 
 def known_as(compound: Compound, known: Mapping[str, Material]) -> str | None:
-    """The id under which some materials have a compound already, None if they do not."""
+    """Return the id of a compound among some materials, or None."""
     return next(
         (key for key, m in known.items() if m.smiles and canonical(m.smiles, key) == compound.smiles),
         None,
@@ -101,7 +101,10 @@ def known_as(compound: Compound, known: Mapping[str, Material]) -> str | None:
 
 
 def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any]:
-    """What it looks like: a colour, a grey value far from others' (of a liquid, from water's, too), two bands."""
+    """Return the appearance of a material: a colour, a grey value distinct from others', two absorption bands.
+
+    The grey value of a liquid is also distinct from water's.
+    """
     number = int(hashlib.sha256(compound.inchi_key.encode()).hexdigest()[:8], 16)
     water = shipped_materials()["water"].shade
     shades = [round(0.12 + 0.01 * i, 2) for i in range(82)]
@@ -122,12 +125,12 @@ def _rounded(value: float) -> float:
 
 
 def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[dict[str, Any], list[str]]:
-    """A material's table, and the fields that are missing in it."""
+    """Return a material's table, and its missing fields."""
     metal, state = found.metal, found.state
     if state == "s" and is_mineral(compound.composition):
         raise DataError(
-            f"{compound.key}: {compound.formula} is a salt or a mineral: how much of it dissolves is not estimated; "
-            "take what is shipped, or write its tables by hand, solubilities included (docs: Write a material or a "
+            f"{compound.key}: {compound.formula} is a salt or a mineral: its solubility is not estimated; "
+            "use a bundled material, or write its tables by hand, solubilities included (docs: Write a material or a "
             "reaction)"
         )
     role = "gas" if state == "g" else "solid" if metal else "solvent" if state == "l" else "solute"
@@ -173,7 +176,7 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
 
 
 def _wanted(missing: Mapping[str, Sequence[str]]) -> str:
-    """The text of a file for values that were not found."""
+    """Return a template file for values that were not found."""
     tables = {
         key: {**dict.fromkeys(fields, 0.0), "source": dict.fromkeys(fields, "where it is from")}
         for key, fields in missing.items()
@@ -186,20 +189,20 @@ def material_tables(
     given: Mapping[str, Mapping[str, Value]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, dict[str, Any]]:
-    """Tables of a material file, by id, checked as a file's are.
+    """Return validated tables of a material file by id.
 
     Args:
         wanted: the compounds.
         given: own values by id and field, see :func:`own_values`.
-        progress: is told of every compound that is done.
+        progress: called with every finished compound.
 
     Raises:
-        DataError: something was not found; the message names all of it and says how to give it. Nothing is made up.
+        DataError: some values were not found; the message names all of them and states how to give them.
     """
     strangers = sorted(set(given or {}) - {compound.key for compound in wanted})
     if strangers:
         known = ", ".join(compound.key for compound in wanted)
-        raise DataError(f"values: {strangers[0]!r} is not asked for; asked for: {known}")
+        raise DataError(f"values: {strangers[0]!r} is not among the requested compounds: {known}")
     used = [m.shade for m in shipped_materials().values() if m.role in ("solvent", "gas")]
     tables, missing = {}, {}
     for compound in wanted:
@@ -211,7 +214,7 @@ def material_tables(
     if missing:
         listed = "; ".join(f"{key}: {', '.join(fields)}" for key, fields in missing.items())
         raise DataError(
-            f"not found, and nothing is made up: {listed}. Write each with its source into a file as below, with the "
+            f"not found: {listed}. Write each with its source into a file as below, with the "
             f"number for 0.0, and name the file with --values:\n{_wanted(missing)}"
         )
     checked_materials(tables)
@@ -219,16 +222,16 @@ def material_tables(
 
 
 def checked_materials(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Material]:
-    """The materials that some tables are.
+    """Return the materials of some tables.
 
     Raises:
-        DataError: a table is none.
+        DataError: a table is invalid.
     """
     return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
 
 
 def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Fields of each material that are estimates."""
+    """Return the estimated fields of each material."""
     return {
         key: [field for field, source in _sources(table) if source.startswith("estimate")]
         for key, table in tables.items()
@@ -236,7 +239,7 @@ def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
 
 
 def doubts(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A line for each number that compilations or an estimate contradict, and for each that was not taken for it."""
+    """Return a line for each number contradicted by compilations or an estimate, and for each rejected number."""
     return [
         f"{key}: {field} = {table.get(field, table['real'].get(field))}: {source}"
         for key, table in tables.items()

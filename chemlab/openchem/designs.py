@@ -1,4 +1,4 @@
-"""A scenario of the tier ``real`` for a reaction family: what is fed, in which solvent, and how it is worked up."""
+"""Design of a scenario with the backend ``real`` for a reaction family: feeds, solvent and workup."""
 
 from __future__ import annotations
 
@@ -24,38 +24,43 @@ __all__ = ["INSTRUMENTS", "Design", "check_design", "design", "feeds", "scenario
 ROOM_K = 298.15
 WATER = "water"
 SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
-"""Shipped ones that a reaction may be run in and that water is washed out of, the lightest first."""
+"""Bundled solvents for reactions and for washing with water, the lowest boiling first."""
 _APART_K = 35.0
-"""Boiling points of goal and solvent are that far from each other."""
+"""Minimum distance in K between the boiling points of goal and solvent."""
 _MOL_PER_L = 0.8
-"""Of the goal, if all goes well."""
+"""Concentration of the goal at full conversion, in mol/L."""
 _CAPACITY_L, _CRYSTALS_L = 1.5, 2.0
-"""Of vessels, and of those in which something is to crystallize: that takes more solvent."""
+"""Capacity in litres of vessels, and of vessels for crystallization, which needs more solvent."""
 _BELOW_BOILING_K = 8.0
 _LIFETIMES = (8.0, 40.0)
-"""Times 1/k of the slowest step on the way to the goal, at full concentration, that an experiment lasts: of first
-order, and of higher orders, which slow down as they go."""
+"""Duration of an experiment in time constants 1/k of the slowest step to the goal at full concentration.
+
+The first is for first-order steps, the second for higher orders, which slow down with conversion.
+"""
 _STEPS = 60
 _ROUNDS = 50
-"""In which a solubility is found."""
+"""Iterations of the solubility calculation."""
 _CLOCK_S = 60.0
 _CALM_W = 150.0
-"""Heat of reaction that a flask of this size gets rid of, if it comes within half an experiment."""
+"""Heat of reaction in W that a flask of this size can remove, if released within half an experiment."""
 _PARTED = 30.0
-"""Ratio of two materials above and below a cut that a column is to reach."""
+"""Ratio of two materials above and below a cut that a column has to reach."""
 _MOST_STAGES = 15
 _ATMOSPHERE_PA = 101325.0
 _TICK_S = (10.0, 1800.0)
 _CATALYST = 0.1
-"""mol of a catalyst for each of the goal."""
+"""mol of a catalyst per mol of the goal."""
 _STAYS, _SOLVENT_STAYS = 20.0, 10.0
-"""Ratio of activity coefficients, by litre, at high dilution in water and in the solvent, above which a wash leaves a
-liquid in it, and the solvent itself; what goes below a tenth of the first is washed out."""
+"""Distribution criteria: ratio of activity coefficients in water and in the solvent, by litre, at infinite dilution.
+
+Above the first a wash leaves a liquid in the solvent, above the second the solvent itself stays. A liquid below a tenth
+of the first is washed out.
+"""
 
 
 @dataclass(frozen=True)
 class Design:
-    """What a scenario is made for."""
+    """Inputs of a scenario."""
 
     goal: str
     solvent: str
@@ -67,7 +72,7 @@ class Design:
 
 @dataclass(frozen=True)
 class _Charge:
-    """What one preparation takes."""
+    """Composition of one preparation."""
 
     goal: str
     solvent: str
@@ -83,12 +88,12 @@ class _Charge:
 
     @property
     def reagents(self) -> dict[str, float]:
-        """mol of what is put in."""
+        """mol of the charged reagents."""
         return {**self.fed, **self.catalysts}
 
 
 def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
-    """The first reaction that makes each material on the way to the goal."""
+    """Return the first reaction that makes each material on the route to the goal."""
     ways = family.ways(goal)
     found: dict[str, Reaction] = {}
     wanted = [goal]
@@ -101,7 +106,7 @@ def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
 
 
 def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
-    """mol of each starting material for some mol of the goal.
+    """Return mol of each starting material for an amount of the goal.
 
     Raises:
         DataError: no reaction makes the goal.
@@ -109,7 +114,7 @@ def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
     steps = steps_to(goal, family)
     if goal not in steps:
         made = sorted({name for step in family.reaction for name in step.products})
-        raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; made here: {', '.join(made)}")
+        raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; choose from {', '.join(made)}")
     need, fed = {goal: mol}, dict[str, float]()
     for _ in range(len(steps) + 1):
         following: dict[str, float] = {}
@@ -134,14 +139,15 @@ def _crystallizes(material: Material) -> bool:
 
 
 def _catalysts(goal: str, family: ReactionFamily) -> list[str]:
-    """What the steps to a goal do not run without, and do not use up."""
+    """Return the catalysts of the steps to a goal."""
     steps = steps_to(goal, family).values()
     return list(dict.fromkeys(name for step in steps for name in step.catalysts))
 
 
 def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Material]) -> str:
-    """A shipped solvent that boils far from the goal, below it if there is one: one without which nothing runs, or else
-    one that takes no part.
+    """Return a bundled solvent that boils far from the goal, preferably below it.
+
+    A solvent that is a required catalyst is used first, else one that takes no part in reactions.
 
     Raises:
         DataError: there is none.
@@ -154,14 +160,14 @@ def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Mater
     above = [name for name in free if materials[name].boiling_point_k > boils + _APART_K]
     if not below and not above:
         raise DataError(f"solvent: none of {', '.join(SOLVENTS)} fits; name one with --solvent")
-    # The warmest that can be boiled off: reactions are run in what boils, and most are slow in the cold.
+    # The highest boiling solvent that can be distilled off, because most reactions are slow in the cold.
     return below[-1] if below else above[-1]
 
 
 def _dilute(
     solute: str, solvent: str, materials: Mapping[str, Material], pairs: Mapping[frozenset[str], Pair]
 ) -> float:
-    """Activity coefficient at infinite dilution, by litre instead of by mole of solvent, at 298.15 K."""
+    """Return the activity coefficient at infinite dilution, per litre instead of per mole of solvent, at 298.15 K."""
     tau = pair_table((solute, solvent), pairs).tau(ROOM_K)
     gamma = log_activity_coefficients(np.array([0.0, 1.0]), tau, pair_table((solute, solvent), pairs).alpha)[0]
     liquid = materials[solvent]
@@ -176,7 +182,7 @@ def _tick(
     fed: Mapping[str, float],
     catalysts: Mapping[str, float],
 ) -> float:
-    """Seconds a step of the reaction bench, by the slowest reaction on the way; amounts are in mol."""
+    """Return the seconds per step of the reaction bench from the slowest reaction of the route; amounts are in mol."""
     longest = 0.0
     for step in steps_to(goal, family).values():
         k = step.pre_exponential * math.exp(-step.activation_energy_j_mol / (GAS_CONSTANT * temperature))
@@ -194,7 +200,7 @@ def _soluble(
     materials: Mapping[str, Material],
     pairs: Mapping[frozenset[str], Pair],
 ) -> float:
-    """mol of a solid that a mole of solvent dissolves at a temperature; an ideal solution where the pair is unknown."""
+    """Return the solubility of a solid in mol per mol of solvent; ideal if the pair is unknown."""
     material = materials[solute]
     melts, heat = material.melting_point_k, material.real.fusion_enthalpy_j_mol if material.real else None
     if heat is None or melts is None or melts <= kelvin:
@@ -217,8 +223,10 @@ def _dissolving_s(
     materials: Mapping[str, Material],
     pairs: Mapping[frozenset[str], Pair],
 ) -> float:
-    """Seconds in which the slowest of the crystals that are put in dissolves to 1/e; of one of which the solvent takes
-    up a part at a time, as it is used up, so much longer."""
+    """Return the time in seconds in which the slowest charged crystals dissolve to 1/e.
+
+    If the solvent takes up only a part at a time, as it is consumed, the time is correspondingly longer.
+    """
     lengthier = [
         max(mol / max(solvent_mol * _soluble(key, solvent, kelvin, materials, pairs), 1e-9), 1.0)
         for key, mol in fed.items()
@@ -228,8 +236,10 @@ def _dissolving_s(
 
 
 def _column(goal: str, others: Collection[str], materials: Mapping[str, Material]) -> tuple[int, float]:
-    """Theoretical stages and reflux ratio that part the goal from what boils next to it (Fenske 1932, with twice the
-    stages of total reflux): vapour pressures alone, as if all were ideal."""
+    """Return theoretical stages and reflux ratio that separate the goal from its neighbours in boiling point.
+
+    By Fenske (1932), with twice the stages of total reflux and ideal vapour pressures.
+    """
     boils = materials[goal].boiling_point_k
     nearest = 1e9
     for key in others:
@@ -251,23 +261,23 @@ def _round(value: float) -> float:
 
 
 def _charge_litres(fed: Mapping[str, float], mol: float, materials: Mapping[str, Material]) -> float:
-    """Of a reaction's contents, solvent included."""
+    """Return the volume of a reaction's contents, solvent included."""
     return max(mol / _MOL_PER_L, 1.2 * _litres(fed, materials))
 
 
 def check_design(
     goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material], mol: float
 ) -> None:
-    """Refuse what no scenario can be designed for; see :func:`design`.
+    """Check that a scenario can be designed; see :func:`design`.
 
     Raises:
-        DataError: no reaction makes the goal, it or what it is made of is a gas, the solvent is no liquid or the goal
-            itself, a catalyst is in no bottle, or it is more than a vessel takes.
+        DataError: no reaction makes the goal; it or a starting material is a gas; the solvent is not a liquid or is the
+            goal itself; a catalyst cannot be in a bottle; or the volume exceeds a vessel's capacity.
     """
     if materials[goal].role == "gas":
         raise DataError(f"goal {goal!r}: is a gas; vessels hold liquids and solids")
     if solvent not in materials or not _liquid(materials[solvent]):
-        raise DataError(f"solvent {solvent!r}: is no liquid that is known")
+        raise DataError(f"solvent {solvent!r}: is not a known liquid")
     if solvent == goal:
         raise DataError(f"solvent {solvent!r}: is the goal itself; name another")
     fed = feeds(goal, family, mol)
@@ -276,15 +286,15 @@ def check_design(
         salts = [salt.solid for salt in family.salt if ions[0] in (salt.cation, salt.anion)]
         hint = f" ({', '.join(salts)})" if salts else ""
         raise DataError(
-            f"goal {goal!r}: is made of {ions[0]!r}, an ion, of which there is none alone; write the reaction with a "
-            f"salt of it{hint}, which reacts as its ions in water"
+            f"goal {goal!r}: is made of {ions[0]!r}, an ion, which cannot be charged alone; write the reaction with a "
+            f"salt of it{hint}, which dissociates in water"
         )
     gases = [key for key in fed if materials[key].role == "gas"]
     if gases:
-        raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; what is put in has to be a liquid or a solid")
+        raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; starting materials must be liquids or solids")
     litre = _charge_litres(fed, mol, materials)
     if litre > 0.8 * _CAPACITY_L:
-        raise DataError(f"mol = {mol:g}: {litre:.3g} L are too much for a vessel of {_CAPACITY_L:g} L; ask for less")
+        raise DataError(f"mol = {mol:g}: {litre:.3g} L exceed a vessel's {_CAPACITY_L:g} L; use a smaller amount")
     for key in _catalysts(goal, family):
         if materials[key].role in ("ion", "gas"):
             raise DataError(
@@ -304,17 +314,17 @@ def design(
     files: Mapping[str, Any],
     wash: bool = True,
 ) -> Design:
-    """A scenario: which benches, what stands there, how long it may take, what it costs.
+    """Design a scenario: benches, stock, time limits and costs.
 
     Args:
-        name: of the scenario.
+        name: name of the scenario.
         goal, solvent: materials.
         family: reactions; rate constants are per second.
-        materials: known ones, by id.
-        pairs: activity coefficients of what can occur.
-        mol: most of the goal that there can be.
+        materials: known materials by id.
+        pairs: activity coefficients of the materials that can occur.
+        mol: theoretical maximum of the goal in mol.
         files: ``reactions``, ``material_files`` and ``pair_files`` of the scenario.
-        wash: whether the product may be washed with water; pairs with water are not asked for otherwise.
+        wash: whether the product may be washed with water; otherwise pairs with water are not needed.
 
     Raises:
         DataError: see :func:`check_design`.
@@ -355,7 +365,7 @@ def design(
         "goals": [goal],
         "lab_goals": [goal],
         "theoretical_maximum_mol": {goal: _round(mol + (others.get(goal, 0.0) if crystallizing else 0.0))},
-        # On other benches: what is distilled cools down in between, crystals want time.
+        # On other benches: a distillate cools down in between, and crystals need time.
         "real": {"tick_s": 2.0 * _CLOCK_S if crystallizing else _CLOCK_S},
         "stock": stock,
         "shelf": {"slots": 8, "vessel": [vessel]},
@@ -377,7 +387,7 @@ INSTRUMENTS: dict[str, dict[str, Any]] = {
 
 
 def _heat(step: Reaction, materials: Mapping[str, Material]) -> float:
-    """J per mol of the step, by formation enthalpies."""
+    """Return the heat of reaction in J per mol of the step, from formation enthalpies."""
     total = 0.0
     for sign, side in ((-1.0, step.reactants), (1.0, step.products)):
         for key, number in side.items():
@@ -393,8 +403,10 @@ def _washes(
     materials: Mapping[str, Material],
     pairs: Mapping[frozenset[str], Pair],
 ) -> bool:
-    """Whether water takes something out of the solvent, and neither the solvent nor the goal; so it does with the water
-    that a reaction makes."""
+    """Return True if water removes something from the solvent, but neither the solvent nor the goal.
+
+    The same holds for water that a reaction makes.
+    """
     if WATER in (goal, solvent) or materials[goal].role == "solid":
         return False
 
@@ -414,7 +426,7 @@ def _washes(
 
 
 def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, Any]:
-    """The benches' tables."""
+    """Return the tables of the benches."""
     goal, solvent = charge.goal, charge.solvent
     watts = charge.heat_j / (0.5 * _STEPS * charge.tick)
     start = {"capacity_l": _CAPACITY_L, "contents": {solvent: charge.solvent_mol}}
@@ -440,7 +452,7 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
     if charge.washing:
         benches["ext"] = {"kind": "extraction", "process": _WASHING, "start": crude}
     if charge.crystallizing:
-        # Only the solvent goes: what crystallizes is not distilled.
+        # Only the solvent is distilled off: a crystallizing goal is not distilled.
         hottest, stages, reflux = max(materials[solvent].boiling_point_k + 15.0, 375.0), 1, 1.0
     else:
         hottest = max(max(materials[key].boiling_point_k for key in charge.liquids) + 20.0, 478.15)
@@ -471,7 +483,7 @@ _WASHING = [
 def occurring(
     goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material]
 ) -> list[tuple[str, str]]:
-    """Every two molecules whose activity coefficients a design may need."""
+    """Return every pair of molecules whose activity coefficients a design may need."""
     names = [goal, solvent, WATER, *sorted(family.materials())]
     names += ["ethanol"] if _crystallizes(materials[goal]) else []
     molecules = [key for key in dict.fromkeys(names) if materials[key].role in ("solvent", "solute")]
@@ -479,7 +491,7 @@ def occurring(
 
 
 def scenario_text(tables: Mapping[str, Any], command: str) -> str:
-    """The text of a scenario file."""
+    """Return the text of a scenario file."""
     inline = (
         "contents",
         "reagents",
@@ -491,13 +503,13 @@ def scenario_text(tables: Mapping[str, Any], command: str) -> str:
         "weights",
         *INSTRUMENTS,
     )
-    made_by = " ".join(command.split())  # on the comment's one line
+    made_by = " ".join(command.split())  # the comment has one line
     lines = [f"# Made by {made_by}; every key: see chemlab's pages Write a scenario, and Keys of data files"]
     return "\n".join([*lines, *toml_tables(tables, inline)]) + "\n"
 
 
 def beside(path: Path, folder: Path) -> str:
-    """A file's name as a scenario in a folder has it."""
+    """Return a file's path relative to a scenario's folder."""
     try:
         return path.resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:

@@ -1,16 +1,17 @@
-"""How hard a scenario's chemistry is, measured: ``chemlab audit difficulty``.
+"""Difficulty of a scenario's chemistry: ``chemlab audit difficulty``.
 
-| measure | what |
+| measure | meaning |
 |---|---|
 | ``steps`` | reactions of the route to the goal |
-| ``yield`` | most of the goal that constant conditions of the reaction bench make, of what there can be |
-| ``selectivity`` | there, how much of what the feeds have turned into is the goal |
-| ``boils_apart_k`` | K between the boiling points of the goal and of the liquid that boils next to it |
+| ``yield`` | highest yield under constant conditions of the reaction bench |
+| ``selectivity`` | share of the consumed feed that has become the goal under these conditions |
+| ``boils_apart_k`` | distance in K between the goal's boiling point and the nearest other liquid's |
 | ``scripted`` | score of the general scripted agents |
-| ``plan`` | score of the best constant plan of the manager that a search finds, over scripted benches |
+| ``plan`` | score of the best open-loop plan of the manager found by a search, with scripted benches |
 
-Constant conditions are a temperature, gone to at once and kept, and reagents that are on the way to the goal, put in at
-once, or evenly over half of the experiment: all of them, or one of them. All are tried from the bench's own beginning.
+Constant conditions are a temperature, set at once and kept, and the reagents on the route to the goal. They are added
+at once, or evenly over half of the experiment: all of them or one of them. All variants are tried from the bench's
+initial state.
 """
 
 from __future__ import annotations
@@ -39,21 +40,21 @@ __all__ = ["Conditions", "GoalDifficulty", "constant_conditions", "difficulty"]
 
 _TEMPERATURES = 8
 _SLOWLY = 0.5
-"""Share of an experiment over which a reagent is put in that is not put in at once."""
+"""Share of an experiment over which slow additions extend."""
 _SAFE_PRESSURE = 0.68
-"""Of the gauge: above it nothing is heated further, as the scripted agents do."""
+"""Reading of the pressure gauge above which heating stops, as in the scripted policy."""
 _TRACE_MOL = 1e-12
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the best constant conditions come to.
+    """The best constant conditions and their result.
 
     Attributes:
-        temperature_k: that is kept.
-        slowly: reagents that are put in over half of the experiment.
-        reached: mol of the goal that is made, of what there can be.
-        selectivity: mol of the goal, of what the feed that is used up most could have become.
+        temperature_k: constant temperature.
+        slowly: reagents that are added over half of the experiment.
+        reached: yield: mol of the goal relative to its maximum.
+        selectivity: mol of the goal relative to the maximum from the most consumed feed.
     """
 
     temperature_k: float
@@ -64,7 +65,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class GoalDifficulty:
-    """How hard a goal is; None where there is no route or no bench to tell by, or nothing that boils."""
+    """Difficulty of a goal; None for measures without a route, a bench or a boiling liquid."""
 
     goal: str
     steps: int
@@ -75,22 +76,22 @@ class GoalDifficulty:
     plan: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as plain data."""
+        """Return the fields as plain data."""
         return asdict(self)
 
 
 class _Constant:
-    """Keeps a temperature and puts reagents in, whatever it sees; member i by ``recipes[i]``.
+    """Keeps a temperature and adds reagents, without observations; environment i follows ``recipes[i]``.
 
     Args:
-        bench: the bench it is for.
-        recipes: temperature in K, and the reagents that are put in slowly, by member.
-        wanted: reagents that are put in at all.
+        bench: the bench.
+        recipes: temperature in K, and the slowly added reagents, by environment index.
+        wanted: reagents that are added at all.
     """
 
     def __init__(self, bench: ReactionBench, recipes: list[tuple[float, tuple[str, ...]]], wanted: set[str]) -> None:
         slices = channel_slices(bench.channels)
-        # Of a bench with a jacket it is the jacket that is set.
+        # With a jacket, the jacket's temperature is set.
         self._gauge = slices["jacket" if "jacket" in slices else "temperature"].start
         self._pressure = slices["pressure"].start
         self._span = bench.options.temperature_k
@@ -101,13 +102,13 @@ class _Constant:
         self._wanted = np.array([name in wanted for name in names])
 
     def act(self, observation: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
-        """[B, n] actions."""
+        """Return the actions [B, n]."""
         low, high, most = self._span.low, self._span.high, self._span.step
         now = low + observation[:, self._gauge] * (high - low)
         turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * most), 0.0, 1.0)
         close = observation[:, self._pressure] > _SAFE_PRESSURE
         turn = np.where(close, np.minimum(turn, 0.5), turn)
-        # Of what is left, the part that makes equal portions.
+        # The share of the remainder that gives equal portions.
         share = np.where(self._slow, 1.0 / max(self._steps - step, 1), 1.0) * self._wanted
         return np.column_stack((turn, np.where(close, 1.0, 0.5), share))
 
@@ -117,10 +118,10 @@ def _reaction_bench(scenario: Scenario) -> str | None:
 
 
 def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
-    """The constant conditions that make most of a goal; None where there is no reaction bench, or no route to it.
+    """Return the constant conditions with the highest yield of a goal; None without a reaction bench or a route.
 
     Args:
-        scenario: where.
+        scenario: the scenario.
         goal: one of its goals.
     """
     key = _reaction_bench(scenario)
@@ -154,7 +155,7 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
 
 
 def _totals(env: BenchVectorEnv) -> FloatArray:
-    """[N, M] mol of each material in bottles, vessels and waste."""
+    """Return [N, M] mol of each material in bottles, vessels and waste."""
     shelf = env.batch.shelf
     inside = shelf.vessels[:, :, AMOUNTS : AMOUNTS + shelf.stock.shape[1]]
     total: FloatArray = shelf.stock + shelf.waste + inside.sum(axis=1)
@@ -162,7 +163,7 @@ def _totals(env: BenchVectorEnv) -> FloatArray:
 
 
 def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
-    """K to the boiling point of the liquid that boils next to a goal, and which that is."""
+    """Return the distance in K to the nearest boiling point of another liquid, and that liquid."""
     liquids = {name: m for name, m in scenario.materials.items() if m.role in ("solvent", "solute")}
     if goal not in liquids or len(liquids) < 2:
         return None
@@ -172,20 +173,20 @@ def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
 
 
 def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, seed: int = 0) -> list[GoalDifficulty]:
-    """How hard each goal of a scenario's laboratory is.
+    """Measure the difficulty of each goal of a scenario's laboratory.
 
     Args:
-        scenario: name, path, or loaded.
-        episodes: of which scores are the mean; episode i has seed + i.
-        plans: most that the search for a constant plan tries, for each goal; 0: none is searched.
-        seed: of the first episode.
+        scenario: name, path, or loaded scenario.
+        episodes: number of episodes whose scores are averaged; episode i has seed + i.
+        plans: maximum number of open-loop plans tried per goal; 0: no search.
+        seed: seed of the first episode.
 
     Raises:
-        DataError: the scenario is none.
+        DataError: the scenario is invalid.
         ValueError: ``episodes`` or ``plans`` is out of bounds.
     """
     if episodes < 1 or plans < 0:
-        raise ValueError(f"episodes = {episodes}, plans = {plans}: at least one episode, and no plans less than 0")
+        raise ValueError(f"episodes = {episodes}, plans = {plans}: episodes must be at least 1, and plans at least 0")
     spec = load_scenario(scenario)
     by_goal: dict[str, float] = {}
     if plans:

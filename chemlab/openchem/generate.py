@@ -1,14 +1,14 @@
-"""Random chemistries from a seed: balanced, physically sensible, solvable, and as hard as is asked for.
+"""Random chemistries from a seed: balanced, physically plausible and solvable, with a given difficulty.
 
 >>> train = [chemistry(seed, difficulty="medium") for seed in range(100)]
 >>> test = [chemistry(seed, difficulty="medium") for seed in range(100, 120)]
 
-A chemistry is an ordinary scenario. Those of one size and difficulty have the same spaces; their materials, reactions,
-rate constants and boiling points differ. The same arguments give the same chemistry on every machine, as long as the
-version of chemlab is the same. What there is of a goal if nothing goes wrong (``theoretical_maximum_mol``) follows from
-the stoichiometry; how much of it can be had is measured (:mod:`chemlab.openchem.difficulty`).
+A chemistry is an ordinary scenario. Chemistries of equal size and difficulty have equal spaces; their materials,
+reactions, rate constants and boiling points differ. Equal arguments give equal chemistries on every machine with the
+same version of chemlab. The theoretical maximum of a goal (``theoretical_maximum_mol``) follows from the stoichiometry;
+the attainable yield is measured by :mod:`chemlab.openchem.difficulty`.
 
-Needs none of the extras.
+Needs no extra.
 """
 
 from __future__ import annotations
@@ -35,36 +35,39 @@ from .writing import family_text, lock, material_text, pair_text
 __all__ = ["LEVELS", "Generated", "Level", "chemistry", "generated"]
 
 _WARM_K = 330.0
-"""Where rates are compared."""
+"""Temperature in K at which rates are compared."""
 _MOL_PER_L = 0.8
 _STEPS, _TICK_S = 30, 60.0
-"""Of an experiment at the reaction bench."""
+"""Steps, and seconds per step, of an experiment at the reaction bench."""
 _ACTIVATION_J = (45_000.0, 75_000.0)
 _LEAST_ACTIVATION_J = 15_000.0
 _CATALYSED_J = (15_000.0, 30_000.0)
-"""Of what is catalysed: so low that a product outlives its distillation, beside what is left of the catalyst."""
+"""Activation energies in J/mol of catalysed reactions; low, so that a product survives its distillation beside
+catalyst residues.
+"""
 _BY_HEAT = 0.75
-"""Probability that a side reaction gains on the one that it competes with when it gets hotter; else it loses."""
+"""Probability that a side reaction is favoured by heat over the competing main step; otherwise cold favours it."""
 _APART_K = 35.0
-"""Goals boil at least that far above the solvent."""
+"""Minimum distance in K of the goals' boiling points above the solvent's."""
 _FEEDS_L, _MOL = 0.3, 0.5
-"""Most of the feeds, together and of each."""
+"""Maximum volume in litres of all feeds, and maximum amount in mol of each."""
 _CAPACITY_L, _SOLVENT_L = 1.2, (0.35, 0.7)
-"""Of vessels, and of the solvent in the first and in the second of them: what is made is more dilute there."""
+"""Capacity in litres of vessels, and litres of solvent in the first and the second; the second dilutes more."""
 _MOST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
 class Level:
-    """What a difficulty stands for.
+    """Parameters of a difficulty level.
 
     Attributes:
-        size: the usual one.
-        lifetimes: times 1/(k c) of a main step that an experiment lasts at 330 K.
-        side: rate of a side reaction at 330 K, relative to the step that it competes with.
-        decay: share of an experiment at 330 K in the lifetime of a product that rearranges.
-        activation_j: J/mol, by how much more side reactions gain with temperature (a quarter of them: less).
-        gap_k: K between the boiling points of a goal and of what boils next to it: at least, and of isomers at most.
+        size: default size.
+        lifetimes: duration of an experiment at 330 K in time constants 1/(k c) of a main step.
+        side: rate of a side reaction at 330 K relative to the competing step's.
+        decay: duration of an experiment at 330 K in lifetimes of a rearranging product.
+        activation_j: J/mol by which activation energies of side reactions are higher (for a quarter of them: lower).
+        gap_k: minimum distance in K between the boiling points of a goal and its neighbour, and the maximum for
+            isomers.
     """
 
     size: Size
@@ -88,9 +91,9 @@ class Generated:
     """A chemistry as data.
 
     Attributes:
-        name: of the scenario.
-        command: what makes it again.
-        tables: of the scenario file.
+        name: name of the scenario.
+        command: command that makes it again.
+        tables: tables of the scenario file.
         family: tables of the reaction file.
         materials: tables of the material file.
         pairs: rows of the pair file (physics ``real``).
@@ -104,14 +107,14 @@ class Generated:
     pairs: list[dict[str, Any]]
 
     def scenario(self) -> Scenario:
-        """The scenario, without any file."""
+        """Return the scenario without writing files."""
         shipped = {name: material.model_dump(mode="json") for name, material in shipped_materials().items()}
         tables = completed(self.tables, self.name, Path())
         data = {"scenario": tables, "materials": {**shipped, **self.materials}, "reactions": self.family}
         return restore_scenario({**data, "pairs": self.pairs}, self.name)
 
     def files(self) -> dict[str, str]:
-        """Texts of the files by name, the scenario's first."""
+        """Return the texts of the files by name, the scenario's first."""
         texts = {
             f"{self.name}.toml": scenario_text(self.tables, self.command),
             f"{self.name}_reactions.toml": family_text(self.family),
@@ -122,22 +125,22 @@ class Generated:
         return texts
 
     def write(self, folder: str | Path, force: bool = False) -> Path:
-        """Write the files next to each other, all or none.
+        """Write all files into a folder, or none.
 
         Args:
-            folder: where; made if it is not there.
-            force: replace files that are there.
+            folder: output folder; created if it does not exist.
+            force: overwrite existing files.
 
         Returns:
             Path of the scenario.
 
         Raises:
-            ValueError: a file is there already, or one cannot be written there.
+            ValueError: a file exists already or cannot be written.
         """
         texts = {Path(folder) / name: text for name, text in self.files().items()}
         there = [path for path in texts if path.exists()]
         if there and not force:
-            raise ValueError(f"{there[0]}: is already there; choose another name or folder, or replace it with --force")
+            raise ValueError(f"{there[0]}: already exists; choose another name or folder, or overwrite it with --force")
         for path in texts:
             check_target(path)
         write_texts(texts)
@@ -153,7 +156,7 @@ def chemistry(
     steps: int | None = None,
     goals: int = 1,
 ) -> Scenario:
-    """A random chemistry as a scenario that every environment takes; see :func:`generated`.
+    """Return a random chemistry as a scenario for any environment; see :func:`generated`.
 
     >>> import gymnasium
     >>> env = gymnasium.make("chemlab/Bench-v0", scenario=chemistry(7), bench="rxn")
@@ -171,22 +174,22 @@ def generated(
     goals: int = 1,
     name: str = "",
 ) -> Generated:
-    """A random chemistry as data.
+    """Return a random chemistry as data.
 
     Args:
-        seed: which one; every seed is another, and independent of all others.
-        materials, reactions, steps: how many there are, without the solvent, and how many reactions the route to the
-            last goal has; what is left out is as usual for the difficulty, as far as the others allow.
+        seed: seed; chemistries of different seeds are independent.
+        materials, reactions, steps: numbers of materials without the solvent, of reactions, and of reactions on the
+            route to the last goal; the defaults depend on the difficulty and on the given numbers.
         difficulty: one of :data:`LEVELS`.
-        physics: tier of physical laws, ``paper`` or ``real``.
-        goals: how many of the last products of the route may be asked for.
-        name: of the scenario; by default ``chemistry_SEED``.
+        physics: physics backend, ``paper`` or ``real``.
+        goals: number of goals: the last products of the route.
+        name: name of the scenario; default: ``chemistry_SEED``.
 
     Raises:
-        DataError: an argument is out of bounds, or there is no such network.
+        DataError: an argument is out of bounds, or no network has these numbers.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MOST_SEED:
-        raise DataError(f"seed = {seed!r}: must be a whole number from 0 to {_MOST_SEED}")
+        raise DataError(f"seed = {seed!r}: must be an integer from 0 to {_MOST_SEED}")
     for key, value, allowed in (("difficulty", difficulty, LEVELS), ("physics", physics, PHYSICS_TIERS)):
         if value not in allowed:
             raise DataError(f"{key} = {value!r}: must be one of {', '.join(allowed)}")
@@ -234,7 +237,7 @@ def _side(counts: Mapping[str, int]) -> str:
 
 
 def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, Any]]:
-    """Tables of the reactions."""
+    """Return the tables of the reactions."""
     lasts = _STEPS * _TICK_S
     main: list[tuple[float, float]] = []
     tables = []
@@ -266,7 +269,7 @@ def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, A
 
 
 def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) -> str:
-    """A shipped solvent far below the goals in boiling, of those in which everything dissolves best."""
+    """Return the best dissolving bundled solvent that boils far below the goals."""
     shipped = shipped_materials()
     lowest = min(materials[goal].boiling_point_k for goal in goals)
     fitting = [name for name in SOLVENTS if shipped[name].boiling_point_k < lowest - _APART_K]
@@ -278,7 +281,7 @@ def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) 
 
 
 def _mol(feeds: Sequence[str], materials: Mapping[str, Material]) -> float:
-    """How much there is of each feed, as much of all: the route uses them up."""
+    """Return the equal amount of each feed in mol; the route consumes them completely."""
     litres = sum(materials[name].molar_mass_g_mol / materials[name].density_kg_l for name in feeds) / 1000.0
     return min(significant(_FEEDS_L / litres, 2), _MOL)
 
@@ -286,7 +289,7 @@ def _mol(feeds: Sequence[str], materials: Mapping[str, Material]) -> float:
 def _paper(
     head: Mapping[str, Any], network: Network, goals: list[str], materials: Mapping[str, Material], solvent: str
 ) -> dict[str, Any]:
-    """A scenario of the tier ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
+    """Return a scenario with the backend ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
     liquid, mol = shipped_materials()[solvent], _mol(network.feeds, materials)
     feeds = dict.fromkeys(network.feeds, mol)
     solvents = [
@@ -335,7 +338,7 @@ def _real(
     solvent: str,
     family: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """A scenario of the tier ``real``, as ``chemlab new`` designs it."""
+    """Return a scenario with the backend ``real``, as ``chemlab new`` designs it."""
     name, mol = str(head["name"]), _mol(network.feeds, materials)
     checked: ReactionFamily = validated(ReactionFamily, family, name)
     made = design(name, goals[-1], solvent, checked, materials, {}, mol, {}, wash=False)

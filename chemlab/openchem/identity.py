@@ -1,4 +1,4 @@
-"""Which compound is meant: by a CAS number, a name or a structure, offline."""
+"""Identification of a compound from a CAS number, a name or a structure, offline."""
 
 from __future__ import annotations
 
@@ -34,30 +34,32 @@ __all__ = [
 RDLogger.DisableLog("rdApp.*")
 
 _LONGEST = 500
-"""Characters of a name or a structure: a chain of as many atoms has no properties that are estimated here, and what is
-done with a structure takes time that grows with a power of its length."""
+"""Maximum length of a name or a structure in characters.
+
+Longer chains have no estimated properties, and the time of structure algorithms is a power of the length.
+"""
 _LONGEST_KEY = 100
 _LONGEST_NAME = 60
-"""Of a name that others are compared with."""
+"""Maximum length of a name that is compared with similar names."""
 _CAS = re.compile(r"\d{2,7}-\d{2}-\d")
 _WEIGHTS = {"H": 1.00794, "C": 12.0107, "N": 14.0067, "O": 15.9994, "Na": 22.98977, "Cl": 35.453, "Ar": 39.948}
-"""Atomic weights of the shipped files; reactions conserve mass only where all files have the same."""
+"""Atomic weights of the bundled files; reactions conserve mass only if all files use the same."""
 
 
 @dataclass(frozen=True)
 class Compound:
-    """One molecule or element."""
+    """A molecule or an element."""
 
     key: str
     """Id of its table in a material file."""
     name: str
     formula: str
     smiles: str
-    """Canonical, by RDKit."""
+    """Canonical SMILES by RDKit."""
     inchi_key: str
     cas: str | None = None
     common_name: str = ""
-    """As the list of chemicals calls it, whatever name was given; empty for what is not in it."""
+    """Name in the list of chemicals, whatever name was given; empty if not listed."""
 
     @property
     def composition(self) -> dict[str, int]:
@@ -66,7 +68,7 @@ class Compound:
 
 
 def check_length(text: str, what: str) -> None:
-    """Refuse a name, a structure or a template that takes forever, or that no file can hold.
+    """Check the length of a name, structure or template.
 
     Raises:
         DataError: it is too long, or not printable; the message names ``what``.
@@ -76,34 +78,34 @@ def check_length(text: str, what: str) -> None:
 
 
 def parsed(smiles: str, what: str) -> Any:
-    """RDKit's molecule of a structure.
+    """Parse a structure with RDKit.
 
     Raises:
-        DataError: it is none, or too long; the message names ``what``.
+        DataError: it is not a structure, or too long; the message names ``what``.
     """
     check_length(smiles, what)
     molecule = Chem.MolFromSmiles(smiles) if smiles else None
     if not _is_structure(molecule):
-        raise DataError(f"{what}: {smiles!r} is no structure (SMILES)")
+        raise DataError(f"{what}: {smiles!r} is not a structure (SMILES)")
     return molecule
 
 
 def _is_structure(molecule: Any) -> bool:
-    """Whether it has atoms, each of an element: SMILES have a star for any."""
+    """Return True if a molecule has atoms and each is of an element; in SMILES, a star is any atom."""
     return molecule is not None and molecule.GetNumAtoms() > 0 and all(a.GetAtomicNum() for a in molecule.GetAtoms())
 
 
 def canonical(smiles: str, what: str) -> str:
-    """The structure as RDKit writes it, the same for every way to write it.
+    """Return the canonical SMILES of a structure.
 
     Raises:
-        DataError: it is none.
+        DataError: it is not a structure.
     """
     return str(Chem.MolToSmiles(parsed(smiles, what)))
 
 
 def composition_of(molecule: Any) -> dict[str, int]:
-    """Atoms of a molecule by element, carbon and hydrogen first."""
+    """Return the atoms of a molecule by element, carbon and hydrogen first."""
     counts: dict[str, int] = {}
     for atom in molecule.GetAtoms():
         counts[atom.GetSymbol()] = counts.get(atom.GetSymbol(), 0) + 1
@@ -114,7 +116,7 @@ def composition_of(molecule: Any) -> dict[str, int]:
 
 
 def molar_mass(composition: dict[str, int]) -> float:
-    """g/mol: the sum of atomic weights, for the elements of the shipped files with those."""
+    """Return the molar mass in g/mol; elements of the bundled files have the weights of these files."""
     return float(
         sum(n * _WEIGHTS.get(element, getattr(periodic_table, element).MW) for element, n in composition.items())
     )
@@ -122,15 +124,15 @@ def molar_mass(composition: dict[str, int]) -> float:
 
 @functools.cache
 def structures() -> dict[str, str]:
-    """Ids of the shipped materials by canonical structure."""
+    """Return the ids of the bundled materials by canonical structure."""
     return {canonical(m.smiles, key): key for key, m in shipped_materials().items() if m.smiles}
 
 
 def _checked_key(key: str) -> str:
-    """An id that a material file may have.
+    """Check the id of a material.
 
     Raises:
-        DataError: it is none.
+        DataError: it is not valid in a material file.
     """
     if len(key) > _LONGEST_KEY or not key.isprintable() or key == LOCK:
         raise DataError(
@@ -145,7 +147,7 @@ def _key(name: str) -> str:
 
 
 def _near(text: str) -> str:
-    """Names that a misspelt one may have meant, as the end of a sentence."""
+    """Return similar names as the end of a sentence."""
     if not 3 < len(text) <= _LONGEST_NAME:
         return ""
     near = difflib.get_close_matches(text.lower(), pubchem_db.name_index, 2, 0.8)
@@ -153,10 +155,10 @@ def _near(text: str) -> str:
 
 
 def _check_molecule(molecule: Any, text: str) -> None:
-    """Refuse what is no single neutral molecule of natural isotopes.
+    """Check that a molecule is single, neutral and of natural isotopes.
 
     Raises:
-        DataError: it is none.
+        DataError: it is not.
     """
     fragments, charge = len(Chem.GetMolFrags(molecule)), Chem.GetFormalCharge(molecule)
     charged = any(atom.GetFormalCharge() for atom in molecule.GetAtoms())
@@ -165,11 +167,11 @@ def _check_molecule(molecule: Any, text: str) -> None:
         what = f"has a charge of {charge:+d}" if fragments == 1 else f"has {fragments} fragments"
         this = f", which has this one as {shipped!r}" if shipped else ""
         raise DataError(
-            f"{text!r}: {what}: ions and salts have no boiling point and no groups to estimate from; take what is "
+            f"{text!r}: {what}: ions and salts have no boiling point and no groups for estimates; use what is "
             f"shipped{this}, or write its tables by hand (docs: Write a material or a reaction), solubilities included"
         )
     if fragments > 1:
-        raise DataError(f"{text!r}: has {fragments} fragments, which are no salt; give each molecule on its own")
+        raise DataError(f"{text!r}: has {fragments} fragments that do not form a salt; give each molecule separately")
     if any(atom.GetIsotope() for atom in molecule.GetAtoms()):
         for atom in molecule.GetAtoms():
             atom.SetIsotope(0)
@@ -180,10 +182,10 @@ def _check_molecule(molecule: Any, text: str) -> None:
 
 
 def _check_name(text: str, name: str, entry: Any) -> None:
-    """Refuse a name that means no single compound.
+    """Check that a name denotes a single compound.
 
     Raises:
-        DataError: it means a mixture, a polymer or several compounds; the message proposes what to take.
+        DataError: it denotes a mixture, a polymer or several compounds; the message proposes alternatives.
     """
     if found := meaning(text, name, entry, pubchem_db.name_index):
         what, instead = found
@@ -193,14 +195,17 @@ def _check_name(text: str, name: str, entry: Any) -> None:
 
 
 def _entry_of(text: str) -> tuple[Any, str]:
-    """What the list of chemicals has for a CAS number or a name, None for nothing; and the name in plain letters.
+    """Look up a CAS number or a name in the list of chemicals.
+
+    Returns:
+        The entry, or None; and the name in plain letters.
 
     Raises:
-        DataError: no CAS number, though it looks like one; a name of no single compound.
+        DataError: the text looks like a CAS number but is not one, or the name does not denote a single compound.
     """
     if _CAS.fullmatch(text):
         if not check_CAS(text):
-            raise DataError(f"{text!r}: its check digit is wrong: no CAS number")
+            raise DataError(f"{text!r}: is not a CAS number: its check digit is wrong")
         entry = pubchem_db.search_CAS(text)
         if not entry:
             raise DataError(f"{text!r}: this CAS number is not in the list of chemicals; give the structure (SMILES)")
@@ -217,17 +222,17 @@ def _entry_of(text: str) -> tuple[Any, str]:
 
 
 def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
-    """Return the compound that a text means.
+    """Return the compound that a text denotes.
 
     Args:
-        text: a CAS number, a name (as in PubChem, in English; Greek letters or alpha, beta), or a structure (SMILES);
+        text: a CAS number, an English name (as in PubChem; Greek letters or alpha, beta), or a structure (SMILES);
             tried in this order.
-        key: the id it is to have, default: its name with ``_`` for spaces.
+        key: id of the compound; default: its name with ``_`` for spaces.
         structure: whether the text can only be a structure.
 
     Raises:
-        DataError: it is none of these, too long, a salt, an ion, a mixture, a polymer, labelled with isotopes, or both
-            the name of one compound and the structure of another.
+        DataError: the text is none of these or too long; denotes a salt, an ion, a mixture, a polymer or an
+            isotopically labelled compound; or is both the name of one compound and the structure of another.
     """
     text = text.strip()
     check_length(text, "compound")
@@ -263,5 +268,5 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
 
 
 def _common_name(entry: Any) -> str:
-    """Its name in the list of chemicals, where the common one is sometimes a number."""
+    """Return an entry's common name; in the list it is sometimes a number."""
     return str(entry.iupac_name if _CAS.fullmatch(entry.common_name) and entry.iupac_name else entry.common_name)

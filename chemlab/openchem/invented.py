@@ -1,4 +1,4 @@
-"""Properties of materials that do not exist, as consistent with each other as those of liquids that do.
+"""Properties of invented materials, mutually consistent like those of real liquids.
 
 | property | rule |
 |---|---|
@@ -10,7 +10,7 @@
 | activity coefficients | regular solutions (Scatchard 1931, Hildebrand 1933): ln gamma = V (d_1 - d_2)^2 / RT at high dilution, V the geometric mean of both volumes; as NRTL parameters |
 | formation enthalpy | every reaction gives off heat |
 
-Constants are as remembered, and ranges are guesses; what a hydrocarbon weighs for its b is what hexane and dodecane do.
+Constants are from memory, and ranges are guesses. The ratio of b to the mass of a hydrocarbon is that of hexane and dodecane.
 """  # noqa: E501 - a table's line cannot be broken
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ ROOM_K = 298.15
 _FREEZING_K = 273.15
 _ATMOSPHERE_PA = 101_325.0
 _HEAVIEST_G = 230.0
-"""Of what a route ends in: heavier ones would boil beyond any bench's reach."""
+"""Maximum molar mass in g/mol of final products; heavier ones would boil above the range of the benches."""
 _ATOM_G, _COPRODUCT_G = (28.0, 80.0), (30.0, 60.0)
 _NUMBER_PER_G = 0.21
-"""Kinney's boiling point number of a hydrocarbon, by its mass."""
+"""Kinney's boiling point number of a hydrocarbon per g/mol."""
 _FEED_K, _PRODUCT_K, _COPRODUCT_K = 340.0, 380.0, (370.0, 405.0)
-"""Least boiling points of feeds and of what they become; those of coproducts."""
+"""Minimum boiling points of feeds and of their products; range of coproducts."""
 _POLARITY = 0.05
-"""E_T^N for each boiling point number above that of a hydrocarbon: 0.65 of ethanol, 0.36 of acetone, 0.1 of toluene."""
+"""E_T^N per boiling point number above a hydrocarbon's: 0.65 for ethanol, 0.36 for acetone, 0.1 for toluene."""
 _DENSITY, _HEAT = (0.78, 1.05), (1.7, 2.2)
-"""kg/L and J/g/K of organic liquids."""
+"""Ranges in kg/L and J/g/K of organic liquids."""
 _SHADES, _APART = (0.06, 0.70), 0.01
 _BANDS_NM = (225.0, 775.0)
 _LOW_K, _HIGH_K = 250.0, 650.0
-"""Of vapour pressures and activity coefficients."""
+"""Temperature range of vapour pressures and activity coefficients."""
 _MIDDLE_K = 360.0
 _ALPHA = 0.3
 _EXOTHERMIC_J = (25_000.0, 90_000.0)
@@ -52,12 +52,12 @@ SOURCE = "invented"
 
 
 def significant(value: float, digits: int = 4) -> float:
-    """``value`` rounded: the last bits of logarithms and roots differ between machines."""
+    """Round ``value``, because the last bits of logarithms and roots differ between machines."""
     return float(f"{value:.{digits}g}")
 
 
 def boiling_point(number: float) -> float:
-    """K, of Kinney's boiling point number."""
+    """Return the boiling point in K for Kinney's boiling point number."""
     return 230.14 * math.pow(number, 1.0 / 3.0) - 543.0 + _FREEZING_K
 
 
@@ -66,7 +66,7 @@ def _boiling_number(kelvin: float) -> float:
 
 
 def _sums(network: Network, by_atom: Mapping[str, float]) -> dict[str, float]:
-    """Of each material the sum over its atoms."""
+    """Return the sum over the atoms of each material."""
     return {
         name: sum(by_atom[element] * count for element, count in atoms.items()) for name, atoms in network.atoms.items()
     }
@@ -75,8 +75,11 @@ def _sums(network: Network, by_atom: Mapping[str, float]) -> dict[str, float]:
 def _boiling_points(
     draws: Draws, network: Network, mass: Mapping[str, float], goals: Sequence[str], gap: tuple[float, float]
 ) -> dict[str, float]:
-    """K. Nothing boils closer to a goal than ``gap`` begins; one isomer of the last product, where there is one, boils
-    not farther from it than ``gap`` ends."""
+    """Return the boiling points in K.
+
+    No material boils closer to a goal than the lower end of ``gap``. If the last product has isomers, one boils within
+    the upper end.
+    """
     boils: dict[str, float] = {}
     for name, grams in mass.items():
         hydrocarbon = _NUMBER_PER_G * grams
@@ -94,7 +97,7 @@ def _boiling_points(
 def _part(
     draws: Draws, boils: dict[str, float], network: Network, goals: Sequence[str], gap: tuple[float, float]
 ) -> None:
-    """Move what boils too close to a goal: feeds below it, what is made above it."""
+    """Shift boiling points that are too close to a goal's: feeds down, products up."""
     for before, goal in itertools.pairwise(goals):
         boils[goal] = max(boils[goal], boils[before] + gap[0])
     for name in [key for key in boils if key not in goals]:
@@ -105,7 +108,7 @@ def _part(
 
 
 def _enthalpies(draws: Draws, network: Network) -> dict[str, float]:
-    """J/mol, such that every reaction gives off heat."""
+    """Return formation enthalpies in J/mol for which every reaction is exothermic."""
     found = {name: draws.between(-250e3, -60e3) for name in network.feeds}
     found |= {name: draws.between(-290e3, -180e3) for name in network.coproducts}
     for step in network.steps:
@@ -114,7 +117,7 @@ def _enthalpies(draws: Draws, network: Network) -> dict[str, float]:
         heat = draws.between(*_EXOTHERMIC_J)
         if new:
             found[new[0]] = sum(found[name] * n for name, n in step.reactants.items()) - released - heat
-    # What is made at once and from the product, too, is more stable than the product.
+    # A material that is formed both directly and from the product is more stable than the product.
     for step in network.steps:
         if step.kind == "rearranged":
             (product,), (isomer,) = step.reactants, step.products
@@ -123,7 +126,7 @@ def _enthalpies(draws: Draws, network: Network) -> dict[str, float]:
 
 
 def _vapor_pressure(boils: float, heat: float) -> dict[str, Any]:
-    """Antoine's equation."""
+    """Return the coefficients of Antoine's equation."""
     c = 17.75 - 0.19 * boils
     b = heat / GAS_CONSTANT * ((boils + c) / boils) ** 2 / math.log(10.0)
     a = math.log10(_ATMOSPHERE_PA) + b / (boils + c)
@@ -132,7 +135,7 @@ def _vapor_pressure(boils: float, heat: float) -> dict[str, Any]:
 
 
 def _shades(number: int, taken: Sequence[float]) -> list[float]:
-    """Grey values that a camera tells from each other and from those that are taken."""
+    """Return grey values that a camera can tell from each other and from the taken ones."""
     low, high = _SHADES
     found = [low + (high - low) * i / max(number - 1, 1) for i in range(number)]
     step = min(_APART, 0.3 * (high - low) / max(number, 1))
@@ -140,7 +143,7 @@ def _shades(number: int, taken: Sequence[float]) -> list[float]:
 
 
 def _looks(draws: Draws, number: int, taken: Sequence[float]) -> list[dict[str, Any]]:
-    """Colour, shade and absorption bands of so many materials, well apart."""
+    """Return distinct colours, shades and absorption bands of a number of materials."""
     low, high = _BANDS_NM
     looks = []
     for i, shade in enumerate(_shades(number, taken)):
@@ -164,14 +167,14 @@ def _looks(draws: Draws, number: int, taken: Sequence[float]) -> list[dict[str, 
 def material_tables(
     draws: Draws, network: Network, goals: Sequence[str], gap: tuple[float, float], role: str, taken: Sequence[float]
 ) -> dict[str, dict[str, Any]]:
-    """Tables of a material file, in the order of ``network.atoms``.
+    """Return the tables of a material file, in the order of ``network.atoms``.
 
     Args:
         draws: random numbers.
         network: the materials.
-        goals: what is to be made.
-        gap: K, between the boiling points of a goal and of what boils next to it: at least, and of isomers at most.
-        role: of all of them.
+        goals: goals of the scenario.
+        gap: minimum distance in K between the boiling points of a goal and its neighbour, and the maximum for isomers.
+        role: role of all materials.
         taken: shades of other materials.
     """
     elements = list(dict.fromkeys(element for atoms in network.atoms.values() for element in atoms))
@@ -233,24 +236,24 @@ _REAL_SOURCES = {
 
 
 def _cohesion(material: Material) -> tuple[float, float]:
-    """Molar volume in m3/mol, and solubility parameter in Pa^0.5, at 298.15 K."""
+    """Return molar volume in m3/mol and solubility parameter in Pa^0.5, at 298.15 K."""
     assert material.real is not None
     assert material.real.critical_temperature_k is not None
     critical, boils = material.real.critical_temperature_k, material.boiling_point_k
-    # Watson (1943) carries the heat of vaporization down from the boiling point.
+    # Watson (1943) extrapolates the heat of vaporization from the boiling point.
     heat = material.vaporization_enthalpy_j_mol * ((critical - ROOM_K) / (critical - boils)) ** 0.38
     volume = material.molar_mass_g_mol / material.density_kg_l * 1e-6
     return volume, math.sqrt((heat - GAS_CONSTANT * ROOM_K) / volume)
 
 
 def dilute_log(first: Material, second: Material, temperature_k: float) -> float:
-    """ln gamma of either of two liquids at high dilution in the other."""
+    """Return ln gamma of either of two liquids at infinite dilution in the other."""
     (v1, d1), (v2, d2) = _cohesion(first), _cohesion(second)
     return math.sqrt(v1 * v2) * (d1 - d2) ** 2 / (GAS_CONSTANT * temperature_k)
 
 
 def _tau(log: float) -> float:
-    """tau_12 = tau_21 with that ln gamma at high dilution: tau (1 + exp(-alpha tau)), by Newton's method."""
+    """Return tau_12 = tau_21 with that ln gamma at infinite dilution: tau (1 + exp(-alpha tau)), by Newton's method."""
     tau = 0.5 * log
     for _ in range(20):
         g = math.exp(-_ALPHA * tau)
@@ -259,10 +262,10 @@ def _tau(log: float) -> float:
 
 
 def pair_rows(materials: Mapping[str, Material]) -> list[dict[str, Any]]:
-    """Rows of a pair file, of every two of some liquids.
+    """Return the rows of a pair file for every pair of liquids.
 
     Args:
-        materials: with properties of the tier ``real``.
+        materials: materials with properties of the backend ``real``.
     """
     rows = []
     for first, second in itertools.combinations(materials, 2):

@@ -1,7 +1,7 @@
-"""Names that mean no single compound: mixtures, solutions, polymers, alloys, catalysts on a support; Greek letters.
+"""Names that denote no single compound: mixtures, solutions, polymers, alloys, supported catalysts; Greek letters.
 
-Lists of chemicals give such names to one of the components, to the monomer, or to something unrelated: petroleum ether
-is listed as benzene.
+Lists of chemicals assign such names to a component, to the monomer, or to an unrelated compound: petroleum ether is
+listed as benzene.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi",
     "omicron", "pi", "rho", "sigma", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega",
 )  # fmt: skip
-"""From U+03B1 on; sigma has two forms."""
+"""Greek letters from U+03B1 on; sigma has two forms."""
 _LETTERS = {chr(0x3B1 + i): name for i, name in enumerate(_GREEK)}
 _DASHES, _PRIMES = (0x2010, 0x2011, 0x2012, 0x2013, 0x2014, 0x2212), (0x2032, 0x2018, 0x2019, 0x02B9)
 _SIGNS = {**dict.fromkeys(_DASHES, "-"), **dict.fromkeys(_PRIMES, "'"), 0x2033: "''"}
 
 _METALS = frozenset(("Al", "Ga", "In", "Tl", "Sn", "Pb", "Bi", "Po"))
-"""Of the p block."""
+"""Metals of the p block."""
 _SEMIMETALS = frozenset(("B", "Si", "Ge", "As", "Sb", "Se", "Te", "C"))
-"""Elements whose solids dissolve as little as metals do; carbon is graphite."""
+"""Elements whose solids are as insoluble as metals; carbon is graphite."""
 
 _ALKANES = "a mixture of hydrocarbons"
 _POLYMER = "a polymer"
@@ -113,8 +113,10 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "lutidine": ("a name for several isomers", "2,6-lutidine or another of them"),
     "collidine": ("a name for several isomers", "2,4,6-collidine or another of them"),
 }  # fmt: skip
-"""What a name means, and what to take instead; names of which the list of chemicals thinks otherwise, and common ones
-that it does not have."""
+"""Meaning of a name, and its replacement.
+
+It has names for which the list of chemicals is misleading, and common names that it does not have.
+"""
 
 _CARRIERS = r"(?:c|al2o3|sio2|baso4|caco3|tio2|zro2|ceo2|mgo|zno)"
 _ACTIVE = ("Pd", "Pt", "Rh", "Ru", "Ni", "Ir", "Au", "Ag", "Cu", "Co", "Fe", "Re", "Os")
@@ -142,19 +144,21 @@ _UNIQUE = frozenset((
     "orsellinic acid", "phthaloyl chloride", "phthalyl dichloride", "phthalodinitrile", "toluenesulfonyl chloride",
     "acetaminophenol", "l-sarcolysin", "dl-sarcolysin", "arsanilic acid", "octopamine", "terphenyl",
 ))  # fmt: skip
-"""Names that mean one isomer without saying which."""
+"""Names that denote one isomer without stating its position."""
 _PLACES = ("o-", "m-", "p-", "ortho-", "meta-", "para-")
 
 
 def is_metal(composition: Mapping[str, int]) -> bool:
-    """Whether it is an element whose solid is a metal, a semi-metal or graphite, which no liquid dissolves."""
+    """Return True for an element whose solid is a metal, a semi-metal or graphite, which no liquid dissolves."""
     element = next(iter(composition))
     return len(composition) == 1 and (element in _SEMIMETALS or _metallic(element))
 
 
 def is_mineral(composition: Mapping[str, int]) -> bool:
-    """Whether it is a compound of a metal or an oxide of a semi-metal, without carbon: a salt or a mineral where it is
-    solid, however its structure is drawn."""
+    """Return True for a carbon-free compound of a metal or an oxide of a semi-metal.
+
+    Such a solid is a salt or a mineral, however its structure is drawn.
+    """
     elements = composition.keys()
     oxide = len(elements) == 2 and "O" in elements and not elements.isdisjoint(_SEMIMETALS)
     return len(elements) > 1 and "C" not in elements and (oxide or any(map(_metallic, elements)))
@@ -166,7 +170,7 @@ def _metallic(element: str) -> bool:
 
 
 def spellings(text: str) -> list[str]:
-    """How the list of chemicals may spell a name, the likeliest first: in lower case, Greek letters in words."""
+    """Return spellings of a name in the list of chemicals, the likeliest first: lower case, Greek letters in words."""
     found = [text.lower()]
     plain = unicodedata.normalize("NFKC", text).translate(_SIGNS).lower()
     plain = re.sub(r"\.([a-z]+)\.", lambda m: m[1] if m[1] in _GREEK else m[0], plain)
@@ -180,7 +184,7 @@ def spellings(text: str) -> list[str]:
 
 
 def element_of(text: str) -> str | None:
-    """The CAS number of the metal that a text is the symbol of, None if it is none; capitals matter."""
+    """Return the CAS number of the metal with this symbol, or None; case-sensitive."""
     known = text.isalpha() and len(text) <= 2 and hasattr(periodic_table, text) and text[0].isupper()
     if not known or text in ("B", "C") or not is_metal({text: 1}):
         return None
@@ -188,7 +192,7 @@ def element_of(text: str) -> str | None:
 
 
 def _formula(text: str) -> dict[str, float]:
-    """Atoms of a formula that begins with a metal, nothing if the text is none."""
+    """Return the atoms of a formula that begins with a metal; empty if the text is not such a formula."""
     parts = re.findall(r"[A-Z][a-z]?", text)
     if not re.fullmatch(r"(?:[A-Z][a-z]?\d*)+", text) or not all(hasattr(periodic_table, part) for part in parts):
         return {}
@@ -196,13 +200,16 @@ def _formula(text: str) -> dict[str, float]:
 
 
 def meaning(text: str, name: str, entry: Any, index: Mapping[str, Any]) -> tuple[str, str] | None:
-    """What a name means that means no single compound, and what to take instead ("" if there is nothing to propose).
+    """Return the meaning of a name that denotes no single compound, and its replacement ("" if there is none).
 
     Args:
-        text: as it was given.
-        name: the same in lower case, Greek letters spelled.
-        entry: what the list of chemicals has under this name or number, None if it has nothing.
-        index: that list, by name.
+        text: the given text.
+        name: the same in lower case, with Greek letters spelled out.
+        entry: entry of the list of chemicals under this name or number, or None.
+        index: that list by name.
+
+    Returns:
+        None if the name denotes a single compound.
     """
     listed = str(entry.common_name) if entry else ""
     same = listed.lower() in ("", name)
@@ -235,7 +242,9 @@ def meaning(text: str, name: str, entry: Any, index: Mapping[str, Any]) -> tuple
 
 
 def _isomers(name: str, entry: Any, index: Mapping[str, Any]) -> list[str]:
-    """Names of the isomers that a name without a place may mean: of xylene, o-, m- and p-xylene; none if it is one."""
+    """Return the isomers that a name without a position may denote: o-, m- and p-xylene for xylene; else an empty
+    list.
+    """
     known = {str(entry.common_name).lower(), str(entry.iupac_name).lower()}
     if name in known | _UNIQUE:
         return []
@@ -248,5 +257,7 @@ def _isomers(name: str, entry: Any, index: Mapping[str, Any]) -> list[str]:
 
 
 def _singular(name: str, index: Mapping[str, Any]) -> str | None:
-    """The singular of a name in the plural (hexanes), which means a mixture of isomers or a class; None of others."""
+    """Return the singular of a plural name (hexanes), which denotes a mixture of isomers or a class; None for
+    others.
+    """
     return name[:-1] if _PLURAL.fullmatch(name) and name[:-1] in index else None

@@ -1,8 +1,8 @@
-"""Random reaction networks that balance: a route from feeds to a product, and what goes wrong beside it.
+"""Random balanced reaction networks: a route from feeds to a product, and side reactions.
 
-A network has invented elements. Every feed is the atom of an element of its own, and may carry another, which leaves in
-a coproduct; a product of the route has all that its feeds keep. So nothing but the feeds limits how much there can be
-of it, and one reaction after the other along the route gives as much.
+A network has invented elements. Every feed is an atom of its own element and may carry another one, which leaves in a
+coproduct; a product of the route contains the remaining atoms of its feeds. The yield is therefore limited only by the
+feeds, and the reactions of the route in sequence reach it.
 """
 
 from __future__ import annotations
@@ -19,43 +19,44 @@ __all__ = ["MOST_MATERIALS", "Draws", "Network", "Size", "Step", "chosen_size", 
 MOST_MATERIALS = 40
 _MOST_STEPS = 8
 _MOST_PER_STEP = 6
-"""Materials for each step of the route, beyond which a longer one is chosen."""
+"""Number of materials per step of the route above which a longer route is chosen."""
 _CONVERGES = 0.35
-"""Probability that a step begins a second branch, where there is room for one."""
+"""Probability that a step begins a second branch if there is room for one."""
 
 T = TypeVar("T")
 Kind = Literal["main", "isomer", "rearranged", "overreacted", "dimer"]
 
 
 class Draws:
-    """Random numbers that are the same on every machine and with every version of Python and numpy: all come from
-    ``random.Random.random``, which Python promises to keep.
+    """Random numbers that are equal on every machine and with every version of Python and NumPy.
+
+    All are derived from ``random.Random.random``, whose sequence Python guarantees.
 
     Args:
-        seed: numbers and words that together say which ones.
+        seed: numbers and words that together form the seed.
     """
 
     def __init__(self, *seed: object) -> None:
         self._next = random.Random(" ".join(map(str, seed))).random
 
     def between(self, low: float, high: float) -> float:
-        """A number from ``low`` to ``high``."""
+        """Return a number from ``low`` to ``high``."""
         return low + (high - low) * self._next()
 
     def whole(self, low: int, high: int) -> int:
-        """A whole number from ``low`` to ``high``, both included."""
+        """Return an integer from ``low`` to ``high``, both included."""
         return low + min(int(self._next() * (high - low + 1)), high - low)
 
     def happens(self, probability: float) -> bool:
-        """Whether something of this probability happens."""
+        """Return True with this probability."""
         return self._next() < probability
 
     def one_of(self, things: Sequence[T]) -> T:
-        """One of some things."""
+        """Return a random element."""
         return things[int(self._next() * len(things))]
 
     def some_of(self, things: Sequence[T], number: int) -> list[T]:
-        """So many different ones of some things, in their order."""
+        """Return a number of distinct random elements in their original order."""
         kept: list[T] = []
         for i, thing in enumerate(things):
             if self._next() * (len(things) - i) < number - len(kept):
@@ -65,12 +66,12 @@ class Draws:
 
 @dataclass(frozen=True)
 class Size:
-    """How large a network is.
+    """Size of a network.
 
     Attributes:
-        steps: reactions of the route; it has a feed more than that, and as many products.
-        materials: all of them, without solvents.
-        reactions: all of them, side reactions included.
+        steps: reactions of the route, which has ``steps`` products and one more feed.
+        materials: number of materials, without solvents.
+        reactions: number of reactions, side reactions included.
     """
 
     steps: int
@@ -79,25 +80,25 @@ class Size:
 
     @property
     def others(self) -> int:
-        """By-products and coproducts."""
+        """Number of by-products and coproducts."""
         return self.materials - 2 * self.steps - 1
 
     @property
     def side_reactions(self) -> int:
-        """Reactions beside the route."""
+        """Number of side reactions."""
         return self.reactions - self.steps
 
 
 @dataclass(frozen=True)
 class Step:
-    """A reaction; all coefficients but that of a dimer's halves are 1.
+    """A reaction; all coefficients are 1 except that of a dimer's halves.
 
     Attributes:
-        kind: ``main``, or how it goes wrong: to an isomer of the product (at once, or from the product), by the product
-            reacting on, or by a reactant with itself.
-        beside: number of the main step that it competes with; its own, of a main step.
+        kind: ``main``, or the kind of side reaction: to an isomer of the product (directly or from the product), a
+            further reaction of the product, or a reaction of a reactant with itself.
+        beside: index of the competing main step; a main step's own index.
         reactants, products: coefficients.
-        catalyst: what it does not run without, if anything.
+        catalyst: required catalyst, if any.
     """
 
     kind: Kind
@@ -113,11 +114,11 @@ class Network:
 
     Attributes:
         atoms: composition of every material, in the order feeds, products of the route, coproducts, by-products.
-        feeds, route: starting materials; products of the route, in its order, the last one made of all feeds.
-        coproducts: what leaves, by the element that it is.
-        byproducts: what side reactions make.
-        isomers: by-products of the same composition as a product of the route, with that product.
-        steps: main steps first.
+        feeds, route: starting materials; products of the route in order, the last one made of all feeds.
+        coproducts: coproducts by their element.
+        byproducts: products of side reactions.
+        isomers: by-products with the composition of a product of the route, and that product.
+        steps: reactions, main steps first.
     """
 
     atoms: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -130,14 +131,14 @@ class Network:
 
 
 def chosen_size(usual: Size, materials: int | None, reactions: int | None, steps: int | None) -> Size:
-    """A size of which there are networks.
+    """Return a size for which networks exist.
 
     Args:
-        usual: what is taken for what is None, as far as it fits.
-        materials, reactions, steps: what is asked for.
+        usual: default for values that are None, adapted to the given ones.
+        materials, reactions, steps: requested values.
 
     Raises:
-        DataError: there are none; the message says what would do.
+        DataError: no network has this size; the message states the possible ones.
     """
     given = {"materials": materials, "reactions": reactions, "steps": steps}
     for name, value, low, high in (
@@ -165,22 +166,22 @@ def chosen_size(usual: Size, materials: int | None, reactions: int | None, steps
 
 
 def _near(middle: int, low: int, high: int) -> list[int]:
-    """The numbers from ``low`` to ``high``, those near ``middle`` first."""
+    """Return the integers from ``low`` to ``high``, ordered by distance to ``middle``."""
     return sorted(range(low, high + 1), key=lambda number: (abs(number - middle), number))
 
 
 def draw_network(draws: Draws, size: Size, catalysed: bool = False) -> Network:
-    """A random network of that size.
+    """Draw a random network of a size.
 
     Args:
         draws: random numbers.
-        size: as :func:`chosen_size` gives it.
-        catalysed: whether products rearrange only where there is something that they are made of: where vessels are
-            distilled, they could not be had otherwise.
+        size: size returned by :func:`chosen_size`.
+        catalysed: whether products rearrange only in the presence of their own reactants; otherwise they could not be
+            distilled.
     """
     made = Network()
     pairs = _route(draws, size.steps)
-    # What no side reaction makes leaves as coproducts; an isomer can come of two side reactions, others of one.
+    # The remaining by-products leave as coproducts; an isomer can come from two side reactions, others from one.
     most = size.others - -(-size.side_reactions // 2)
     fewest = max(0, size.others - size.side_reactions)
     leaving = draws.whole(fewest, min(most, size.steps))
@@ -197,7 +198,7 @@ def draw_network(draws: Draws, size: Size, catalysed: bool = False) -> Network:
 
 
 def _route(draws: Draws, steps: int) -> list[tuple[str, str]]:
-    """The two reactants of each step: feeds ``A1``, ``A2``, ... and products ``P1``, ``P2``, ..., in a tree."""
+    """Return the two reactants of each step: feeds ``A1``, ``A2``, ... and products ``P1``, ``P2``, ..., as a tree."""
     feeds, waiting, pairs = 0, list[str](), list[tuple[str, str]]()
     for j in range(steps):
         left = steps - j
@@ -213,7 +214,7 @@ def _route(draws: Draws, steps: int) -> list[tuple[str, str]]:
 
 
 def _lay_route(made: Network, draws: Draws, pairs: Sequence[tuple[str, str]], leaving: Sequence[int]) -> None:
-    """The materials and main steps of the route; the steps ``leaving`` have a coproduct."""
+    """Create the materials and main steps of the route; the steps ``leaving`` have a coproduct."""
     made.feeds = sorted((name for pair in pairs for name in pair if name[0] == "A"), key=lambda name: int(name[1:]))
     made.coproducts = [f"X{i + 1}" for i in range(len(leaving))]
     left = dict(zip(leaving, made.coproducts, strict=True))
@@ -221,7 +222,7 @@ def _lay_route(made: Network, draws: Draws, pairs: Sequence[tuple[str, str]], le
         made.atoms[name] = {f"Q{i + 1}": 1}
     for j, coproduct in left.items():
         carrier = draws.one_of(pairs[j])
-        while carrier[0] != "A":  # what a product brings along has come with one of its feeds
+        while carrier[0] != "A":  # the leaving element of a product comes from one of its feeds
             carrier = draws.one_of(pairs[int(carrier[1:]) - 1])
         made.atoms[carrier][f"Y{coproduct[1:]}"] = 1
     for j, (first, second) in enumerate(pairs):
@@ -238,7 +239,7 @@ def _lay_route(made: Network, draws: Draws, pairs: Sequence[tuple[str, str]], le
 
 
 def _add_byproducts(made: Network, draws: Draws, number: int, reactions: int) -> None:
-    """So many by-products of so many side reactions."""
+    """Create by-products and their side reactions."""
     twice = reactions - number
     taken: set[tuple[str, str]] = set()
     for i in range(number):
@@ -265,7 +266,7 @@ def _add_byproducts(made: Network, draws: Draws, number: int, reactions: int) ->
 
 
 def _gone_wrong(made: Network, kind: Kind, j: int, partner: str, name: str, twice: bool) -> list[Step]:
-    """The side reactions that make a by-product, beside main step ``j``."""
+    """Return the side reactions to a by-product that compete with main step ``j``."""
     main, product = made.steps[j], made.route[j]
     leaving = {key: 1 for key in main.products if key != product}
     if kind == "dimer":

@@ -1,4 +1,4 @@
-"""Properties of a compound: looked up, else estimated by a named method, else missing; never without a source."""
+"""Properties of a compound: looked up, estimated by a named method, or missing; always with a source."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ROOM_K = 298.15
 ATMOSPHERE_PA = 101325.0
 
 DOUBTFUL = "doubtful: "
-"""How the source of a number begins that is contradicted, and taken all the same."""
+"""Prefix of the source of a number that is contradicted but used."""
 
 _CRC = "CRC Handbook, 95th ed. (2014)"
 _PERRY = "Perry's Chemical Engineers' Handbook, 8th ed. (2007)"
@@ -83,7 +83,7 @@ _CITATIONS = {
 }
 _JOBACK = "Joback and Reid, Chem. Eng. Commun. 57 (1987) 233"
 _JOBACK_ERROR = {"Tb": "12.9 K", "Tc": "4.8 K", "Hf": "8.4 kJ/mol", "Hfus": "2.0 kJ/mol"}
-"""Mean absolute errors that its authors give (as remembered, not looked up)."""
+"""Mean absolute errors stated by the authors (from memory, not looked up)."""
 
 _ZABRANSKY = (
     "ZABRANSKY_SPLINE_C", "ZABRANSKY_QUASIPOLYNOMIAL_C", "ZABRANSKY_SPLINE_SAT", "ZABRANSKY_QUASIPOLYNOMIAL_SAT",
@@ -117,36 +117,41 @@ _CONSTANTS: dict[str, tuple[str, ...]] = {
     "Hfus": ("CRC", "WEBBOOK"),
 }
 _AGREE = {"Tb": 6.0, "Tm": 6.0, "Tc": 12.0, "Pc": 4e5, "Hfl": 8e3, "Hfs": 8e3, "Hfg": 8e3, "Hfus": 2e3}
-"""How far a compilation may be from the median of all (K, Pa, J/mol) before the next one is taken instead of it."""
+"""Maximum distance of a compilation from the median of all (K, Pa, J/mol); beyond it the next one is used."""
 _SEVERAL = 4
-"""Compilations of which one far from the rest is wrong: benzyl chloride boils at 447 K in one, at 452 in three."""
+"""Number of compilations from which an outlier is rejected: benzyl chloride boils at 447 K in one, at 452 in three."""
 _AGREE_SHARE = 0.08
-"""The same, of the median, for what depends on temperature."""
+"""The same relative to the median, for temperature-dependent properties."""
 _UNITS = {"Tb": ("K", 1.0), "Tm": ("K", 1.0), "Tc": ("K", 1.0), "Pc": ("kPa", 1e3)}
 _BELOW_K = 50.0
-"""How far a boiling point that one compilation alone has may lie below its estimate before it counts as measured under
-vacuum: of 5,400 compounds whose compilations agree 4 % do (half of them nitro compounds, nitriles, fluorides, and what
-decomposes), of 5,600 with one alone 37 %."""
+"""Distance in K below the estimate from which a boiling point of a single compilation counts as measured in vacuum.
+
+Of 5,400 compounds whose compilations agree, 4 % are below it (half of them nitro compounds, nitriles, fluorides and
+compounds that decompose); of 5,600 with a single compilation, 37 %.
+"""
 _REMEMBERED = f"{_CRC} (as remembered, not looked up)"
 _USUAL_FORM = {"Sn": (7.287, f"white tin, {_REMEMBERED}"), "C": (2.2, f"graphite, {_REMEMBERED}")}
-"""kg/L of elements of which the compilation in thermo has another form (grey tin), or none."""
+"""Density in kg/L of elements for which thermo's compilation has another form (grey tin) or none."""
 _FACTOR = {"l": 1.4, "s": 1.5}
-"""The same of a heat capacity and its estimates, up and down: of liquids where compilations agree, none is beyond 1.31;
-estimates of solids are coarser, so that a number is called doubtful there, and taken."""
+"""Maximum ratio of a heat capacity and its estimates, up and down.
+
+For liquids whose compilations agree, no ratio exceeds 1.31. Estimates of solids are coarser: such a number is marked as
+doubtful and used.
+"""
 _WITNESS = 0.25
-"""How far a vapour pressure may be from an atmosphere to confirm a boiling point."""
+"""Maximum relative distance of a vapour pressure from an atmosphere that confirms a boiling point."""
 _MET = 0.04
-"""How far a vapour pressure may be from an atmosphere at the boiling point; a material takes 0.1."""
+"""Maximum relative distance of a vapour pressure from an atmosphere at the boiling point; a material accepts 0.1."""
 _WATSON = 0.38
 _VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0)} | {
     **dict.fromkeys(("Na", "Mg", "Al", "Si", "P", "S", "Cl"), 4.0),
     **dict.fromkeys(("K", "Ca", "Ga", "Ge", "As", "Se", "Br"), 5.0),
     **dict.fromkeys(("Rb", "Sr", "In", "Sn", "Sb", "Te", "I"), 7.5),
 }
-"""Girolami's volumes of atoms, in units of 5 mL/mol."""
+"""Girolami's atomic volumes in units of 5 mL/mol."""
 _CARBOXYL = "[CX3](=[OX1])[OX2H1]"
 _DIMER_ENTHALPY, _DIMER_ENTROPY, _FORMIC_ENTROPY = -58_500.0, -136.0, -149.0
-"""J/mol and J/mol/K of dimers in the vapour of acids of two to five carbon atoms, and of formic acid."""
+"""J/mol and J/mol/K of dimers in the vapour of acids with two to five carbon atoms, and of formic acid."""
 _MEASURED_ACIDS = 5
 _DIMER_SOURCE = (
     "vapour densities, Miyamoto et al., J. Chem. Eng. Data 44 (1999) 48, from its abstract; it names no unit of K, and "
@@ -158,19 +163,19 @@ _ASSOCIATING = ("[OX2H1]", "[NX3;H1,H2]", "[NX3;H0][CX3]=[OX1]", "[#16X3]=[OX1]"
 
 @dataclass(frozen=True)
 class Value:
-    """A number and where it is from."""
+    """A number and its source."""
 
     number: float
     source: str
 
     @property
     def estimated(self) -> bool:
-        """Whether it is an estimate and no measurement."""
+        """True if the number is an estimate."""
         return self.source.startswith("estimate")
 
 
 def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressure, float]:
-    """DIPPR 101 through a curve.
+    """Fit DIPPR 101 to a curve.
 
     Args:
         temperature_k: [n] K, rising.
@@ -203,9 +208,12 @@ def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressur
 
 
 def _agreeing(found: Mapping[str, float], tolerance: float, referee: float | None) -> str:
-    """The first of some compilations that is near their median, nearer where several are close together; of two that
-    are far from each other, the one that is nearer to an estimate; where the median lies between them, the first of the
-    largest group that agrees."""
+    """Return the compilation to use: the first of those near the median, more narrowly where several are close
+    together.
+
+    Of two distant ones, the one nearer to an estimate is used; if the median lies between groups, the first of the
+    largest group.
+    """
     values = list(found.values())
     if len(values) == 2 and abs(values[0] - values[1]) > tolerance and referee is not None:
         return min(found, key=lambda method: abs(found[method] - referee))
@@ -220,20 +228,25 @@ def _agreeing(found: Mapping[str, float], tolerance: float, referee: float | Non
 
 
 def _corrected(boiling: float) -> float:
-    """Joback's boiling point without its bias of large molecules (Stein and Brown, J. Chem. Inf. Comput. Sci. 34 (1994)
-    581, as remembered). Where compilations agree (5,653 compounds) it is 21 K off on average, 28 K without."""
+    """Return Joback's boiling point corrected for its bias for large molecules.
+
+    The correction is by Stein and Brown, J. Chem. Inf. Comput. Sci. 34 (1994) 581, from memory. For 5,653 compounds
+    whose compilations agree, the mean error is 21 K, and 28 K without it.
+    """
     if boiling <= 700.0:
         return boiling - 94.84 + 0.5577 * boiling - 0.0007705 * boiling**2
     return boiling + 282.7 - 0.5209 * boiling
 
 
 def _supporters(found: Mapping[str, float], method: str, tolerance: float) -> int:
-    """How many compilations agree with one of them, itself included."""
+    """Return the number of compilations that agree with one of them, itself included."""
     return sum(abs(value - found[method]) <= tolerance for value in found.values())
 
 
 def _against(found: Mapping[str, float], method: str, tolerance: float, shown: Callable[[float], str]) -> str:
-    """How a source begins where as many compilations are far from the one that was taken as near it; else nothing."""
+    """Return the prefix of a source contradicted by at least as many compilations as support it; else an empty
+    string.
+    """
     near = _supporters(found, method, tolerance)
     if len(found) - near < near:
         return ""
@@ -242,17 +255,17 @@ def _against(found: Mapping[str, float], method: str, tolerance: float, shown: C
 
 
 def _not_taken(value: Value, unit: str, why: str) -> str:
-    """What the source of an estimate says of the number that it stands for; its compilation is not cited as used."""
+    """Return the remark on a rejected number for an estimate's source; its compilation is not cited as used."""
     cited = value.source.replace("[", "(").replace("]", ")")
     return f"not taken: {value.number:.5g} {unit}, {cited}, {why}"
 
 
 class Properties:
-    """What is known of a compound, each found when it is first asked for; None where nothing is found.
+    """Properties of a compound, each computed on first access; None if not found.
 
     Args:
-        compound: which.
-        given: own values by field of a material, which go before everything.
+        compound: the compound.
+        given: the user's own values by field, which take precedence.
     """
 
     def __init__(self, compound: Compound, given: Mapping[str, Value] | None = None) -> None:
@@ -260,24 +273,26 @@ class Properties:
         self.mass = molar_mass(compound.composition)
         self.metal = is_metal(compound.composition)
 
-    # What is looked up -----------------------------------------------------------------------------------------------
+    # Looked-up values ------------------------------------------------------------------------------------------------
 
     @functools.cached_property
     def _joback(self) -> Any:
-        """thermo's Joback object if the molecule is made of its groups."""
+        """thermo's Joback object, if the molecule consists of its groups."""
         found = thermo.Joback(self.compound.smiles)
         return found if found.success else None
 
     def _listed(self, name: str) -> dict[str, float]:
-        """What compilations say of a constant, by compilation."""
+        """Return a constant's values by compilation."""
         if self.compound.cas is None:
             return {}
         lookup, methods = getattr(chemicals, name), getattr(chemicals, f"{name}_methods")(self.compound.cas)
         return {m: float(lookup(self.compound.cas, method=m)) for m in _CONSTANTS[name] if m in methods}
 
     def _constant(self, name: str, referee: float | None = None) -> Value | None:
-        """What compilations say: the first of them that agrees with the others; of two that do not agree, the one that
-        is nearer to an estimate."""
+        """Return the value of the first compilation that agrees with the others.
+
+        Of two that disagree, the one nearer to an estimate is used.
+        """
         found = self._listed(name)
         if not found:
             return None
@@ -299,7 +314,7 @@ class Properties:
         return Value(float(number), f"estimate: {method}{f'; its mean error is {error}' if error else ''}")
 
     def _tabulated(self, kind: str, temperature: float, methods: Iterable[str]) -> dict[str, float]:
-        """A property that depends on temperature, by every method that has it there."""
+        """Return a temperature-dependent property by every method that has it at this temperature."""
         found, out = self._thermo(kind), {}
         for method in methods:
             if found is None or method not in found.all_methods:
@@ -314,7 +329,7 @@ class Properties:
 
     @staticmethod
     def _calculated(found: Any, temperature: float, method: str) -> Any:
-        """A method's number, None where its table cannot be read: those of elements have two rows at a transition."""
+        """Return a method's number; None if its table cannot be read (elements have two rows at a transition)."""
         try:
             return found.calculate(temperature, method)
         except ValueError:
@@ -323,7 +338,7 @@ class Properties:
     def _correlation(
         self, kind: str, temperature: float, methods: Iterable[str], referee: float | None = None
     ) -> Value | None:
-        """The same by the first method that agrees with the others, or of two with an estimate."""
+        """Return a property from the first method that agrees with the others, or of two with an estimate."""
         found = self._tabulated(kind, temperature, methods)
         if not found:
             return None
@@ -334,8 +349,9 @@ class Properties:
         return Value(number, f"{doubt}{_CITATIONS.get(method, method)} [{method}]")
 
     def compilations(self, field: str) -> dict[str, float]:
-        """What was measured of a field, by compilation, in the material's units; of a vapour pressure at 0.85 of the
-        boiling point, in Pa.
+        """Return measured values of a field by compilation, in the material's units.
+
+        A vapour pressure is that at 0.85 of the boiling point, in Pa.
 
         Args:
             field: the name of one of the properties below.
@@ -356,7 +372,7 @@ class Properties:
         )
         return {m: self.mass / volume / 1e6 for m, volume in self._tabulated(kind, ROOM_K, methods).items()}
 
-    @functools.cache  # noqa: B019 - an object of a compound lives as long as the command
+    @functools.cache  # noqa: B019 - a compound's object lives as long as the command
     def _thermo(self, kind: str) -> Any:
         if self.compound.cas is None:
             return None
@@ -365,7 +381,10 @@ class Properties:
 
     @functools.cached_property
     def boiling_point(self) -> Value | None:
-        """K, at 101.325 kPa; what one compilation alone has far below the estimate counts as measured under vacuum."""
+        """Boiling point in K at 101.325 kPa.
+
+        A value of a single compilation far below the estimate counts as measured in vacuum.
+        """
         guess = self._estimate("Tb", _JOBACK, self._joback.Tb(self._joback.counts)) if self._joback else None
         known = self.given.get("boiling_point_k") or self._constant("Tb", guess.number if guess else None)
         if known is None or guess is None or "boiling_point_k" in self.given:
@@ -381,22 +400,22 @@ class Properties:
         return Value(known.number, f"{DOUBTFUL}{below:.0f} K below the estimate, as if under vacuum; {known.source}")
 
     def _boils_at(self, temperature: float) -> bool:
-        """Whether a measured vapour pressure is about an atmosphere there."""
+        """Return True if a measured vapour pressure is about an atmosphere at this temperature."""
         pressures = self._tabulated("VaporPressure", temperature, _VAPOR_PRESSURE).values()
         return any(abs(pascal / ATMOSPHERE_PA - 1.0) < _WITNESS for pascal in pressures)
 
     @functools.cached_property
     def melting_point(self) -> Value | None:
-        """K; never estimated: 20 K more or less decide what is a solid."""
+        """Melting point in K; never estimated, because an error of 20 K decides whether a compound is solid."""
         return self.given.get("melting_point_k") or self._constant("Tm")
 
     def _boils_by_estimate(self) -> bool:
-        """Whether its critical point has to be an estimate, too: a measured one would not fit to the boiling point."""
+        """Return True if the critical point has to be estimated as well, to be consistent with the boiling point."""
         return self.boiling_point is not None and self.boiling_point.estimated and self._joback is not None
 
     @functools.cached_property
     def critical_temperature(self) -> Value | None:
-        """K"""
+        """Critical temperature in K."""
         boils = self.boiling_point
         given = self.given.get("critical_temperature_k")
         if given and boils is not None and given.number <= boils.number:
@@ -414,12 +433,12 @@ class Properties:
         else:
             wilson = chemicals.Tc(self.compound.cas, method="WILSON_JASPERSON") if self.compound.cas else None
             found = self._estimate("Tc", "Wilson and Jasperson (1996)", wilson)
-        # Of very large molecules Joback's polynomial makes a critical point that is below the boiling point, or 0 K.
+        # For very large molecules, Joback's polynomial gives a critical point below the boiling point, or 0 K.
         return found if found is not None and found.number > boils.number else None
 
     @functools.cached_property
     def critical_pressure(self) -> Value | None:
-        """Pa"""
+        """Critical pressure in Pa."""
         known = None if self._boils_by_estimate() else self._constant("Pc")
         if known is None and self._joback:
             atoms = sum(self.compound.composition.values())
@@ -431,22 +450,22 @@ class Properties:
 
     @property
     def state(self) -> str:
-        """``l``, ``s`` or ``g`` at 298.15 K; a liquid where no melting point is known."""
+        """``l``, ``s`` or ``g`` at 298.15 K; liquid if no melting point is known."""
         boils, melts = self.boiling_point, self.melting_point
         if boils is not None and boils.number <= ROOM_K:
             return "g"
         return "s" if melts is not None and melts.number > ROOM_K else "l"
 
-    # What follows ----------------------------------------------------------------------------------------------------
+    # Derived values --------------------------------------------------------------------------------------------------
 
     def _critical(self) -> tuple[float, float, float] | None:
-        """Tb, Tc, Pc if all are known."""
+        """Return Tb, Tc, Pc if all are known."""
         parts = self.boiling_point, self.critical_temperature, self.critical_pressure
         return None if None in parts else tuple(p.number for p in parts if p)  # type: ignore[return-value]
 
     @functools.cached_property
     def vaporization_enthalpy(self) -> Value | None:
-        """J/mol, at the boiling point."""
+        """Heat of vaporization in J/mol at the boiling point."""
         if given := self.given.get("vaporization_enthalpy_j_mol"):
             return given
         boils = self.boiling_point
@@ -462,7 +481,9 @@ class Properties:
         return self._estimate("Hvap", "Chen (1965), J. Chem. Eng. Data 10, 207", chemicals.Chen(*critical))
 
     def _vaporization_at_room(self) -> Value | None:
-        """J/mol at 298.15 K: tabulated, or that of the boiling point carried on (Watson 1943)."""
+        """Return the heat of vaporization in J/mol at 298.15 K, tabulated or extrapolated from the boiling point
+        (Watson 1943).
+        """
         if known := self._correlation("EnthalpyVaporization", ROOM_K, ("CRC_HVAP_298",)):
             return known
         heat, boils, critical = self.vaporization_enthalpy, self.boiling_point, self.critical_temperature
@@ -473,7 +494,7 @@ class Properties:
 
     @functools.cached_property
     def vapor_pressure(self) -> tuple[VaporPressure, str] | None:
-        """Of the liquid, and its source."""
+        """Vapour pressure of the liquid, and its source."""
         boils, found = self.boiling_point, self._thermo("VaporPressure")
         if boils is None:
             return None
@@ -501,7 +522,7 @@ class Properties:
 
     @functools.cached_property
     def dimerization(self) -> tuple[Dimerization, str] | None:
-        """Of the vapour of an acid with one carboxyl group and no other oxygen, and its source."""
+        """Dimerization in the vapour of an acid with one carboxyl group and no other oxygen, and its source."""
         atoms = self.compound.composition
         if not atoms.keys() <= {"C", "H", "O"} or atoms.get("O") != 2:
             return None
@@ -517,7 +538,7 @@ class Properties:
 
     @staticmethod
     def _curve(t: Any, pascal: Sequence[Any], boiling: float) -> tuple[VaporPressure, float] | None:
-        """The fit and its error in %, if it is a vapour pressure that is an atmosphere at the boiling point."""
+        """Return the fit and its error in %, if it gives an atmosphere at the boiling point."""
         if any(not isinstance(p, float) or not math.isfinite(p) or p <= 0.0 for p in pascal):
             return None
         try:
@@ -529,7 +550,7 @@ class Properties:
 
     @functools.cached_property
     def density(self) -> Value | None:
-        """kg/L at 298.15 K, of a gas at 101.325 kPa."""
+        """Density in kg/L at 298.15 K; of a gas at 101.325 kPa."""
         if given := self.given.get("density_kg_l"):
             return given
         if self.state == "g":
@@ -550,7 +571,7 @@ class Properties:
         return self._girolami(1.0, "")
 
     def _corresponding_states(self, boiling: float, tc: float, pc: float) -> dict[str, float]:
-        """m3/mol of the liquid at 298.15 K by equations that need critical constants, as far as these are known."""
+        """Return the liquid's molar volume in m3/mol at 298.15 K by equations of corresponding states."""
         cas = self.compound.cas
         omega = (chemicals.omega(cas) if cas else None) or chemicals.LK_omega(boiling, tc, pc)
         found = {"Yamada and Gunn 1973": chemicals.Yamada_Gunn(ROOM_K, tc, pc, omega)}
@@ -564,7 +585,7 @@ class Properties:
         return {method: float(volume) for method, volume in found.items()}
 
     def _girolami(self, factor: float, more: str) -> Value | None:
-        """Density of a liquid of main-group elements from the atoms' volumes, times a factor."""
+        """Return the density of a liquid of main-group elements from atomic volumes, times a factor."""
         atoms = self.compound.composition
         if not atoms.keys() <= _VOLUMES.keys():
             return None
@@ -584,7 +605,7 @@ class Properties:
         if known is not None:
             return Value(self.mass / known.number / 1e6, known.source)
         melts = self.melting_point
-        if melts is None or self.metal:  # atoms of a lattice have other volumes than those of molecules
+        if melts is None or self.metal:  # atoms in a lattice have other volumes than in molecules
             return None
         goodman = "Goodman et al., J. Chem. Eng. Data 49 (2004) 1512"
         measured = self._correlation("VolumeLiquid", melts.number, _LIQUID_VOLUME)
@@ -595,7 +616,7 @@ class Properties:
 
     @functools.cached_property
     def heat_capacity(self) -> Value | None:
-        """J/mol/K at 298.15 K."""
+        """Heat capacity in J/mol/K at 298.15 K."""
         if given := self.given.get("heat_capacity_j_mol_k"):
             return given
         kind, methods = _HEAT[self.state]
@@ -612,7 +633,9 @@ class Properties:
         return Value(guess.number, f"{guess.source}; {_not_taken(known, 'J/mol/K', times)}")
 
     def _heat_referees(self) -> list[float]:
-        """Independent estimates in J/mol/K of the heat capacity of an organic liquid or solid; none of others."""
+        """Return independent estimates in J/mol/K of the heat capacity of an organic liquid or solid; else an empty
+        list.
+        """
         guess, critical = self._heat_estimate(), self._critical()
         if guess is None or self._joback is None or not {"C", "H"} <= self.compound.composition.keys():
             return []
@@ -636,7 +659,7 @@ class Properties:
 
     @functools.cached_property
     def formation_enthalpy(self) -> tuple[Value, str] | None:
-        """J/mol at 298.15 K, and of which state."""
+        """Formation enthalpy in J/mol at 298.15 K, and the state it refers to."""
         state = self.state
         if given := self.given.get("formation_enthalpy_j_mol"):
             return given, state
@@ -658,7 +681,9 @@ class Properties:
 
     @functools.cached_property
     def fusion_enthalpy(self) -> Value | None:
-        """J/mol at the melting point, of what is a solid at room temperature; others do not freeze here."""
+        """Enthalpy of fusion in J/mol at the melting point, for solids at room temperature; liquids never freeze
+        here.
+        """
         if given := self.given.get("fusion_enthalpy_j_mol"):
             return given
         if self.state != "s" or self.metal:

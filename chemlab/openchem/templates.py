@@ -1,4 +1,4 @@
-"""Reaction families from reaction templates (SMARTS): every way that some materials can react, balanced."""
+"""Reaction families from reaction templates (SMARTS): all balanced reactions of some materials."""
 
 from __future__ import annotations
 
@@ -27,23 +27,26 @@ __all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "h
 
 ROOM_K = 298.15
 _MOST_WAYS = 50_000
-"""Ways to fill the places of a template that are tried."""
+"""Maximum number of assignments of molecules to a template's places."""
 _MOST_OUTCOMES = 20_000
-"""Sets of products that are looked at: one way to fill the places may have a thousand."""
+"""Maximum number of product sets; one assignment may give a thousand."""
 _MOST_REACTIONS = 200
 _GUESSED = ((2e-4, 60_000.0), (2e-5, 75_000.0))
-"""Rate constant at 298.15 K and activation energy in J/mol where none is given: of a preparation that takes an hour or
-two, and of a side reaction that is ten times slower there and gains on it with temperature."""
+"""Guessed rate constant at 298.15 K and activation energy in J/mol.
+
+The first is of a preparation that takes an hour or two; the second of a side reaction that is ten times slower there
+and gains with temperature.
+"""
 _SURFACE_ORDER = 0.667
-"""Of a solid: spheres that shrink."""
+"""Order of a dissolving solid: shrinking spheres."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How fast a template's reactions are; None is guessed."""
+    """Rate of a template's reactions; None is guessed."""
 
     constant: float | None = None
-    """At 298.15 K, in (L/mol)^(order - 1) per s."""
+    """Rate constant at 298.15 K, in (L/mol)^(order - 1) per s."""
     activation_j_mol: float | None = None
     equilibrium_constant: float | None = None
     source: str = ""
@@ -61,12 +64,13 @@ class Template:
     """A reaction template.
 
     Args:
-        smarts: reactants and products with a dot between, ``>>`` between both; ions of a salt in one pair of brackets.
-        rate: of every reaction that it makes.
-        side: whether it is of a side reaction.
+        smarts: reactants and products separated by dots, with ``>>`` between both; ions of a salt in one pair of
+            brackets.
+        rate: rate of all its reactions.
+        side: whether it is a side reaction.
 
     Raises:
-        DataError: it is no reaction SMARTS.
+        DataError: it is not a reaction SMARTS.
     """
 
     smarts: str
@@ -82,7 +86,7 @@ class Template:
         except (ValueError, RuntimeError) as error:
             why = str(error).strip().splitlines()[-1] if str(error).strip() else "it cannot be read"
             raise DataError(
-                f"template {self.smarts!r}: no reaction SMARTS: {why}; write REACTANTS>>PRODUCTS, as in "
+                f"template {self.smarts!r}: not a reaction SMARTS: {why}; write REACTANTS>>PRODUCTS, as in "
                 "'[C:1][Br].[OH:2][C:3]>>[C:1][O:2][C:3].Br'"
             ) from error
         if not made.GetNumReactantTemplates() or not made.GetNumProductTemplates():
@@ -90,16 +94,16 @@ class Template:
         if made.GetNumAgentTemplates():
             agents = self.smarts.split(">")[1]
             raise DataError(
-                f"template {self.smarts!r}: {agents} over the arrow takes no part in a template; write "
-                "REACTANTS>>PRODUCTS, name what the reaction does not run without with --catalyst, and put what is "
-                "used up on the left"
+                f"template {self.smarts!r}: {agents} over the arrow is not supported; write "
+                "REACTANTS>>PRODUCTS, name a catalyst with --catalyst, and put what is "
+                "consumed on the left"
             )
         object.__setattr__(self, "reaction", made)
 
 
 @dataclass(frozen=True)
 class Species:
-    """A material that takes part: its id, or what it would be called, by structure."""
+    """A material that takes part: its id, or the id it would have, by structure."""
 
     inchi_key: str
     smiles: str
@@ -109,7 +113,7 @@ class Species:
 
 @dataclass(frozen=True)
 class Found:
-    """A reaction that a template makes: coefficients by material."""
+    """A reaction made by a template: coefficients by material."""
 
     reactants: dict[str, int]
     products: dict[str, int]
@@ -117,7 +121,7 @@ class Found:
 
     @property
     def words(self) -> str:
-        """As text: ``A + 2 B -> C``."""
+        """The reaction as text: ``A + 2 B -> C``."""
         return " -> ".join(_side(side) for side in (self.reactants, self.products))
 
 
@@ -126,13 +130,15 @@ def _side(side: Mapping[str, int]) -> str:
 
 
 def _matched(molecule: Any) -> Any:
-    """The molecule that templates are matched with: hydrogen has two atoms in it, others' are implied."""
+    """Return a molecule for matching with templates: explicit atoms for hydrogen gas, implicit hydrogens otherwise."""
     return Chem.AddHs(molecule) if molecule.GetNumHeavyAtoms() == 0 else molecule
 
 
 class _Pool:
-    """All species so far, by InChIKey, which does not care how a structure is written (nor whether sodium chloride is
-    drawn with a bond)."""
+    """All species so far, by InChIKey.
+
+    The key does not depend on the notation of a structure, nor on a bond drawn in sodium chloride.
+    """
 
     def __init__(self, materials: Mapping[str, Material], names: Mapping[str, str]) -> None:
         self.species: dict[str, Species] = {}
@@ -146,7 +152,7 @@ class _Pool:
         self.molecules: dict[str, Any] = {}
 
     def add(self, molecule: Any, where: str) -> Species:
-        """The species that a molecule is.
+        """Return the species of a molecule.
 
         Raises:
             DataError: it is charged.
@@ -166,8 +172,8 @@ class _Pool:
                 )
             if len(Chem.GetMolFrags(molecule)) > 1:
                 raise DataError(
-                    f"{where}: makes the salt {smiles}, which no material is; write its material by hand (docs: Write "
-                    "a material or a reaction) and name the file with --materials"
+                    f"{where}: makes the salt {smiles}, which is not a known material; write its material by hand "
+                    "(docs: Write a material or a reaction) and name the file with --materials"
                 )
             compound: Compound = compound_of(smiles, self._names.get(inchi_key, ""), structure=True)
             key, number = compound.key, 1
@@ -182,8 +188,11 @@ class _Pool:
 
 
 def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[Any, ...]], int, int]:
-    """Different sets of products that molecules give in this order, how many had impossible ones, and how many there
-    were in all."""
+    """Apply a template to molecules in this order.
+
+    Returns:
+        Distinct sets of products, the number of impossible ones, and the total number.
+    """
     found: dict[tuple[str, ...], tuple[Any, ...]] = {}
     wrong = 0
     ran = template.reaction.RunReactants(tuple(molecules))
@@ -201,7 +210,7 @@ def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[
 
 
 def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str) -> None:
-    """Refuse a reaction that does not conserve atoms and charge."""
+    """Check that a reaction conserves atoms and charge."""
     sides = []
     for side in (reactants, products):
         totals: Counter[str] = Counter()
@@ -213,8 +222,8 @@ def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str
     wrong = [f"{e} {before[e]} -> {after[e]}" for e in sorted({*before, *after}) if before[e] != after[e]]
     if wrong:
         raise DataError(
-            f"{where}: not balanced: {', '.join(wrong)}; write what leaves as a product of the template (water: O, "
-            "hydrogen chloride: Cl), and every reactant as often as it is used"
+            f"{where}: not balanced: {', '.join(wrong)}; add leaving molecules as products of the template (water: O, "
+            "hydrogen chloride: Cl), and every reactant as often as it is consumed"
         )
 
 
@@ -225,21 +234,21 @@ def expand(
     names: Mapping[str, str] | None = None,
     generations: int = 2,
 ) -> tuple[list[Found], list[Species]]:
-    """All reactions that templates make of some materials, and of what comes of them.
+    """Return all reactions that templates make of some materials and of their products.
 
     Args:
-        templates: each has to make at least one reaction.
+        templates: templates; each has to make at least one reaction.
         reactants: ids of materials, CAS numbers, names or structures.
-        materials: known ones, by id.
-        names: structures by the id that a new material is to have.
-        generations: how often products are reactants again; salts are not unless they are among ``reactants``.
+        materials: known materials by id.
+        names: structures of new materials by their ids.
+        generations: number of times that products become reactants; salts do not, unless given in ``reactants``.
 
     Returns:
-        The reactions, each once, and all species in the order they were met.
+        The distinct reactions, and all species in the order of their appearance.
 
     Raises:
-        DataError: a reactant is unknown, a template fits nothing, makes impossible, charged or unbalanced products, or
-            there is no end of reactions.
+        DataError: a reactant is unknown; a template fits nothing or makes impossible, charged or unbalanced products;
+            or the number of reactions exceeds the limit.
     """
     pool = _Pool(materials, names or {})
     ready = [pool.add(_reactant(text, materials), f"reactant {text!r}").inchi_key for text in reactants]
@@ -256,7 +265,7 @@ def expand(
                 if len(found) > _MOST_REACTIONS:
                     raise DataError(
                         f"template {template.smarts!r}: makes more than {_MOST_REACTIONS} reactions; make it more "
-                        "specific, or ask for fewer --generations"
+                        "specific, or use fewer --generations"
                     )
         molecules = [key for key, species in pool.species.items() if "." not in species.smiles]
         ready += [key for key in molecules if key not in before]
@@ -281,7 +290,7 @@ def _reactant(text: str, materials: Mapping[str, Material]) -> Any:
 
 
 def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[Found]:
-    """The reactions that one template makes of species."""
+    """Yield the reactions that one template makes of species."""
     count = template.reaction.GetNumReactantTemplates()
     fitting = [
         [key for key in ready if pool.molecules[key].HasSubstructMatch(template.reaction.GetReactantTemplate(slot))]
@@ -314,10 +323,10 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
 
 
 def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
-    """J/mol at 298.15 K, of dissolved materials, from formation enthalpies.
+    """Return the heat of reaction in J/mol at 298.15 K of dissolved materials, from formation enthalpies.
 
     Raises:
-        DataError: a material has none.
+        DataError: a material has no formation enthalpy.
     """
     total = 0.0
     for sign, side in ((-1.0, found.reactants), (1.0, found.products)):
@@ -331,12 +340,12 @@ def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
 
 
 def rate_constant(template: Template) -> float:
-    """Rate constant of a template's reactions at 298.15 K, in (L/mol)^(order - 1) per s; a guess if none is given."""
+    """Return the rate constant at 298.15 K, in (L/mol)^(order - 1) per s; a guess if none is given."""
     return _GUESSED[template.side][0] if template.rate.constant is None else template.rate.constant
 
 
 def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[str]) -> dict[str, Any]:
-    """The table of a reaction; ``salts`` are those that dissolve, and react as their ions by mass action."""
+    """Return the table of a reaction; the dissolving ``salts`` react as their ions by mass action."""
     rate, template = found.template.rate, found.template
     constant = rate_constant(template)
     activation = _GUESSED[template.side][1] if rate.activation_j_mol is None else rate.activation_j_mol
@@ -344,7 +353,7 @@ def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[st
     solids = [key for key in found.reactants if materials[key].role == "solid" and key not in salts]
     if solids:
         if rate.equilibrium_constant is not None:
-            raise DataError(f"{found.words}: equilibrium: a reaction on the surface of {solids[0]!r} has none")
+            raise DataError(f"{found.words}: equilibrium: a surface reaction of {solids[0]!r} has no equilibrium")
         values["orders"] = {key: _SURFACE_ORDER if key in solids else 1 for key in found.reactants}
     values["pre_exponential"] = float(f"{constant * math.exp(activation / (GAS_CONSTANT * ROOM_K)):.6g}")
     values["activation_energy_j_mol"] = float(activation)
@@ -367,7 +376,7 @@ def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[st
 
 
 def _companions(keys: Iterable[str], materials: Mapping[str, Material]) -> dict[str, list[dict[str, Any]]]:
-    """What shipped families know of some materials without a template: how salts dissolve, what water does to them."""
+    """Return the reactions of bundled families with some materials: dissolution of salts, reactions with water."""
     here = set(keys)
     salts: dict[str, dict[str, Any]] = {}
     violent: dict[str, dict[str, Any]] = {}
@@ -390,14 +399,14 @@ def family_tables(
     command: str,
     catalysts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """A reaction family, checked as a file is.
+    """Return a validated reaction family.
 
     Args:
-        name: of the family.
-        found: from :func:`expand`.
-        materials: all that take part, by id.
-        command: what it is made by.
-        catalysts: materials that the reactions do not run without, of order 1; of the first template.
+        name: name of the family.
+        found: reactions of :func:`expand`.
+        materials: all participating materials by id.
+        command: command that made it.
+        catalysts: required catalysts of the first template's reactions, of order 1.
 
     Raises:
         DataError: a material is unknown, or has no formation enthalpy.

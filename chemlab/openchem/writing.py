@@ -1,4 +1,4 @@
-"""Data files as text: TOML, and what they were made with."""
+"""Data files as TOML text, with the command and versions that made them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["family_text", "lock", "material_text", "pair_text", "toml", "toml_ke
 
 
 def toml(value: Any) -> str:
-    """A value on one line."""
+    """Format a value on one line."""
     if isinstance(value, Mapping):
         inner = ", ".join(f"{toml_key(key)} = {toml(v)}" for key, v in value.items())
         return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml(v) for v in value) + "]"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML has JSON's escapes
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML has JSON's escapes, but not DEL
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def toml_tables(values: Mapping[str, Any], inline: Sequence[str] = (), at: str = "") -> list[str]:
-    """Lines of a table: its own values first, then its tables, each with a heading, and lists of tables.
+    """Return the lines of a table: its values first, then its subtables with headings, and lists of tables.
 
     Args:
-        values: what it holds.
-        inline: keys of tables that stand on one line.
-        at: the dotted key of the table itself.
+        values: content of the table.
+        inline: keys of tables written on one line.
+        at: dotted key of the table itself.
     """
     lines, below = [], []
     for key, value in values.items():
@@ -51,7 +51,7 @@ def toml_tables(values: Mapping[str, Any], inline: Sequence[str] = (), at: str =
 
 
 def lock(command: str, *packages: str) -> dict[str, str]:
-    """What a file was made by: the command, and versions of chemlab and of packages that are there."""
+    """Return the origin of a file: the command, and the versions of chemlab and of installed packages."""
     found = {"command": command, "chemlab": __version__}
     for package in packages:
         try:
@@ -66,12 +66,12 @@ def material_text(
     command: str,
     packages: Sequence[str] = ("chemicals", "thermo", "rdkit"),
 ) -> str:
-    """The text of a material file.
+    """Return the text of a material file.
 
     Args:
-        tables: by material.
-        command: what they were made by.
-        packages: with which.
+        tables: tables by material.
+        command: command that made them.
+        packages: packages used.
     """
     keys = ", and [KEY] at its end the table of the package chemicals or thermo" if packages else ""
     head = [
@@ -84,7 +84,7 @@ def material_text(
 
 
 def family_text(tables: Mapping[str, Any]) -> str:
-    """The text of a reaction file."""
+    """Return the text of a reaction file."""
     lines = [
         "# A reaction family. Units and keys: see chemlab's page Write a material or a reaction. Rates are per",
         "# second, so that a bench's tick is in seconds. Made by the command below.",
@@ -98,14 +98,14 @@ def pair_text(
     command: str,
     packages: Sequence[str] = ("chemicals", "numpy", "scipy", "thermo", "ugropy"),
 ) -> str:
-    """The text of a pair file.
+    """Return the text of a pair file.
 
     Args:
         rows: a table for each pair.
-        command: what they were made by.
-        packages: with which.
+        command: command that made them.
+        packages: packages used.
     """
     lines = ["# Binary NRTL parameters: equation in chemlab/config/pairs.py. Made by the command below; do not edit."]
-    # A key of the whole file stands before the first table.
+    # A top-level key must precede the first table.
     lines += ["", "pairs = [", *(f"    {toml(row)}," for row in rows), "]", "", "[lock]"]
     return "\n".join([*lines, *(f"{key} = {toml(value)}" for key, value in lock(command, *packages).items())]) + "\n"
