@@ -35,7 +35,8 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
-from chemlab.config.scenario import Scenario, plain_scenario
+from chemlab.config.loading import plain_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay

@@ -27,7 +27,8 @@ from safetensors.numpy import load, save
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
-from chemlab.config.scenario import Scenario, shipped_file
+from chemlab.config.loading import shipped_file
+from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Memory, Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import ManagerRole

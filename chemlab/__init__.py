@@ -1,11 +1,44 @@
-"""chemlab: a multi-agent chemistry laboratory for reinforcement-learning research."""
+"""chemlab: a multi-agent chemistry laboratory for reinforcement-learning research.
 
+The names in ``__all__`` are the public surface; each is imported when it is first used.
+"""
+
+import importlib
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from .envs.registration import register_environments
 
+if TYPE_CHECKING:
+    from .config.loading import load_scenario
+    from .envs.aec import env, raw_env
+    from .envs.batch import BatchedLaboratory
+    from .envs.parallel import parallel_env
+    from .sandbox import Flask
+
 __version__ = "0.2.0"
-__all__ = ["__version__"]
+__all__ = ["BatchedLaboratory", "Flask", "__version__", "env", "load_scenario", "parallel_env", "raw_env"]
+
+_MODULES = {
+    "BatchedLaboratory": "envs.batch",
+    "Flask": "sandbox",
+    "env": "envs.aec",
+    "load_scenario": "config.loading",
+    "parallel_env": "envs.parallel",
+    "raw_env": "envs.aec",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def _find_mapped_folders() -> None:

@@ -22,7 +22,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from .config.scenario import Scenario, load_scenario
+from .config.loading import load_scenario
+from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
 from .envs.parallel import parallel_env

@@ -30,8 +30,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .config.datafile import read_text
+from .config.loading import load_scenario
 from .config.materials import COLDEST_K, HOTTEST_K, DataError, load_materials, shipped_materials
-from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario, load_scenario
+from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends as laws
 from .physics import transfer

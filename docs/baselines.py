@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 from rerecord import record_again
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of
 from chemlab.agents.evaluate.leaderboard import leaderboard_lines, write_leaderboard
 from chemlab.agents.evaluate.statistics import interquartile_mean, interval_text, mean, paired_improvement
 from chemlab.agents.runs import find_runs
 from chemlab.config.files import replace_between, write_text
-from chemlab.config.scenario import load_scenario
 from chemlab.record import read_record
 
 __all__ = [

@@ -30,6 +30,7 @@ from chemlab.agents.evaluate.audit import measure_rows
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
+from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
 from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
 from chemlab.config.scenario import (
@@ -53,9 +54,6 @@ from chemlab.config.scenario import (
     StartSpec,
     VesselSpec,
     WearSpec,
-    load_scenario,
-    scenario_names,
-    synthesis_names,
 )
 from chemlab.lab import describe as facts
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories

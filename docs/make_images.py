@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from chemlab import raw_env
 from chemlab.agents.episodes import Turn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.laboratory import raw_env
 
 FRAMES, WIDTH, HEIGHT = 40, 640, 360
 Frame = npt.NDArray[np.uint8]

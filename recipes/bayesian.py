@@ -20,9 +20,9 @@ from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import LaboratoryTarget
 from chemlab.agents.scripted.campaign import run_once
-from chemlab.config.scenario import load_scenario
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 

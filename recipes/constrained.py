@@ -22,8 +22,8 @@ from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score,
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
-from chemlab.config.scenario import load_scenario
 
 GOAL = "ortho_pyrrolidinyl"
 PRICED = load_scenario("runaway")

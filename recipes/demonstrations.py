@@ -24,6 +24,7 @@ import numpy.typing as npt
 from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, learner
 from scipy.signal import lfilter
 
+from chemlab import raw_env
 from chemlab.agents.background import focal_vector_env
 from chemlab.agents.demonstrations import write_datasets
 from chemlab.agents.episodes import play_episode
@@ -31,7 +32,6 @@ from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import as_policy, make_policies
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.train.imitate import fit
-from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import Recorder
 

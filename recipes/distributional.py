@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
-from chemlab.config.scenario import load_scenario
 
 GOAL = "I"
 TARGET = BenchTarget(load_scenario("fictitious").with_actions("discrete"), "rxn", split="test")

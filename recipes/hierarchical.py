@@ -17,10 +17,10 @@ from typing import Any
 
 from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import LaboratoryTarget
 from chemlab.agents.train.arguments import JointArguments
 from chemlab.agents.train.joint import train_together
-from chemlab.config.scenario import load_scenario
 
 TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"

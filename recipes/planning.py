@@ -19,8 +19,8 @@ import importlib.util
 import numpy as np
 from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.kernels.arrays import FloatArray
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
-from chemlab.config.scenario import load_scenario
 
 GOAL = "ortho_pyrrolidinyl"
 TARGET = BenchTarget(load_scenario("runaway"), "rxn", split="test")

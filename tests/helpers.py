@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from chemlab.config.scenario import SAFETY_EVENTS, Scenario, load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories

@@ -25,8 +25,8 @@ from chemlab.cli import PANELS, app
 from chemlab.cli.common import FORMER_COMMANDS
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.config.files import replace_between, write_text
+from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import DataError, shipped_materials
-from chemlab.config.scenario import load_scenario, scenario_names, synthesis_names
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 

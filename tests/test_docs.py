@@ -22,9 +22,9 @@ import typer
 from helpers import script, slow_but
 
 from chemlab.cli import app
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import load_materials, read_toml
 from chemlab.config.reactions import ReactionFamily
-from chemlab.config.scenario import load_scenario, scenario_names
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -26,9 +26,10 @@ from typer.testing import CliRunner
 import chemlab.config.files
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import load_pairs, log_activity_coefficients, pair_table
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.openchem.designs import feeds, steps_to
 from chemlab.openchem.difficulty import constant_conditions, difficulty

@@ -21,10 +21,11 @@ else:
 
 from chemlab.cli import app
 from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import Material, load_materials, shipped_materials
 from chemlab.config.pairs import load_pairs, shipped_pairs
 from chemlab.config.reactions import ReactionFamily, load_reactions
-from chemlab.config.scenario import RealSpec, load_scenario
+from chemlab.config.scenario import RealSpec
 from chemlab.sandbox import Flask
 
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):

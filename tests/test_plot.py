@@ -15,7 +15,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
 from chemlab.cli import app
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, read_record
 from chemlab.render.balance import PLACES, mole_balance

@@ -13,7 +13,7 @@ from scipy import stats
 
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, leaderboard_lines
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.record import scenario_hash
 
 README = Path(__file__).parent.parent / "README.md"

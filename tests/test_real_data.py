@@ -14,9 +14,9 @@ from test_materials import GOO
 from test_materials_data import cited_key, database
 
 from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.loading import dump_scenario, load_scenario, scenario_names
 from chemlab.config.materials import Material, RealProperties, VaporPressure, load_materials, shipped_materials
 from chemlab.config.reactions import Salt, load_reactions
-from chemlab.config.scenario import dump_scenario, load_scenario, scenario_names
 
 GAS_CONSTANT = 8.314462618
 ROOM_K = 298.15

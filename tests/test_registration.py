@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 
 import pytest
+
+import chemlab
 
 HEAVY = ("gymnasium", "numba", "numpy", "pettingzoo", "pydantic", "torch")
 AFTERWARDS = """
@@ -30,6 +33,19 @@ def run(code: str) -> str:
 @pytest.mark.parametrize("module", ["chemlab", "chemlab.cli"])
 def test_what_plays_nothing_imports_nothing_heavy(module: str) -> None:
     assert run(f"import sys, {module}; print([name for name in {HEAVY} if name in sys.modules])") == "[]\n"
+
+
+def test_scenarios_are_loaded_without_a_compiler() -> None:
+    code = "import chemlab, sys; scenario = chemlab.load_scenario('unlabelled'); assert scenario.world.draws"
+    assert run(f"{code}; print({{'numba', 'gymnasium', 'pettingzoo'}} & set(sys.modules))") == "set()\n"
+
+
+def test_public_names_are_imported_when_they_are_used() -> None:
+    assert set(chemlab.__all__) <= set(dir(chemlab))
+    for name, module in chemlab._MODULES.items():
+        assert getattr(chemlab, name) is getattr(importlib.import_module(f"chemlab.{module}"), name)
+    with pytest.raises(AttributeError, match="module 'chemlab' has no attribute 'reactor'"):
+        chemlab.reactor  # noqa: B018
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,9 @@ from scipy.optimize import linprog, minimize
 
 import chemlab
 import chemlab.scenarios
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
 from chemlab.config.materials import DataError, read_toml
-from chemlab.config.scenario import Scenario, dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.lab.engine import Laboratories

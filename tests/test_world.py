@@ -10,10 +10,12 @@ import pytest
 from helpers import slow_but
 from scipy import stats
 
-from chemlab.config.draws import (
-    Split,
+from chemlab.config.draws import Split, WorldSpec
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
+from chemlab.config.materials import DataError, validated
+from chemlab.kernels.tables import Table
+from chemlab.lab.sampling import (
     WorldDraws,
-    WorldSpec,
     compile_draws,
     draw_worlds,
     given_values,
@@ -22,9 +24,6 @@ from chemlab.config.draws import (
     positions,
     world_draws,
 )
-from chemlab.config.materials import DataError, validated
-from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario
-from chemlab.kernels.tables import Table
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 MATERIALS = ("a", "b", "c", "d")

@@ -42,7 +42,8 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray
 from chemlab.record import scenario_hash
 

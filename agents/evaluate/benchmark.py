@@ -47,8 +47,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.files import write_text
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.parts import trust
-from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import MANAGER_AGENT

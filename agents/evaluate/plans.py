@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players, Policy
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories

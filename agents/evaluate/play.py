@@ -11,8 +11,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 

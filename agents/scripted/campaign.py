@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.config.draws import quantiles
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.sampling import quantiles
 from chemlab.roles.reaction_bench import ReactionBench
 
 from .reaction import ScriptedReaction

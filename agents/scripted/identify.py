@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from chemlab.config.draws import Draw, Permutation, quantiles
+from chemlab.config.draws import Draw, Permutation
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.sampling import quantiles
 from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.instruments.table import InstrumentTable

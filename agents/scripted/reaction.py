@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.draws import quantiles
 from chemlab.config.reactions import equation
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.sampling import quantiles
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench

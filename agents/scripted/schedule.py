@@ -8,10 +8,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from chemlab.config.draws import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, quantiles
+from chemlab.config.draws import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw
 from chemlab.config.scenario import DemandSpec, Scenario
 from chemlab.kernels.arrays import FloatArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.sampling import quantiles
 from chemlab.roles.manager_actions import MEASURE
 from chemlab.roles.manager_view import terms_channels
 

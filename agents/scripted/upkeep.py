@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from chemlab.config.draws import quantiles
 from chemlab.config.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.kernels.arrays import FloatArray, MaskArray, ObservationArray
+from chemlab.lab.sampling import quantiles
 
 from .campaign import foreseen
 from .script import ScriptedManager, Setting, apart, cheapest

@@ -23,7 +23,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 
 from .env import TorchLaboratory
 

@@ -18,7 +18,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from chemlab.config.files import naming, write_text
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.lab.engine import Laboratories
 
 from ..player import play_laboratory

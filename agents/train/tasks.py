@@ -12,7 +12,8 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.envs.focal import FocalVectorEnv
 from chemlab.kernels.arrays import FloatArray

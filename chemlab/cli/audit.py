@@ -65,7 +65,7 @@ def measures(
         from ..agents.evaluate.audit import job_count
         from ..agents.evaluate.jobs import budget_of
         from ..agents.executors import executor
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
 
         spec = load_scenario(scenario)
         chosen = budget_of(budget)
@@ -124,7 +124,7 @@ def plan(
     """
     with readable_errors():
         from ..agents.evaluate.plans import plan_budget, search_plan
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
 
         spec = load_scenario(scenario)
         most = plan_budget(budget)
@@ -178,7 +178,7 @@ def difficulty(
     reagents are put in at once or slowly.
     """
     with readable_errors():
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
         from ..openchem.difficulty import difficulty as measure
 
         spec = load_scenario(scenario)

@@ -63,7 +63,7 @@ def benchmark(
         from ..agents.evaluate.leaderboard import leaderboard_lines
         from ..agents.executors import executor
         from ..config.draws import Split
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
 
         Split.of(split)
         specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]

@@ -21,7 +21,7 @@ def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonO
     environments agree. Ends with 0 if every check passes and with 1 if one fails.
     """
     with readable_errors():
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
         from ..conformance import CHECKS, check_scenario
 
         spec = load_scenario(scenario)

@@ -440,9 +440,9 @@ def new(
     Prompts for missing values in an interactive terminal. Missing activity coefficients are made (needs the extra
     `chem`) and written to a second file, NAME_pairs.toml.
     """
+    from ..config.loading import load_scenario
     from ..config.pairs import load_pairs, shipped_pairs
     from ..config.reactions import load_reactions
-    from ..config.scenario import load_scenario
     from ..openchem import designs
 
     path = output or Path(f"{name}.toml")

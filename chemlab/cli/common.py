@@ -224,7 +224,7 @@ def _options(
 
 def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:
     """Load the scenario, say so, and build its laboratory."""
-    from ..config.scenario import load_scenario
+    from ..config.loading import load_scenario
 
     spec = load_scenario(scenario)
     if not quiet:

@@ -62,7 +62,7 @@ def crossplay(
         from ..agents.evaluate.jobs import budget_of
         from ..agents.executors import executor
         from ..config.draws import Split
-        from ..config.scenario import load_scenario
+        from ..config.loading import load_scenario
 
         Split.of(split)
         spec = load_scenario(scenario)

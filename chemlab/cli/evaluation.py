@@ -87,7 +87,7 @@ def evaluate(
         from ..agents.evaluate.play import evaluate as play
         from ..agents.evaluate.play import find_target
         from ..agents.executors import executor
-        from ..config.scenario import scenario_names
+        from ..config.loading import scenario_names
 
         policies = policy or ["scripted", "random"]
         if output is not None:

@@ -39,7 +39,7 @@ __all__: list[str] = []
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
     """List the scenarios that come with chemlab, and the syntheses."""
-    from ..config.scenario import load_scenario, scenario_names, synthesis_names
+    from ..config.loading import load_scenario, scenario_names, synthesis_names
 
     scenarios = [load_scenario(name) for name in scenario_names()]
     syntheses = [load_scenario(name) for name in synthesis_names()]

@@ -6,51 +6,21 @@ the file; types and bounds live here. A bench's own settings are checked by that
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from .datafile import DataError, bounded, read_toml
-from .datamodel import validated, written
-from .draws import (
-    BOTTLE,
-    DEVICE_QUANTITIES,
-    ORDER_QUANTITIES,
-    VESSEL_QUANTITIES,
-    Draw,
-    WorldSpec,
-    changed_limits,
-    draw_limits,
-)
-from .inherit import completed, scenario_names, shipped_file, synthesis_names
-from .materials import Material, load_materials, shipped_materials
-from .pairs import Pair, load_pairs, shipped_pairs
-from .reactions import (
-    HYDROXIDE,
-    PROTON,
-    WATER,
-    Reaction,
-    ReactionFamily,
-    Violent,
-    check_reactions,
-    check_without_real,
-    dissolved_reactions,
-    load_reactions,
-)
+from .datafile import read_toml
+from .datamodel import validated
+from .draws import WorldSpec
+from .inherit import shipped_file
+from .materials import Material
+from .pairs import Pair
+from .reactions import ReactionFamily
 
 __all__ = [
     "PHYSICS_TIERS",
@@ -75,13 +45,6 @@ __all__ = [
     "StartSpec",
     "VesselSpec",
     "WearSpec",
-    "dump_scenario",
-    "load_scenario",
-    "plain_scenario",
-    "restore_scenario",
-    "scenario_names",
-    "shipped_file",
-    "synthesis_names",
 ]
 
 SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "dry_heating", "metal_in_water_mol")
@@ -93,21 +56,23 @@ PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.backends.paper", "rea
 
 _DATA = Path(__file__).resolve().parent.parent / "data"
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-_MOST_MATERIALS = 256
 _MOST_STARTS = 20_000
-_NEUTRAL = 1e-9
-"""Charge of contents over that of all their ions, up to which it is rounding."""
+
 _MOST_VESSEL_TICKS = 1_000_000
 """That may pass within one action of the manager, which nothing interrupts: seconds, as a vessel at rest takes up to 10
 us for a tick."""
 
 Key = Annotated[str, Field(min_length=1, max_length=100)]
 Mol = Annotated[float, Field(ge=0.0, le=1e4)]
+
 Amounts = Annotated[dict[Key, Mol], Field(max_length=100)]
 """Moles, or prices of a mole, by material."""
+
 Maximum = Annotated[float, Field(ge=1e-6, le=1e4)]
+
 Price = Annotated[float, Field(ge=0.0, le=1e6)]
 """In units of the score."""
+
 Capacity = Annotated[float, Field(ge=1e-6, le=100.0)]
 Goals = Annotated[tuple[Key, ...], Field(min_length=1, max_length=64)]
 Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32)]
@@ -655,400 +620,3 @@ class Scenario(BaseModel):
         yield "agents", ["manager_0", *self.bench_agents()]
         yield "goals", list(self.lab_goals)
         yield "origin", self.origin
-
-
-def _mentioned(spec: Scenario) -> list[tuple[str, str]]:
-    """(key, material) for every material that a scenario file has anywhere, in order; a price alone has none."""
-    found = [("stock", name) for name in spec.stock]
-    for i, vessel in enumerate(spec.shelf.vessel):
-        found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
-    for key, bench in spec.benches.items():
-        found += [(f"benches.{key}.start.contents", name) for name in bench.start.contents]
-        if bench.start.companion is not None:
-            companion = bench.start.companion
-            found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
-    found += [("goals", name) for name in spec.goals]
-    for key, draw in spec.world.draws.items():
-        found += [(f"world.draws.{key}", name) for name in draw.materials]
-    return found
-
-
-def _check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    """Refuse contents that do not fit their vessel."""
-
-    def litres(name: str, mol: float) -> float:
-        return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
-
-    vessels: list[tuple[str, VesselSpec | StartSpec, float]]
-    vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
-    for key, bench in spec.benches.items():
-        start, also = bench.start, bench.start.companion
-        more = max(litres(goal, start.goal_mol) for goal in spec.goals)
-        if also is not None:
-            more += max(litres(also.material, also.mol), litres(also.if_goal, also.mol))
-        vessels.append((f"benches.{key}.start", start, more))
-    for key, vessel, more in vessels:
-        filled = more + sum(litres(name, mol) for name, mol in vessel.contents.items())
-        if filled > vessel.capacity_l:
-            raise DataError(
-                f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
-            )
-
-
-def _check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
-    """Refuse ions without the counter-ions that balance their charge."""
-
-    def alone(key: str, name: str) -> None:
-        if not known[name].charge:
-            return
-        salts = [salt.solid for salt in family.salt if name in (salt.cation, salt.anion)]
-        hint = f"name a salt of it ({', '.join(salts)})" if salts else "name a salt of it, with its [[salt]] entry"
-        raise DataError(f"{where}: {key}: {name!r} is an ion, of which there is none alone; {hint} instead")
-
-    for name in spec.stock:
-        alone("stock", name)
-    vessels: list[tuple[str, VesselSpec | StartSpec]]
-    vessels = [(f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)]
-    vessels += [(f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()]
-    for key, vessel in vessels:
-        charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
-        if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
-            raise DataError(
-                f"{where}: {key}.contents: have a charge of {charge:+.4g} mol, and must have none; give the ions that "
-                "balance it, or salts"
-            )
-        if isinstance(vessel, StartSpec) and vessel.goal_mol:
-            for goal in spec.goals:
-                alone(f"{key}.goal_mol", goal)
-        if isinstance(vessel, StartSpec) and vessel.companion is not None:
-            for name in (vessel.companion.material, vessel.companion.if_goal):
-                alone(f"{key}.companion", name)
-    for key, bench in spec.benches.items():
-        options = bench.model_extra or {}
-        reagents, process = options.get("reagents"), options.get("process")
-        named = [("reagents", name) for name in reagents] if isinstance(reagents, Mapping) else []
-        for i, entry in enumerate(process if isinstance(process, (list, tuple)) else ()):
-            named += [(f"process.{i}.material", entry.get("material"))] if isinstance(entry, Mapping) else []
-        for option, name in named:
-            if name in known:
-                alone(f"benches.{key}.{option}", name)
-    for key, draw in spec.world.draws.items():
-        if draw.what in VESSEL_QUANTITIES:
-            for name in draw.materials:
-                alone(f"world.draws.{key}", name)
-
-
-def _check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    """Refuse draws of vessels that are not there, or of contents that do not fit."""
-    starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
-    starts |= {key: bench.start for key, bench in spec.benches.items()}
-    for key, draw in spec.world.draws.items():
-        here = f"{where}: world.draws.{key}"
-        if draw.what in DEVICE_QUANTITIES:
-            _check_devices(spec, draw, here)
-        if draw.what in ORDER_QUANTITIES:
-            _check_terms(spec, draw, here)
-        if draw.what not in VESSEL_QUANTITIES:
-            continue
-        for name in draw.of:
-            if name == BOTTLE and name not in starts:
-                _check_bottle(spec, draw, here)
-                continue
-            if name not in starts:
-                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join([*starts, BOTTLE])}")
-            contents = starts[name].contents
-            if draw.material not in contents:
-                raise DataError(
-                    f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
-                )
-            _check_limits(draw, starts[name], known, f"{here}: {name}")
-
-
-def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of bottles that are not there, or that several draws are of."""
-    if draw.material not in spec.stock:
-        bottles = ", ".join(spec.stock) or "none"
-        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; known: {bottles}")
-    if draw.what == "amount":
-        raise DataError(f"{where}.what: how full a bottle is can be seen; draw its identity or titre")
-    others = [other for other in spec.world.draws.values() if BOTTLE in other.of and other.material == draw.material]
-    if len(others) > 1:
-        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; leave one out")
-    _check_titre(draw, where)
-
-
-def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of the condition of benches or instruments that have none."""
-    if draw.what in ("gain", "life"):
-        table, example = "wear", "{ gain = 1.0 }"
-        known = {
-            **{agent: agent.rpartition("_")[0] for agent in spec.bench_agents()},
-            **{key: key for key in spec.benches},
-        }
-        lacking = {name for name, key in known.items() if spec.benches[key].wear is None}
-    else:
-        table, example = "drift", "{ error = 0.0 }"
-        known = {name: name for name in spec.instruments}
-        lacking = {name for name in known if spec.instruments[name].drift is None}
-    for name in draw.of:
-        if name not in known:
-            raise DataError(f"{where}.of: {name!r} has no {draw.what}; what may have: {', '.join(known)}")
-        if name in lacking:
-            kind = "benches" if table == "wear" else "instruments"
-            raise DataError(f"{where}.of: {name!r} has no {table}; give {kind}.{known[name]} one: {table} = {example}")
-    low, _ = draw_limits(draw)
-    if table == "drift" and draw.change == "factor":
-        raise DataError(f"{where}.change: must be offset or value for {draw.what}, which is nothing to begin with")
-    if table == "wear" and not (draw.change != "offset" and low > 0.0):
-        raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
-
-
-def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of orders that are not there, or of terms that no order may have."""
-    terms = {f"order_{o}": order for o, order in enumerate(spec.demand.order)}
-    for name in draw.of:
-        if name not in terms:
-            raise DataError(
-                f"{where}.of: unknown order {name!r}; known: {', '.join(terms) or 'none: give demand.order'}"
-            )
-        given = getattr(terms[name], draw.what)
-        if given is None and draw.change != "value":
-            raise DataError(f"{where}.change: {name} has no {draw.what} to change; give it one, or change = 'value'")
-        for number in changed_limits(draw, 0.0 if given is None else given):
-            validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
-
-
-def _check_titre(draw: Draw, where: str) -> None:
-    low, high = draw_limits(draw)
-    if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
-        raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
-
-
-def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
-    _check_titre(draw, where)
-    if draw.what != "amount":
-        return  # litre for litre
-    mol = start.contents[str(draw.material)]
-    least, most = changed_limits(draw, mol)
-    material = known[str(draw.material)]
-    litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
-    litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l
-    filled = sum(litres.values()) / 1000.0
-    if not (least >= 0.0 and filled <= start.capacity_l):
-        raise DataError(
-            f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "
-            f"{start.capacity_l:g}; give low and high"
-        )
-
-
-def _check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
-    for key, name in named:
-        if name not in known:
-            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
-        if known[name].role == "gas":
-            raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
-
-
-def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tuple[list[str], ReactionFamily]:
-    """Close ``present`` under the family's reactions; drop what can never happen here. Where water ``ionizes``, its
-    ions are there for reactions that name one of them."""
-    order = list(dict.fromkeys(present))
-    of_water = (PROTON, HYDROXIDE) if any({PROTON, HYDROXIDE} & s.materials() for s in family.reaction) else ()
-    while True:
-        known = set(order)
-        new: list[str] = []
-        steps: list[Reaction | Violent] = [*family.reaction, *family.violent]
-        for step in steps:
-            if _can_run(step, known):
-                new += [name for name in (*step.reactants, *step.products) if name not in known]
-        for salt in family.salt:
-            if salt.solid in known or {salt.cation, salt.anion} <= known:
-                new += [name for name in (salt.solid, salt.cation, salt.anion) if name not in known]
-        if ionizes and WATER in known:
-            new += [name for name in of_water if name not in known]
-        for acid in family.acid:
-            if WATER in known and not known.isdisjoint(acid.species):
-                new += [name for name in (*acid.species, PROTON, HYDROXIDE) if name not in known]
-        if not new:
-            break
-        order += list(dict.fromkeys(new))
-    reactions = [step for step in family.reaction if _can_run(step, known)]
-    kept = family.model_copy(
-        update={
-            "reaction": tuple(
-                step.model_copy(update={"inhibitors": {n: k for n, k in step.inhibitors.items() if n in known}})
-                for step in reactions
-            ),
-            "salt": tuple(salt for salt in family.salt if salt.solid in known),
-            "violent": tuple(step for step in family.violent if _can_run(step, known)),
-            "acid": tuple(acid for acid in family.acid if WATER in known and set(acid.species) <= known),
-        }
-    )
-    return order, kept
-
-
-def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
-    """Whether what a reaction needs is there, in one direction or the other."""
-    if isinstance(step, Violent):
-        return set(step.reactants) <= known
-    backward = step.equilibrium_constant is not None and set(step.products) <= known
-    return set(step.catalysts) <= known and (set(step.reactants) <= known or backward)
-
-
-def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
-    """Load and check a scenario.
-
-    Args:
-        scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
-            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario (returned as it is).
-
-    Raises:
-        DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
-            message names the file, the key, the value and the bound.
-    """
-    if isinstance(scenario, Scenario):
-        return scenario
-    if isinstance(scenario, Mapping):
-        where = "(scenario given as a mapping)"
-        if isinstance(scenario.get("scenario"), Mapping):
-            return restore_scenario(scenario, where)
-        return _resolve(bounded(scenario, where), where, Path.cwd())
-    if isinstance(scenario, str) and (file := shipped_file(scenario)):
-        return _load_file(file)
-    if not isinstance(scenario, (str, Path)):
-        raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
-    path = Path(scenario)
-    if path.suffix != ".toml":
-        raise DataError(
-            f"scenario: unknown name {str(scenario)!r:.200}; "
-            f"shipped: {', '.join([*scenario_names(), *synthesis_names()])}; or give a path to a .toml file"
-        )
-    return _resolve(read_toml(path), str(path), path.parent)
-
-
-@functools.lru_cache(maxsize=32)
-def _load_file(path: Path) -> Scenario:
-    return _resolve(read_toml(path), str(path), path.parent)
-
-
-def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
-    spec: Scenario = validated(Scenario, completed(values, where, folder), where)
-    known = dict(shipped_materials())
-    for name, material in load_materials([folder / file for file in spec.material_files]).items():
-        if name in known:
-            raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
-        known[name] = material
-    family = load_reactions(spec.reactions, known, folder, where)
-    # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
-    _check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
-    pairs = load_pairs(folder / file for file in spec.pair_files)
-    return _equipped(spec, known, family, pairs, where)
-
-
-def _equipped(
-    spec: Scenario,
-    known: Mapping[str, Material],
-    family: ReactionFamily,
-    pairs: Mapping[frozenset[str], Pair],
-    where: str,
-) -> Scenario:
-    """``spec`` with the materials and reactions that can occur in it, all checked but for the family itself.
-
-    Raises:
-        DataError: an unknown material, contents that do not fit, a gas in a bottle, too many materials.
-    """
-    named = _mentioned(spec)
-    _check_materials(named, known, where)
-    _check_vessels(spec, known, where)
-    _check_charges(spec, known, family, where)
-    _check_draws(spec, known, where)
-    names, ionizes = [name for _, name in named], spec.physics == "real" and {PROTON, HYDROXIDE} <= set(known)
-    order, kept = _reachable(family, names, ionizes)
-    if spec.physics == "real" and WATER in order:
-        order, kept = _reachable(dissolved_reactions(family), names, ionizes)
-    if len(order) > _MOST_MATERIALS:
-        raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
-    if "air" not in known:
-        raise DataError(f"{where}: material 'air' is missing; every vessel has some")
-    for goal, wanted in spec.specifications.items():
-        never = [name for name in wanted.purity_among if name not in order]
-        if never:
-            raise DataError(
-                f"{where}: specifications.{goal}.purity_among: {never[0]!r} cannot occur here; can: {', '.join(order)}"
-            )
-    present = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
-    if spec.physics == "paper":
-        check_without_real(kept, where)
-        present, kept = _of_paper(present, kept, where)
-    else:
-        every = {**shipped_pairs(), **pairs}
-        spec._pairs = {names: pair for names, pair in every.items() if names <= set(present)}
-    spec._materials = present
-    spec._family = kept
-    spec._origin = where
-    return spec
-
-
-def _of_paper(
-    present: Mapping[str, Material], family: ReactionFamily, where: str
-) -> tuple[dict[str, Material], ReactionFamily]:
-    """Return materials and reactions without the data that only physics ``real`` reads.
-
-    Raises:
-        DataError: a material has no polarity, which that tier's solvents are told apart by.
-    """
-    for name, material in present.items():
-        if material.polarity is None:
-            raise DataError(
-                f"{where}: materials: {name!r} has no polarity, which physics = 'paper' needs; "
-                "give it one with its source, or choose physics = 'real'"
-            )
-    plain = {name: material.model_copy(update={"real": None}) for name, material in present.items()}
-    salts = tuple(salt.model_copy(update={"solubility": None}) for salt in family.salt)
-    return plain, family.model_copy(update={"salt": salts})
-
-
-def dump_scenario(scenario: Scenario) -> dict[str, Any]:
-    """Return the scenario as plain data, with the materials and reactions it uses; defaults are left out."""
-    return {
-        "scenario": written(scenario),
-        "materials": {name: written(material) for name, material in scenario.materials.items()},
-        "reactions": written(scenario.family),
-        **({"pairs": [written(pair) for pair in scenario.pairs.values()]} if scenario.pairs else {}),
-    }
-
-
-def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
-    """Return what :func:`load_scenario` takes for a loaded scenario: its name or its file, as long as these give the
-    same scenario, else a :func:`dump_scenario`."""
-    content = dump_scenario(scenario)
-    for known in (scenario.name, scenario.origin):
-        with contextlib.suppress(DataError):
-            if dump_scenario(load_scenario(known)) == content:
-                return known
-    return content
-
-
-def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
-    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``; checked as a file is.
-
-    Raises:
-        DataError: the data is not what ``dump_scenario`` makes, or is of a scenario that would be refused as a file.
-    """
-    tables: list[dict[str, Any]] = []
-    for key in ("scenario", "materials", "reactions"):
-        if not isinstance(data.get(key), dict):
-            raise DataError(f"{where}: {key}: must be a table")
-        tables.append(bounded(data[key], f"{where}: {key}"))
-    values, materials, reactions = tables
-    spec: Scenario = validated(Scenario, values, where)
-    known = {name: validated(Material, table, f"{where}: materials.{name}") for name, table in materials.items()}
-    family = validated(ReactionFamily, reactions, f"{where}: reactions")
-    check_reactions(family, known, f"{where}: reactions")
-    listed = data.get("pairs", [])
-    if not isinstance(listed, list):
-        raise DataError(f"{where}: pairs: must be a list")
-    made: list[Pair] = [
-        validated(Pair, bounded(pair, f"{where}: pairs.{i}"), f"{where}: pairs.{i}") for i, pair in enumerate(listed)
-    ]
-    return _equipped(spec, known, family, {frozenset(pair.of): pair for pair in made}, where)

@@ -10,7 +10,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..config.scenario import RewardSpec, Scenario, load_scenario
+from ..config.loading import load_scenario
+from ..config.scenario import RewardSpec, Scenario
 from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..lab.hidden import World

@@ -49,7 +49,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from ..config.scenario import Scenario, load_scenario
+from ..config.loading import load_scenario
+from ..config.scenario import Scenario
 from ..kernels.arrays import IntArray
 from ..kernels.rng import checked_seed
 from ..kernels.tables import put_back

@@ -10,7 +10,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..config.scenario import RewardSpec, Scenario, load_scenario
+from ..config.loading import load_scenario
+from ..config.scenario import RewardSpec, Scenario
 from ..kernels.rng import checked_seed
 from ..lab.engine import Laboratories
 from ..lab.text import describe_laboratory

@@ -42,7 +42,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from ..config.scenario import RewardSpec, Scenario, load_scenario
+from ..config.loading import load_scenario
+from ..config.scenario import RewardSpec, Scenario
 from ..kernels.arrays import IntArray
 from ..kernels.rng import checked_seed
 from ..lab.engine import MANAGER_AGENT, Laboratories

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
-from ..config.scenario import RewardSpec, Scenario, plain_scenario
+from ..config.loading import plain_scenario
+from ..config.scenario import RewardSpec, Scenario
 from ..kernels.arrays import FloatArray, IntArray
 from ..kernels.jit import kernel
 from ..kernels.rng import checked_seed

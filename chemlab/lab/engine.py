@@ -12,9 +12,10 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from ..config.loading import load_scenario
 from ..config.materials import DataError
 from ..config.parts import blamed, checked_numbers, strangers_code
-from ..config.scenario import OrderSpec, Scenario, load_scenario
+from ..config.scenario import OrderSpec, Scenario
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.loading import load_scenario
 from ..config.materials import DataError
 from ..config.parts import strangers_code
-from ..config.scenario import Scenario, load_scenario
+from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform

@@ -18,14 +18,7 @@ from ..config.draws import (
     Draw,
     Split,
     changed_limits,
-    compile_draws,
     draw_limits,
-    draw_worlds,
-    given_values,
-    named_values,
-    next_numbers,
-    positions,
-    world_draws,
 )
 from ..config.materials import COLDEST_K, HOTTEST_K, DataError
 from ..config.reactions import equation
@@ -36,6 +29,7 @@ from ..physics.backends import work_size
 from ..physics.chemistry import AMOUNTS, Chemistry, ChemistryTable, build_chemistry
 from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.manager import rest_on_shelf
+from .sampling import compile_draws, draw_worlds, given_values, named_values, next_numbers, positions, world_draws
 
 __all__ = ["NumberedWorld", "World", "Worlds", "world_chemistry"]
 
@@ -442,7 +436,7 @@ class Worlds:
         return int(self.table.arrays.number[member, 0])
 
     def values(self, member: int) -> dict[str, Any]:
-        """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.config.draws.named_values`)."""
+        """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.lab.sampling.named_values`)."""
         return named_values(self._spec, self.table.arrays.values[member], self._shelf.layout.materials)
 
     def positions(self, members: IntArray) -> FloatArray:

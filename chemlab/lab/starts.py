@@ -20,7 +20,8 @@ from pydantic import BaseModel, ConfigDict
 from ..config.datafile import DataError, read_json
 from ..config.datamodel import validated
 from ..config.files import write_text
-from ..config.scenario import Scenario, shipped_file
+from ..config.loading import shipped_file
+from ..config.scenario import Scenario
 from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
 from ..kernels.jit import inner
 from ..kernels.rng import uniform

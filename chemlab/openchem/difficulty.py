@@ -27,7 +27,8 @@ from ..agents.evaluate.plans import search_plan
 from ..agents.player import play_laboratory
 from ..agents.policies import make_policies
 from ..config.datafile import DataError
-from ..config.scenario import Scenario, load_scenario
+from ..config.loading import load_scenario
+from ..config.scenario import Scenario
 from ..envs.bench_env import BenchVectorEnv
 from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories

@@ -23,9 +23,10 @@ from ..config.datafile import DataError
 from ..config.datamodel import validated
 from ..config.files import check_target, write_texts
 from ..config.inherit import completed
+from ..config.loading import restore_scenario
 from ..config.materials import Material, shipped_materials
 from ..config.reactions import ReactionFamily
-from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario, restore_scenario
+from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
 from ..physics.constants import GAS_CONSTANT
 from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
 from .invented import SOURCE, dilute_log, material_tables, pair_rows, significant

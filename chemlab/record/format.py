@@ -15,8 +15,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..config.files import read_bytes
+from ..config.loading import dump_scenario, restore_scenario
 from ..config.materials import DataError, validated
-from ..config.scenario import Scenario, dump_scenario, restore_scenario
+from ..config.scenario import Scenario
 from ..kernels.arrays import MaskArray, ObservationArray
 
 __all__ = [

@@ -16,8 +16,8 @@ import numpy as np
 
 from .. import __version__
 from ..config.files import check_target, locked, naming, sync_folder
+from ..config.loading import dump_scenario
 from ..config.materials import validated
-from ..config.scenario import dump_scenario
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import chemlab
+from chemlab import load_scenario
 from chemlab.agents.evaluate.laboratory import EPISODES
 from chemlab.agents.evaluate.play import BenchTarget, LaboratoryTarget
 from chemlab.agents.evaluate.statistics import number_text
@@ -18,7 +19,6 @@ from chemlab.agents.evaluate.tables import markdown_table, number, read_table, w
 from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.runs import RESULT_SEED
-from chemlab.config.scenario import load_scenario
 
 __all__ = ["bench_policies", "benches_table", "collect_benches"]
 

@@ -25,10 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
+from chemlab import load_scenario
 from chemlab.agents.executors import executor
 from chemlab.agents.player import Played, play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 from chemlab.openchem.difficulty import constant_conditions

@@ -24,9 +24,10 @@ import numpy as np
 from front_parts import pot
 from mixtures import write
 
+from chemlab import load_scenario
 from chemlab.agents.policies import bench_policy
 from chemlab.config.files import write_text
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, ObservationArray
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import TEMPERATURE

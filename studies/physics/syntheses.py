@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from chemlab import Flask
 from chemlab.config.materials import shipped_materials
-from chemlab.sandbox import Flask
 
 GAS = 8.314462618
 MATERIALS = shipped_materials()

@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 
+from chemlab import BatchedLaboratory, load_scenario
 from chemlab.agents.policies import RandomPolicy
 from chemlab.config.files import replace_between
-from chemlab.config.scenario import Scenario, load_scenario
-from chemlab.envs.batch import BatchedLaboratory
+from chemlab.config.scenario import Scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 
 BASE = "wurtz_dodecane"

@@ -12,10 +12,10 @@ import time
 
 import numpy as np
 
+from chemlab import raw_env
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import load_scenario, scenario_names
-from chemlab.envs.aec import raw_env
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.render.draw import draw
 from chemlab.render.scene import bench_scene, laboratory_scene

@@ -16,10 +16,10 @@ from typing import Any
 
 from playwright.sync_api import sync_playwright
 
+from chemlab import raw_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import scenario_names
-from chemlab.envs.aec import raw_env
+from chemlab.config.loading import scenario_names
 from chemlab.record import Recorder, read_record
 from chemlab.render.replay import replay_page
 

@@ -21,13 +21,13 @@ from typing import Any
 import gymnasium
 import torch
 
+from chemlab import load_scenario
 from chemlab.agents.executors import connected
 from chemlab.agents.rllib.train import _Team
 from chemlab.agents.roles import chosen_roles
 from chemlab.agents.train.arguments import RllibArguments
 from chemlab.agents.train.loop import Progress
 from chemlab.config.files import replace_between
-from chemlab.config.scenario import load_scenario
 from chemlab.lab.engine import Laboratories
 
 STILL = 1e-9

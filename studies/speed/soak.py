@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab import BatchedLaboratory
 from chemlab.agents.policies import RandomPolicy
-from chemlab.config.scenario import SAFETY_EVENTS, scenario_names
-from chemlab.envs.batch import BatchedLaboratory
+from chemlab.config.loading import scenario_names
+from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.kernels.arrays import FloatArray, IntArray, ObservationArray
 from chemlab.kernels.jit import kernel
 from chemlab.lab.hidden import World

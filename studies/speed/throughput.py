@@ -23,14 +23,13 @@ import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the environments
+from chemlab import BatchedLaboratory, load_scenario, parallel_env, raw_env
 from chemlab.agents.background import focal_vector_env
 from chemlab.agents.policies import RandomPolicy
 from chemlab.config.files import replace_between
-from chemlab.config.scenario import Scenario, load_scenario
-from chemlab.envs.batch import BatchedLaboratory
+from chemlab.config.scenario import Scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory import parallel_env, raw_env
 
 ROUNDS = 5
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")

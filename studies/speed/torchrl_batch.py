@@ -18,9 +18,9 @@ from typing import Any
 import torch
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 
+from chemlab import parallel_env
 from chemlab.agents.torchrl.env import TorchLaboratory
 from chemlab.config.files import replace_between
-from chemlab.laboratory import parallel_env
 
 
 def frames_per_second(env: Any, laboratories: int, steps: int) -> float:

@@ -20,9 +20,9 @@ import gymnasium
 import numpy as np
 
 import chemlab  # noqa: F401 - registers the single benches
+from chemlab import load_scenario
 from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names, synthesis_names
-from chemlab.config.scenario import load_scenario
 
 
 class Digest:
@@ -90,8 +90,8 @@ def bench_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
 
 def hashes(seeds: int) -> dict[str, list[str]]:
     """Return the hashes by scenario and policy, one per seed."""
+    from chemlab import raw_env
     from chemlab.agents.policies import make_policies
-    from chemlab.laboratory import raw_env
 
     found: dict[str, list[str]] = {}
     for scenario in (*scenario_names(), *synthesis_names()):

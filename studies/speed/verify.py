@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 
 from helpers import Careless
 
+from chemlab import raw_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import scenario_names
-from chemlab.envs.aec import raw_env
+from chemlab.config.loading import scenario_names
 from chemlab.record import Recorder, read_record, verify_record
 
 POLICIES = ("scripted", "random", "careless")

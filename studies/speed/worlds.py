@@ -16,7 +16,7 @@ from throughput import batched_laboratory
 
 from chemlab.config.draws import WorldSpec
 from chemlab.config.files import replace_between
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 
 LABORATORIES = 256
 

@@ -22,7 +22,7 @@ from chemlab.agents.evaluate.plans import best_in_episode
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
 

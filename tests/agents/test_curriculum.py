@@ -22,8 +22,8 @@ from chemlab.agents.train.arguments import Stage, TrainArguments, curriculum_of
 from chemlab.agents.train.imitate import _examples, fit, imitate
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.tasks import LaboratoryTask
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario, scenario_names
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, lab_starts

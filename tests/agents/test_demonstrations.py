@@ -17,7 +17,7 @@ from chemlab.agents.demonstrations import demonstrations, write_datasets
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.envs.parallel import parallel_env

@@ -24,8 +24,8 @@ from chemlab.agents.evaluate.play import (
 )
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
 

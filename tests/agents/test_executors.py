@@ -23,8 +23,8 @@ from chemlab.agents.executors import ATTEMPTS, Inline, WorkerLost, Workers, comp
 from chemlab.agents.runs import Run
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
-from chemlab.config.scenario import load_scenario
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed as POSIX does it")
 

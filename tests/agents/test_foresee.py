@@ -14,7 +14,7 @@ from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_bench, scripted_manager
 from chemlab.agents.scripted.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.scripted.script import likelihood
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.manager_state import INSTRUMENTS
 

@@ -26,7 +26,8 @@ from chemlab.agents.plans import (
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
 from chemlab.kernels.arrays import IntArray
 from chemlab.lab.engine import Laboratories

@@ -31,7 +31,7 @@ from chemlab.agents.pretrained import (
 )
 from chemlab.agents.train.tasks import task_of
 from chemlab.cli import app
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.lab.engine import Laboratories

@@ -14,7 +14,8 @@ import pytest
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import SAFETY_EVENTS, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.text import named_costs, named_events

@@ -21,7 +21,7 @@ from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.evaluate.plans import best_in_episode
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import Policy, make_policies
-from chemlab.config.scenario import scenario_names
+from chemlab.config.loading import scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 

@@ -43,7 +43,7 @@ from chemlab.agents.train.arguments import (
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
 

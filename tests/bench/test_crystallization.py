@@ -11,8 +11,8 @@ from helpers import mapping
 
 import chemlab  # noqa: F401 - registers the single benches
 from chemlab.agents.policies import RandomPolicy, is_scripted, scripted_bench
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.envs.players import Policy
 from chemlab.lab.experiments import ExperimentBatch

@@ -14,7 +14,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.policies import RandomPolicy, make_policies
 from chemlab.config.datamodel import written
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.lab.engine import Laboratories

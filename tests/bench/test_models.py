@@ -12,7 +12,8 @@ from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
 from chemlab.agents.policies import Policy, scripted_bench
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.laboratory import raw_env
 from chemlab.physics.chemistry import Layout

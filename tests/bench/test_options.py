@@ -8,7 +8,7 @@ import pytest
 from helpers import mapping
 
 from chemlab.config.datafile import DataError
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.lab.experiments import ExperimentBatch
 
 

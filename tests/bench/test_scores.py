@@ -11,7 +11,7 @@ import pytest
 from helpers import mapping
 
 from chemlab.agents.policies import Policy, RandomPolicy, scripted_bench
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles.operation_bench import OperationBench

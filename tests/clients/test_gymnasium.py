@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.record import scenario_hash
 
 MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"

@@ -40,7 +40,7 @@ from chemlab.agents.rllib.train import algorithm_config, train_rllib
 from chemlab.agents.roles import role_of
 from chemlab.agents.runs import RESULT_SEED, Evaluation, Run
 from chemlab.agents.train.arguments import RllibArguments
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import raw_env
 

@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import chemlab  # noqa: F401 - registers the environments
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 
 SMALL: dict[str, Any] = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0, "device": "cpu"}
 

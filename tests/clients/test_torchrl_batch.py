@@ -20,7 +20,7 @@ from torchrl.envs.utils import check_env_specs
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.agents.torchrl.env import TorchLaboratory
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env

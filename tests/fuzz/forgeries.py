@@ -19,7 +19,7 @@ from typing import Any
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, verify_record
 

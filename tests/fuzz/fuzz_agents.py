@@ -41,8 +41,8 @@ from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.train.arguments import JointArguments, RllibArguments, TrainArguments
 from chemlab.agents.train.sweep import plan, status_of
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
-from chemlab.config.scenario import load_scenario
 from chemlab.lab.engine import Laboratories
 
 MODELS = Path(chemlab.agents.pretrained.__file__).parent / "models"

@@ -34,9 +34,9 @@ from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.datafile import DataError, read_json, read_toml
 from chemlab.config.draws import ORDER_QUANTITIES
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import shipped_pairs
-from chemlab.config.scenario import dump_scenario, load_scenario, restore_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.lab.starts import lab_starts

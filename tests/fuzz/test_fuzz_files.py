@@ -11,7 +11,7 @@ from helpers import slow_but
 
 from chemlab.config.datafile import read_toml
 from chemlab.config.draws import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 
 
 def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
 from chemlab.agents.policies import make_policies
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.parallel import parallel_env

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO, slow_but
 
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.laboratory import parallel_env
 from chemlab.roles.manager_actions import SUBMIT, WAIT

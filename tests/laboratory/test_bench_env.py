@@ -26,8 +26,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from helpers import EVERY_SCENARIO
 
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.envs.focal import FocalVectorEnv
 from chemlab.lab.engine import Laboratories

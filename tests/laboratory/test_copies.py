@@ -13,7 +13,7 @@ import pytest
 from helpers import EVERY_SCENARIO
 
 from chemlab.agents.background import focal_env, focal_vector_env
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.laboratory import env as ordered_env

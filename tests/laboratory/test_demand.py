@@ -15,8 +15,8 @@ from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices

@@ -24,7 +24,8 @@ from helpers import EVERY_SCENARIO, FEATURED, slow_but
 
 from chemlab.agents.background import focal_vector_env
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv

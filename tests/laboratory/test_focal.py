@@ -22,7 +22,7 @@ from helpers import mapping, slow_but
 
 from chemlab.agents.background import focal_env, focal_vector_env
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.focal import FocalEnv, FocalVectorEnv

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO
 
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.global_state import GlobalState
 from chemlab.laboratory import parallel_env, raw_env

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
 
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO, allowed, laboratory, litres, manager, mapping
 
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events

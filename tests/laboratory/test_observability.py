@@ -16,7 +16,8 @@ from helpers import EVERY_SCENARIO, litres, slow_but
 from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
-from chemlab.config.scenario import Scenario, load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE

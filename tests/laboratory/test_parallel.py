@@ -14,7 +14,7 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 from pettingzoo.test import parallel_api_test
 
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs

@@ -10,7 +10,7 @@ import pytest
 
 import chemlab
 from chemlab.config.datafile import DataError
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import Start, goals_met, lab_starts, starts_file, write_starts

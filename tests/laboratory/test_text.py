@@ -11,7 +11,7 @@ from helpers import laboratory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chemlab.config.scenario import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, Shades, curve_words, reading_words
 from chemlab.roles.bench import Channel, channel_slices

@@ -16,8 +16,9 @@ from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.lab.engine import Laboratories

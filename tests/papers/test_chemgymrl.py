@@ -20,7 +20,7 @@ from run_files import HEURISTIC
 from chemlab.agents.evaluate.results import Cell, read_runs, write_runs
 from chemlab.agents.evaluate.tables import write_table
 from chemlab.agents.train.sweep import plan
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 
 pytest.importorskip("matplotlib")
 

@@ -18,9 +18,9 @@ import pytest
 from helpers import litres
 from pettingzoo.test import api_test, parallel_api_test, seed_test
 
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv

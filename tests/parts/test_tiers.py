@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import Scenario, dump_scenario, load_scenario, restore_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.physics.backends import rate_constant
 from chemlab.physics.chemistry import AMOUNTS, TIERS, build_chemistry
 from chemlab.physics.constants import GAS_CONSTANT

@@ -9,7 +9,7 @@ import pytest
 from helpers import Glassware, mapping
 
 from chemlab.config.datafile import DataError
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.physics.backends import settle_phases
 from chemlab.physics.chemistry import AMOUNTS, build_chemistry
 from chemlab.physics.shelf import Shelf

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from chemlab.agents.policies import RandomPolicy
+from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import COLDEST_K, HOTTEST_K
-from chemlab.config.scenario import Scenario, load_scenario, scenario_names, synthesis_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.global_state import GlobalState
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch

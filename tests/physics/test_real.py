@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from chemlab.config.loading import load_scenario
 from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.physics import laws
 from chemlab.physics.backends.real.heats import enthalpy
 from chemlab.physics.backends.real.partition import place_new

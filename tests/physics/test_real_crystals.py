@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from test_real import Glass
 
 from chemlab.agents.scripted.crystallization import solubility
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
-from chemlab.config.scenario import load_scenario
 from chemlab.physics import laws
 from chemlab.physics.backends.real.chemistry import CURVE_POINTS
 from chemlab.physics.backends.real.heats import enthalpy

@@ -17,7 +17,7 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
-from chemlab.config.scenario import scenario_names
+from chemlab.config.loading import scenario_names
 from chemlab.envs.bench_env import BenchEnv
 from chemlab.physics.shelf import T_MIX
 from chemlab.render import draw as drawing

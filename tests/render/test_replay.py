@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.config.scenario import Scenario, dump_scenario, restore_scenario, scenario_names
+from chemlab.config.loading import dump_scenario, restore_scenario, scenario_names
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, Replay, read_record

@@ -11,7 +11,7 @@ from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch

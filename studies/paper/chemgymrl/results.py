@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
 from chemlab.agents.evaluate.tables import read_table
 from chemlab.agents.train.arguments import TrainArguments
 from chemlab.agents.train.tasks import task_fingerprint
-from chemlab.config.scenario import load_scenario
 
 __all__ = [
     "EXPERIMENTS",

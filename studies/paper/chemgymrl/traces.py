@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.evaluate.tables import number, read_table, write_table
 from chemlab.agents.player import play_bench
 from chemlab.agents.policies import bench_policy
-from chemlab.config.scenario import load_scenario
 from chemlab.roles.bench import Bench
 
 from .results import EXPERIMENTS, TRACE_COLUMNS, TRACE_FILE, Experiment, Results, source_of

@@ -1,0 +1,209 @@
+"""Checks of a scenario against the materials and reactions that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .datafile import DataError
+from .datamodel import validated
+from .draws import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, changed_limits, draw_limits
+from .materials import Material
+from .reactions import ReactionFamily
+from .scenario import OrderTerms, Scenario, StartSpec, VesselSpec
+
+__all__ = ["check_charges", "check_draws", "check_materials", "check_vessels", "mentioned_materials"]
+
+_NEUTRAL = 1e-9
+"""Charge of contents over that of all their ions, up to which it is rounding."""
+
+
+def mentioned_materials(spec: Scenario) -> list[tuple[str, str]]:
+    """(key, material) for every material that a scenario file has anywhere, in order; a price alone has none."""
+    found = [("stock", name) for name in spec.stock]
+    for i, vessel in enumerate(spec.shelf.vessel):
+        found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
+    for key, bench in spec.benches.items():
+        found += [(f"benches.{key}.start.contents", name) for name in bench.start.contents]
+        if bench.start.companion is not None:
+            companion = bench.start.companion
+            found += [(f"benches.{key}.start.companion", name) for name in (companion.material, companion.if_goal)]
+    found += [("goals", name) for name in spec.goals]
+    for key, draw in spec.world.draws.items():
+        found += [(f"world.draws.{key}", name) for name in draw.materials]
+    return found
+
+
+def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    """Refuse contents that do not fit their vessel."""
+
+    def litres(name: str, mol: float) -> float:
+        return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
+
+    vessels: list[tuple[str, VesselSpec | StartSpec, float]]
+    vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
+    for key, bench in spec.benches.items():
+        start, also = bench.start, bench.start.companion
+        more = max(litres(goal, start.goal_mol) for goal in spec.goals)
+        if also is not None:
+            more += max(litres(also.material, also.mol), litres(also.if_goal, also.mol))
+        vessels.append((f"benches.{key}.start", start, more))
+    for key, vessel, more in vessels:
+        filled = more + sum(litres(name, mol) for name, mol in vessel.contents.items())
+        if filled > vessel.capacity_l:
+            raise DataError(
+                f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
+            )
+
+
+def check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
+    """Refuse ions without the counter-ions that balance their charge."""
+
+    def alone(key: str, name: str) -> None:
+        if not known[name].charge:
+            return
+        salts = [salt.solid for salt in family.salt if name in (salt.cation, salt.anion)]
+        hint = f"name a salt of it ({', '.join(salts)})" if salts else "name a salt of it, with its [[salt]] entry"
+        raise DataError(f"{where}: {key}: {name!r} is an ion, of which there is none alone; {hint} instead")
+
+    for name in spec.stock:
+        alone("stock", name)
+    vessels: list[tuple[str, VesselSpec | StartSpec]]
+    vessels = [(f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)]
+    vessels += [(f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()]
+    for key, vessel in vessels:
+        charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
+        if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
+            raise DataError(
+                f"{where}: {key}.contents: have a charge of {charge:+.4g} mol, and must have none; give the ions that "
+                "balance it, or salts"
+            )
+        if isinstance(vessel, StartSpec) and vessel.goal_mol:
+            for goal in spec.goals:
+                alone(f"{key}.goal_mol", goal)
+        if isinstance(vessel, StartSpec) and vessel.companion is not None:
+            for name in (vessel.companion.material, vessel.companion.if_goal):
+                alone(f"{key}.companion", name)
+    for key, bench in spec.benches.items():
+        options = bench.model_extra or {}
+        reagents, process = options.get("reagents"), options.get("process")
+        named = [("reagents", name) for name in reagents] if isinstance(reagents, Mapping) else []
+        for i, entry in enumerate(process if isinstance(process, (list, tuple)) else ()):
+            named += [(f"process.{i}.material", entry.get("material"))] if isinstance(entry, Mapping) else []
+        for option, name in named:
+            if name in known:
+                alone(f"benches.{key}.{option}", name)
+    for key, draw in spec.world.draws.items():
+        if draw.what in VESSEL_QUANTITIES:
+            for name in draw.materials:
+                alone(f"world.draws.{key}", name)
+
+
+def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+    """Refuse draws of vessels that are not there, or of contents that do not fit."""
+    starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
+    starts |= {key: bench.start for key, bench in spec.benches.items()}
+    for key, draw in spec.world.draws.items():
+        here = f"{where}: world.draws.{key}"
+        if draw.what in DEVICE_QUANTITIES:
+            _check_devices(spec, draw, here)
+        if draw.what in ORDER_QUANTITIES:
+            _check_terms(spec, draw, here)
+        if draw.what not in VESSEL_QUANTITIES:
+            continue
+        for name in draw.of:
+            if name == BOTTLE and name not in starts:
+                _check_bottle(spec, draw, here)
+                continue
+            if name not in starts:
+                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join([*starts, BOTTLE])}")
+            contents = starts[name].contents
+            if draw.material not in contents:
+                raise DataError(
+                    f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
+                )
+            _check_limits(draw, starts[name], known, f"{here}: {name}")
+
+
+def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of bottles that are not there, or that several draws are of."""
+    if draw.material not in spec.stock:
+        bottles = ", ".join(spec.stock) or "none"
+        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; known: {bottles}")
+    if draw.what == "amount":
+        raise DataError(f"{where}.what: how full a bottle is can be seen; draw its identity or titre")
+    others = [other for other in spec.world.draws.values() if BOTTLE in other.of and other.material == draw.material]
+    if len(others) > 1:
+        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; leave one out")
+    _check_titre(draw, where)
+
+
+def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of the condition of benches or instruments that have none."""
+    if draw.what in ("gain", "life"):
+        table, example = "wear", "{ gain = 1.0 }"
+        known = {
+            **{agent: agent.rpartition("_")[0] for agent in spec.bench_agents()},
+            **{key: key for key in spec.benches},
+        }
+        lacking = {name for name, key in known.items() if spec.benches[key].wear is None}
+    else:
+        table, example = "drift", "{ error = 0.0 }"
+        known = {name: name for name in spec.instruments}
+        lacking = {name for name in known if spec.instruments[name].drift is None}
+    for name in draw.of:
+        if name not in known:
+            raise DataError(f"{where}.of: {name!r} has no {draw.what}; what may have: {', '.join(known)}")
+        if name in lacking:
+            kind = "benches" if table == "wear" else "instruments"
+            raise DataError(f"{where}.of: {name!r} has no {table}; give {kind}.{known[name]} one: {table} = {example}")
+    low, _ = draw_limits(draw)
+    if table == "drift" and draw.change == "factor":
+        raise DataError(f"{where}.change: must be offset or value for {draw.what}, which is nothing to begin with")
+    if table == "wear" and not (draw.change != "offset" and low > 0.0):
+        raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
+
+
+def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
+    """Refuse draws of orders that are not there, or of terms that no order may have."""
+    terms = {f"order_{o}": order for o, order in enumerate(spec.demand.order)}
+    for name in draw.of:
+        if name not in terms:
+            raise DataError(
+                f"{where}.of: unknown order {name!r}; known: {', '.join(terms) or 'none: give demand.order'}"
+            )
+        given = getattr(terms[name], draw.what)
+        if given is None and draw.change != "value":
+            raise DataError(f"{where}.change: {name} has no {draw.what} to change; give it one, or change = 'value'")
+        for number in changed_limits(draw, 0.0 if given is None else given):
+            validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
+
+
+def _check_titre(draw: Draw, where: str) -> None:
+    low, high = draw_limits(draw)
+    if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
+        raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
+
+
+def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
+    _check_titre(draw, where)
+    if draw.what != "amount":
+        return  # litre for litre
+    mol = start.contents[str(draw.material)]
+    least, most = changed_limits(draw, mol)
+    material = known[str(draw.material)]
+    litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
+    litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l
+    filled = sum(litres.values()) / 1000.0
+    if not (least >= 0.0 and filled <= start.capacity_l):
+        raise DataError(
+            f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "
+            f"{start.capacity_l:g}; give low and high"
+        )
+
+
+def check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
+    for key, name in named:
+        if name not in known:
+            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
+        if known[name].role == "gas":
+            raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")
