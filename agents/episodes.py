@@ -1,21 +1,175 @@
-"""Play episodes of a laboratory with one policy per agent."""
+"""Play episodes: experiments of a bench, or of laboratories, many at once or one with its turns and record."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from chemlab.envs.aec import raw_env
+from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.players import Players, Policy
+from chemlab.kernels.arrays import FloatArray, IntArray
+from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import action_words
 from chemlab.record import Play, Recorder
-from chemlab.roles.manager_state import COST_ITEMS, LIMIT, RUNNING, STATUS_WORDS
+from chemlab.roles.manager_state import COST_ITEMS, LIMIT, STATUS_WORDS
 
-from .policies import Policy
+__all__ = ["EpisodeResult", "Played", "PlayedTurn", "play_bench", "play_episode", "play_laboratory"]
 
-__all__ = ["EpisodeResult", "PlayedTurn", "play_episode"]
+_TRACE_MOL = 1e-6
+_TRACE_EVENT = 1e-9
+
+
+@dataclass
+class Played:
+    """What a policy's episodes for one goal came to, n episodes.
+
+    Attributes:
+        returns: [n] return of the bench's agent, or the manager's score of a laboratory.
+        lengths: [n] steps taken (a laboratory: ticks).
+        cost: [n] weighted safety events.
+        illegal: [n] masked actions played (lost turns).
+        cases: [n] which starting state it was, where there are several, else ''.
+        measures: further numbers of each episode, {name: [n]}.
+        actions: the actions of each episode, where they were recorded: integers, or rows of numbers.
+    """
+
+    returns: FloatArray
+    lengths: IntArray
+    cost: FloatArray
+    illegal: IntArray
+    cases: list[str]
+    measures: dict[str, FloatArray]
+    actions: list[list[Any]] | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Played]) -> Played:
+        """Several batches as one."""
+        names = parts[0].measures
+        recorded = [part.actions for part in parts if part.actions is not None]
+        return cls(
+            np.concatenate([part.returns for part in parts]),
+            np.concatenate([part.lengths for part in parts]),
+            np.concatenate([part.cost for part in parts]),
+            np.concatenate([part.illegal for part in parts]),
+            [case for part in parts for case in part.cases],
+            {name: np.concatenate([part.measures[name] for part in parts]) for name in names},
+            [actions for part in recorded for actions in part] if recorded else None,
+        )
+
+
+def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
+    """Whether the starting state's companion is there, where that is left to chance."""
+    companion = env.bench.spec.start.companion
+    if companion is None or companion.probability in (0.0, 1.0):
+        return ""
+    other = companion.if_goal if goal == companion.material else companion.material
+    forms = {other}
+    forms |= {
+        ion for salt in env.batch.scenario.family.salt if salt.solid == other for ion in (salt.cation, salt.anion)
+    }
+    present = bool(forms & env.batch.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys())
+    return f"{'with' if present else 'without'} {other}"
+
+
+def play_bench(
+    env: BenchVectorEnv,
+    policy: Policy,
+    goal: str | Sequence[str],
+    seed: int | Sequence[int],
+    record: bool = False,
+) -> Played:
+    """One experiment in every member of a batch; a member plays what a single environment reset with its seed plays.
+
+    Args:
+        env: batch of N with ``autoreset_mode="SameStep"``.
+        policy: plays all members.
+        goal: what the experiments are for, or one for each member.
+        seed: of member 0, the others have the next ones; or one for each member.
+        record: whether to keep the actions.
+
+    Returns:
+        N episodes.
+    """
+    n, limit = env.num_envs, env.bench.spec.step_limit
+    goals = np.array([goal] * n if isinstance(goal, str) else goal)
+    seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
+    for i, one in enumerate(dict.fromkeys(goals.tolist())):
+        # The first reset has to be of all; each other goal's members are then begun again with the goal that is theirs.
+        only = goals == one if i else np.ones(n, dtype=np.bool_)
+        observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
+    cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
+    played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
+    running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
+    rows: list[npt.NDArray[Any]] = []
+    for _ in range(limit):
+        mask = env.action_masks().astype(np.int8) if env.bench.action_count else None
+        actions = policy.act(observations, mask, step, members)
+        if record:
+            rows.append(np.array(actions))
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        played.returns += running * rewards
+        played.cost += running * infos["cost"]
+        played.illegal += running * infos["illegal_action"]
+        played.lengths += running
+        ended = terminated | truncated
+        # A member that has ended goes on with an experiment that does not count: its policy begins anew there.
+        step = np.where(ended, 0, step + 1)
+        running &= ~ended
+        if not running.any():
+            break
+    if record:
+        played.actions = [[row[i].tolist() for row in rows[: int(length)]] for i, length in enumerate(played.lengths)]
+    return played
+
+
+def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
+    """[N] whether a harmful safety event happened; rounding leaves less than ``_TRACE_EVENT`` of none."""
+    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
+    return np.asarray((labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1))
+
+
+def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
+    """Play one episode in each of N laboratories; laboratory i plays what :func:`play_episode` plays with seed + i.
+
+    Args:
+        labs: N laboratories.
+        policies: one for every agent, by its id.
+        goal: the laboratory's goal; None: drawn, as in any episode.
+        seed: of laboratory 0.
+
+    Returns:
+        N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
+        ``instruments`` (cost of measurements, in units of the score), ``manager_actions``, ``unsafe`` (1 if anything
+        was spilled or vented, or a metal burned, else 0), and the reward of every bench's agent.
+    """
+    n = len(labs.members)
+    for member in labs.members:
+        labs.seed(int(member), np.random.SeedSequence(seed + int(member)))
+    labs.reset(labs.members, goal)
+    cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
+
+    def count(number: int, members: IntArray) -> None:
+        rewards[members] += labs.rewards[members]
+        cost[members] += labs.cost[members].sum(axis=1)
+        illegal[members] += labs.illegal(number)[members]
+
+    Players(labs, [policies[agent] for agent in labs.agents]).play_on(labs.members, count)
+    mol, purity = labs.state.submitted[:, :, 0], labs.state.submitted[:, :, 1]
+    whole = mol.sum(axis=1)
+    measures = {
+        "submitted_mol": whole,
+        "purity": np.divide((mol * purity).sum(axis=1), whole, out=np.zeros(n), where=whole > 0.0),
+        "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
+        "manager_actions": labs.state.actions.astype(np.float64),
+        "unsafe": _unsafe(labs).astype(np.float64),
+    }
+    measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
+    return Played(labs.result(labs.members), labs.state.ticks.copy(), cost, illegal, [""] * n, measures)
 
 
 @dataclass(frozen=True)
@@ -42,16 +196,16 @@ class EpisodeResult:
     scenario: str
     policy: str
     seed: int
-    goal: str = ""
-    submitted_mol: float = 0.0
-    purity: float = 0.0
-    score: float = 0.0
-    manager_actions: int = 0
-    ticks: int = 0
-    rewards: dict[str, float] = field(default_factory=dict)
-    costs: dict[str, float] = field(default_factory=dict)
-    safety_events: dict[str, float] = field(default_factory=dict)
-    status: str = STATUS_WORDS[RUNNING]
+    goal: str
+    submitted_mol: float
+    purity: float
+    score: float
+    manager_actions: int
+    ticks: int
+    rewards: dict[str, float]
+    costs: dict[str, float]
+    safety_events: dict[str, float]
+    status: str
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as plain Python values."""
@@ -92,34 +246,36 @@ def play_episode(
     env.reset(seed=seed, options=options)
     if recorder is not None:
         recorder.begin(seed, options)
-    labs, members = env.laboratories, env.laboratories.members
-    result = EpisodeResult(env.scenario.name, policy_name, seed, rewards=dict.fromkeys(env.possible_agents, 0.0))
-    result.goal = ", ".join(env.scenario.goals[goal] for goal in labs.state.goal[0])
-    while labs.state.status[0] == RUNNING:
-        agent = env.agent_selection
-        number = env.possible_agents.index(agent)
-        observation, _, _, _, info = env.last()
-        assert observation is not None
-        mask = info.get("action_mask")
-        tick = int(labs.state.ticks[0])
-        step = int(labs.turns_had(number)[0])
-        action = policies[agent].act(
-            observation[None], None if mask is None else mask[None], np.array([step]), members
-        )[0]
+    labs, rewards = env.laboratories, dict.fromkeys(env.possible_agents, 0.0)
+
+    def act(number: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
+        agent, action = labs.agents[number], actions[0]
+        tick, step = int(labs.state.ticks[0]), int(labs.turns_had(number)[0])
+        seen, mask = labs.observe(number, members), labs.mask(number, members)
         env.step(action)
         if recorder is not None:
-            recorder.turn([Play(number, observation, mask, action)])
+            recorder.turn([Play(number, seen[0], None if mask is None else mask[0], action)])
         for name, reward in env.rewards.items():
-            result.rewards[name] += reward
+            rewards[name] += reward
         if watch is not None:
             words = action_words(labs, number, action)
             watch(PlayedTurn(agent, tick, step, action, words, env.rewards[agent], env.infos[agent]))
-    outcome = labs.outcome()
-    result.submitted_mol, result.purity = outcome["submitted_mol"], outcome["purity"]
-    result.score = float(labs.result(members)[0])
-    result.manager_actions, result.ticks = int(labs.state.actions[0]), int(labs.state.ticks[0])
-    result.costs = {item: float(value) for item, value in zip(COST_ITEMS, labs.state.charges[0], strict=True)}
-    totals = zip(labs.scenario.safety_events, labs.safety_totals[0], strict=True)
-    result.safety_events = {kind: float(value) for kind, value in totals if value > 0.0}
-    result.status = STATUS_WORDS[labs.state.status[0]]
-    return result
+
+    Players(labs, [policies[agent] for agent in labs.agents], act).play_on(labs.members)
+    outcome, state = labs.outcome(), labs.state
+    totals = zip(labs.scenario.safety_events, labs.safety_totals[0].tolist(), strict=True)
+    return EpisodeResult(
+        env.scenario.name,
+        policy_name,
+        seed,
+        ", ".join(env.scenario.goals[goal] for goal in state.goal[0]),
+        outcome["submitted_mol"],
+        outcome["purity"],
+        float(labs.result(labs.members)[0]),
+        int(state.actions[0]),
+        int(state.ticks[0]),
+        rewards,
+        dict(zip(COST_ITEMS, state.charges[0].tolist(), strict=True)),
+        {kind: value for kind, value in totals if value > 0.0},
+        STATUS_WORDS[state.status[0]],
+    )

@@ -27,8 +27,7 @@ from scipy.signal import lfilter
 from chemlab import raw_env
 from chemlab.agents.background import focal_vector_env
 from chemlab.agents.demonstrations import write_datasets
-from chemlab.agents.episodes import play_episode
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.policies import as_policy, make_policies
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.train.imitate import fit

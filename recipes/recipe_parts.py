@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
+from chemlab.agents.episodes import Played, play_bench
 from chemlab.agents.evaluate.jobs import AUDIT_SEED
 from chemlab.agents.evaluate.play import BenchTarget, LaboratoryTarget
-from chemlab.agents.player import Played, play_bench
 from chemlab.agents.policies import bench_policy
 from chemlab.agents.runs import Run, versions
 from chemlab.config.files import check_target, write_text

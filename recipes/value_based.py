@@ -25,7 +25,7 @@ from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.torchrl.task import laboratory_task
 from chemlab.envs.players import as_policy

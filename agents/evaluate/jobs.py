@@ -25,9 +25,9 @@ from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 from chemlab.roles.manager_actions import ManagerActions
 
+from ..episodes import play_laboratory
 from ..executors import Inline, completed
 from ..plans import all_contexts
-from ..player import play_laboratory
 from ..policies import make_policies, scripted_manager
 from ..runs import versions
 from .contention import CONTENDED, Contention

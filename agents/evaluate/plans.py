@@ -20,9 +20,9 @@ from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, O
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.roles.manager_actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
 
+from ..episodes import play_laboratory
 from ..names import current_name
 from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
-from ..player import play_laboratory
 from ..policies import agent_policy, make_policies
 from ..roles import role_of
 from ..runs import versions

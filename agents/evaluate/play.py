@@ -17,9 +17,9 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.lab.engine import Laboratories
 
+from ..episodes import Played, play_bench, play_laboratory
 from ..executors import Inline, completed
 from ..names import current_name
-from ..player import Played, play_bench, play_laboratory
 from ..policies import bench_policy, make_policies
 from ..runs import versions
 from . import statistics
@@ -85,7 +85,7 @@ class BenchTarget:
     def play(
         self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
     ) -> Played:
-        """Episodes of a policy given by name, see :func:`~chemlab.agents.player.play_bench`."""
+        """Episodes of a policy given by name, see :func:`~chemlab.agents.episodes.play_bench`."""
         parts = []
         for first in range(0, episodes, BATCH):
             env = self.environment(min(BATCH, episodes - first))
@@ -130,7 +130,7 @@ class LaboratoryTarget:
     def play(
         self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
     ) -> Played:
-        """Episodes of a policy given by name, see :func:`~chemlab.agents.player.play_laboratory`."""
+        """Episodes of a policy given by name, see :func:`~chemlab.agents.episodes.play_laboratory`."""
         parts = []
         for first in range(0, episodes, BATCH):
             labs = Laboratories(self.scenario, min(BATCH, episodes - first), split=self.split)

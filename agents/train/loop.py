@@ -22,7 +22,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.lab.engine import Laboratories
 
-from ..player import play_laboratory
+from ..episodes import play_laboratory
 from ..policies import Policy, agent_policy
 from ..pretrained import fingerprint
 from ..roles import chosen_roles, role_of

@@ -22,7 +22,7 @@ from chemlab.roles.bench import Bench
 
 from ..advice import AdvisedPolicy, Advisor
 from ..background import background_policies, focal_vector_env
-from ..player import play_bench, play_laboratory
+from ..episodes import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
 from ..pretrained import Card, Workplace, fingerprint, given_as
 from ..roles import MANAGER_ROLE

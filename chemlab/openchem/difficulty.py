@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..agents.episodes import play_laboratory
 from ..agents.evaluate.plans import search_plan
-from ..agents.player import play_laboratory
 from ..agents.policies import make_policies
 from ..config.datafile import DataError
 from ..config.loading import load_scenario

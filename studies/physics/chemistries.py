@@ -26,8 +26,8 @@ from pathlib import Path
 import numpy as np
 
 from chemlab import load_scenario
+from chemlab.agents.episodes import Played, play_laboratory
 from chemlab.agents.executors import executor
-from chemlab.agents.player import Played, play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray

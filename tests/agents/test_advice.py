@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from chemlab.agents.advice import AdvisedPolicy, Advisor, with_advice
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.envs.players import as_policy
 from chemlab.lab.engine import Laboratories

@@ -16,11 +16,11 @@ import pytest
 from helpers import slow_but
 from scipy import stats
 
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.audit import audit, choosing_jobs, measuring_jobs, verdict
 from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
 from chemlab.agents.evaluate.plans import best_in_episode
 from chemlab.agents.evaluate.scale import Scale, interval
-from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.lab.engine import Laboratories

@@ -14,7 +14,7 @@ from test_audit import TINY as AUDIT_TINY
 from test_audit import killed
 from typer.testing import CliRunner
 
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate import statistics
 from chemlab.agents.evaluate.benchmark import Row, benchmark, find_rows, part_count, write_benchmark
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
@@ -26,7 +26,6 @@ from chemlab.agents.evaluate.leaderboard import (
     summary,
     write_leaderboard,
 )
-from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.cli import app

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import Row, benchmark
 from chemlab.agents.evaluate.crossplay import crossplay, crossplay_count, find_players
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
-from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.cli import app

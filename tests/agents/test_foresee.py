@@ -10,7 +10,7 @@ import pytest
 from helpers import mapping
 from scipy.stats import norm
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_bench, scripted_manager
 from chemlab.agents.scripted.foresee import ForeseeingManager, _foreseen, _public, _sizes, _stages, foresees
 from chemlab.agents.scripted.script import likelihood

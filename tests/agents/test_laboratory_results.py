@@ -19,6 +19,7 @@ pytest.importorskip("matplotlib")
 import run_files
 
 from chemlab import __version__
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate import laboratory
 from chemlab.agents.evaluate.laboratory import (
     BASELINES,
@@ -30,7 +31,6 @@ from chemlab.agents.evaluate.laboratory import (
 )
 from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.evaluate.tables import read_table, write_table
-from chemlab.agents.player import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.cli import app
@@ -184,10 +184,10 @@ def test_the_curves_are_those_of_all_training_runs(tmp_path: Path, monkeypatch: 
     ((figure, name),) = figures
     assert name == "laboratory_curves.svg"
     assert [axes.get_title() for axes in figure.axes] == [
-        "wurtz_dodecane, benches scripted",
         "wurtz_dodecane, benches pretrained",
+        "wurtz_dodecane, benches scripted",
     ]
-    for axes, label in zip(figure.axes, ("fast", "slow"), strict=True):
+    for axes, label in zip(figure.axes, ("slow", "fast"), strict=True):
         lines = {line.get_label(): line for line in axes.get_lines()}
         line = lines[f"{label} (2 runs)"]
         np.testing.assert_allclose(line.get_ydata(), np.asarray(line.get_xdata()) + 0.5)

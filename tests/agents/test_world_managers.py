@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import mapping
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_manager
 from chemlab.agents.scripted.campaign import CampaignManager, _foreseen, has_unknown_rate
 from chemlab.agents.scripted.foresee import foresees

@@ -17,7 +17,7 @@ from helpers import mapping
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.agents.torchrl.env import TorchLaboratory
 from chemlab.config.loading import load_scenario

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import allowed, laboratory, manager, mapping
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 from helpers import EVERY_SCENARIO, litres, slow_but
 
-from chemlab.agents.player import play_laboratory
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario, scenario_names

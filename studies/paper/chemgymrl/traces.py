@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from chemlab import load_scenario
+from chemlab.agents.episodes import play_bench
 from chemlab.agents.evaluate.play import BenchTarget
 from chemlab.agents.evaluate.tables import number, read_table, write_table
-from chemlab.agents.player import play_bench
 from chemlab.agents.policies import bench_policy
 from chemlab.roles.bench import Bench
 
