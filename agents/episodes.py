@@ -187,7 +187,7 @@ class PlayedTurn:
 
 @dataclass
 class EpisodeResult:
-    """What an episode came to; :meth:`as_dict` is what ``chemlab run --json`` prints.
+    """Results of an episode; ``chemlab run --json`` prints :meth:`as_dict`.
 
     ``score`` is the manager's result: product by amount and purity, minus costs. ``status`` says how the episode ended
     (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).

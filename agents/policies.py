@@ -322,7 +322,7 @@ def _as_trained(
 
 
 def _partners(laboratories: Laboratories) -> str:
-    """Who operated the benches when the shipped manager of a laboratory learned; without one, ``pretrained``."""
+    """Return the background of the bundled manager of a laboratory; ``pretrained`` without one."""
     try:
         return pretrained_for(laboratories.role(0), laboratory=True).card.background or "scripted"
     except ValueError:
@@ -330,7 +330,7 @@ def _partners(laboratories: Laboratories) -> str:
 
 
 def is_scripted(bench: Bench) -> bool:
-    """Whether there is a scripted policy for a kind of bench."""
+    """Return whether a scripted policy exists for a kind of bench."""
     return bench.spec.kind in _SCRIPTS.get(bench.scenario.physics, {})
 
 

@@ -21,12 +21,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import LaboratoryTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.scripted.campaign import run_once
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 
-TARGET = LaboratoryTarget(load_scenario("campaign"), "test")
+TARGET = Target(load_scenario("campaign"), split="test")
 GOAL, INSTRUMENT = "2-chlorohexane", "gas_chromatograph"
 RUNS = np.arange(1, 41)
 KERNEL = ConstantKernel(0.3**2) * RBF(0.7) + WhiteKernel(0.05**2)

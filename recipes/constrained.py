@@ -23,12 +23,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 
 GOAL = "ortho_pyrrolidinyl"
 PRICED = load_scenario("runaway")
 FREE = PRICED.model_copy(update={"safety": PRICED.safety.model_copy(update={"reward_price": 0.0})})
-TARGET = BenchTarget(FREE, "rxn", split="test")
+TARGET = Target(FREE, "rxn", split="test")
 LIMIT = 0.002
 RATE = 2.0
 """Step of the dual ascent: change of the multiplier by a unit of cost above the limit."""

@@ -14,10 +14,10 @@ from __future__ import annotations
 from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 
 GOAL = "I"
-TARGET = BenchTarget(load_scenario("fictitious").with_actions("discrete"), "rxn", split="test")
+TARGET = Target(load_scenario("fictitious").with_actions("discrete"), "rxn", split="test")
 REPLAY = {
     "learning_rate": 5e-4,
     "train_freq": 16,

@@ -20,11 +20,11 @@ from typing import Any
 from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import LaboratoryTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.train.arguments import JointArguments
 from chemlab.agents.train.joint import train_together
 
-TARGET = LaboratoryTarget(load_scenario("wurtz_dodecane_direct"))
+TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
 LEARNING: dict[str, Any] = {
     "rewards": "mixed",

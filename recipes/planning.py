@@ -20,12 +20,12 @@ import numpy as np
 from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.kernels.arrays import FloatArray
 
 GOAL = "I"
-TARGET = BenchTarget(load_scenario("fictitious"), "rxn", split="test")
+TARGET = Target(load_scenario("fictitious"), "rxn", split="test")
 COPIES, ELITES = 64, 8
 SMALLEST = 0.1
 """Minimum standard deviation of the sampled actions, whose range is 1."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from chemlab.agents.episodes import Played, play_bench
 from chemlab.agents.evaluate.jobs import AUDIT_SEED
-from chemlab.agents.evaluate.play import BenchTarget, LaboratoryTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.policies import bench_policy
 from chemlab.agents.runs import Run, versions
 from chemlab.config.files import check_target, write_text
@@ -135,16 +135,14 @@ def _summary(outcomes: list[Outcome]) -> dict[str, Any]:
     }
 
 
-def score(policy: Any, target: BenchTarget, goal: str, budget: Budget) -> Outcome:
+def score(policy: Any, target: Target, goal: str, budget: Budget) -> Outcome:
     """Score a policy, given or named, on the evaluation episodes, which are not used in training."""
     env = target.environment(budget.episodes)
     player = bench_policy(policy, env.bench, AUDIT_SEED) if isinstance(policy, str) else as_policy(policy)
     return Outcome.of(play_bench(env, player, goal, AUDIT_SEED), getattr(policy, "num_timesteps", 0))
 
 
-def score_run(
-    train: Callable[..., Any], arguments: Any, target: LaboratoryTarget, goal: str, budget: Budget
-) -> Outcome:
+def score_run(train: Callable[..., Any], arguments: Any, target: Target, goal: str, budget: Budget) -> Outcome:
     """Train with ``chemlab train`` or ``train-together`` and score the last checkpoint, which is not kept.
 
     Args:
@@ -161,7 +159,7 @@ def score_run(
     return Outcome.of(played, arguments.steps)
 
 
-def training_envs(target: BenchTarget, goal: str) -> Any:
+def training_envs(target: Target, goal: str) -> Any:
     """Return the bench as a vector environment of Stable-Baselines3, with worlds of the split ``train`` and one
     goal.
     """

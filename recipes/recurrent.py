@@ -15,10 +15,10 @@ from __future__ import annotations
 from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 
 GOAL = "ortho_pyrrolidinyl"
-TARGET = BenchTarget(load_scenario("runaway"), "rxn", split="test")
+TARGET = Target(load_scenario("runaway"), "rxn", split="test")
 NETWORK = {"lstm_hidden_size": 64}
 
 

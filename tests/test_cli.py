@@ -382,7 +382,7 @@ def test_descriptions_are_for_people(name: str) -> None:
 def test_describing_nobody() -> None:
     done = runner.invoke(app, ["describe", "fictitious", "--agent", "chef"])
     assert done.exit_code == 2
-    assert "--agent: nobody is called chef; known: manager_0, rxn_0, dit_0, all" in done.output
+    assert "--agent: no agent is called chef; known: manager_0, rxn_0, dit_0, all" in done.output
 
 
 # -- what the system says ---------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def test_the_keyboards_interrupt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        (["--role", "chef"], "nobody is called chef"),
+        (["--role", "chef"], "no agent is called chef"),
         (["--background", "clever"], "clever"),
         (["--goal", "gold"], "gold"),
     ],

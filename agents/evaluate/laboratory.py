@@ -29,7 +29,7 @@ from ..runs import RESULT_SEED
 from ..saved import find_saved
 from . import statistics
 from .curves import Tasks, draw_tasks
-from .play import LaboratoryTarget
+from .play import Target
 from .results import TrainedRun, display_name, read_runs, write_runs
 from .statistics import interval_text, number_text
 from .tables import markdown_table, number, read_table, write_table
@@ -250,7 +250,7 @@ def _play(
     group: _Group, policy: str, players: str, episodes: int, run: str = "", same_task: bool = True
 ) -> list[Mapping[str, Any]]:
     """A row for each goal."""
-    target = LaboratoryTarget(load_scenario(group.scenario))
+    target = Target(load_scenario(group.scenario))
     own = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
     own |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
     rows: list[Mapping[str, Any]] = []

@@ -25,7 +25,7 @@ from ..runs import versions
 from . import statistics
 from .statistics import Estimate
 
-__all__ = ["DRAWN", "BenchTarget", "LaboratoryTarget", "Target", "evaluate", "find_target"]
+__all__ = ["DRAWN", "Target", "evaluate", "find_target"]
 
 BATCH = 256
 """Most experiments played at once; results do not depend on it (but those of random policies)."""
@@ -37,42 +37,47 @@ DRAWN = "drawn"
 
 
 @dataclass(frozen=True)
-class BenchTarget:
-    """A single bench of a scenario; ``env_id`` where it was asked for by one."""
+class Target:
+    """A single bench of a scenario, or (``bench`` None) its laboratory; ``env_id`` where it was given by one.
+
+    Attributes:
+        scenario: the scenario.
+        bench: key of the bench.
+        starts: starting states of a bench.
+        env_id: id of a registered environment.
+        split: worlds, of a scenario that draws some.
+    """
 
     scenario: Scenario
-    bench: str
+    bench: str | None = None
     starts: str = "paper"
     env_id: str | None = None
     split: str = "train"
 
     @property
     def goals(self) -> tuple[str, ...]:
-        """Goals its experiments may be run for."""
-        return tuple(self.scenario.goals)
+        """Goals that may be asked for."""
+        return tuple(self.scenario.goals if self.bench else self.scenario.lab_goals)
 
     @property
     def default_goals(self) -> tuple[str, ...]:
-        """All goals."""
-        return self.goals
-
-    def check(self, policy: str) -> None:
-        """Raise a ValueError if the policy does not fit."""
-        bench_policy(policy, self.environment(1).bench)
+        """All goals of a bench; of a laboratory :data:`DRAWN`."""
+        return self.goals if self.bench else (DRAWN,)
 
     def as_dict(self) -> dict[str, Any]:
         """For results files."""
         return {
-            "kind": "bench",
+            "kind": "bench" if self.bench else "laboratory",
             "env_id": self.env_id,
             "scenario": self.scenario.name,
             "bench": self.bench,
-            "starts": self.starts,
+            "starts": self.starts if self.bench else None,
             "split": self.split,
         }
 
     def environment(self, members: int) -> BenchVectorEnv:
-        """A batch of it."""
+        """A batch of the bench."""
+        assert self.bench is not None, "laboratories have no single-bench environment"
         return BenchVectorEnv(
             members,
             scenario=self.scenario,
@@ -82,70 +87,34 @@ class BenchTarget:
             split=self.split,
         )
 
-    def play(
-        self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
-    ) -> Played:
-        """Episodes of a policy given by name, see :func:`~chemlab.agents.episodes.play_bench`."""
-        parts = []
-        for first in range(0, episodes, BATCH):
-            env = self.environment(min(BATCH, episodes - first))
-            parts.append(play_bench(env, bench_policy(policy, env.bench, seed + first), goal, seed + first))
-            if watch is not None:
-                watch(env.num_envs)
-        return Played.joined(parts)
-
-
-@dataclass(frozen=True)
-class LaboratoryTarget:
-    """A whole laboratory."""
-
-    scenario: Scenario
-    split: str = "train"
-
-    @property
-    def goals(self) -> tuple[str, ...]:
-        """Goals a laboratory may be asked for; :data:`DRAWN`: each episode draws those of its orders."""
-        return (*self.scenario.lab_goals, DRAWN)
-
-    @property
-    def default_goals(self) -> tuple[str, ...]:
-        """Drawn goals."""
-        return (DRAWN,)
-
     def check(self, policy: str) -> None:
         """Raise a ValueError if the policy does not fit."""
-        make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
-
-    def as_dict(self) -> dict[str, Any]:
-        """For results files."""
-        return {
-            "kind": "laboratory",
-            "env_id": None,
-            "scenario": self.scenario.name,
-            "bench": None,
-            "starts": None,
-            "split": self.split,
-        }
+        if self.bench:
+            bench_policy(policy, self.environment(1).bench)
+        else:
+            make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
 
     def play(
         self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
     ) -> Played:
-        """Episodes of a policy given by name, see :func:`~chemlab.agents.episodes.play_laboratory`."""
+        """Play episodes of a policy given by name; episode i has seed + i."""
         parts = []
         for first in range(0, episodes, BATCH):
-            labs = Laboratories(self.scenario, min(BATCH, episodes - first), split=self.split)
-            policies = make_policies(policy, labs, seed + first)
-            parts.append(play_laboratory(labs, policies, None if goal == DRAWN else goal, seed + first))
+            parts.append(self._batch(policy, goal, min(BATCH, episodes - first), seed + first))
             if watch is not None:
-                watch(len(labs.members))
+                watch(len(parts[-1].returns))
         return Played.joined(parts)
 
-
-Target = BenchTarget | LaboratoryTarget
+    def _batch(self, policy: str, goal: str, count: int, seed: int) -> Played:
+        if self.bench:
+            env = self.environment(count)
+            return play_bench(env, bench_policy(policy, env.bench, seed), goal, seed)
+        labs = Laboratories(self.scenario, count, split=self.split)
+        return play_laboratory(labs, make_policies(policy, labs, seed), None if goal == DRAWN else goal, seed)
 
 
 def find_target(name: str, bench: str | None = None, starts: str = "paper", split: str = "train") -> Target:
-    """What ``chemlab evaluate`` was asked for.
+    """Find what is evaluated.
 
     Args:
         name: id of a registered single-bench environment, or a scenario.
@@ -162,16 +131,14 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
         if not str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
             raise ValueError(f"{name}: not a single bench of chemlab")
         arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}
-        return BenchTarget(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)
+        return Target(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)
     if name.startswith("chemlab/"):
         known = ", ".join(key for key in gymnasium.registry if key.startswith("chemlab/"))
         raise ValueError(f"{name}: no such environment; known: {known}")
     scenario = load_scenario(name)
-    if bench is None:
-        return LaboratoryTarget(scenario, split)
-    if bench not in scenario.benches:
+    if bench is not None and bench not in scenario.benches:
         raise DataError(f"bench: {scenario.name} has {', '.join(scenario.benches)}, given {bench!r}")
-    return BenchTarget(scenario, bench, starts, split=split)
+    return Target(scenario, bench, starts, split=split)
 
 
 # -- evaluating -----------------------------------------------------------------------------------------------------
@@ -195,7 +162,7 @@ def evaluate(
             not it is among them.
         episodes: for each goal; episode i has seed + i, whatever the policy and the goal.
         seed: of the first episode.
-        goals: default: all of a bench; of a laboratory those that each episode draws.
+        goals: default: all goals of a bench; in a laboratory each episode draws its goals (:data:`DRAWN`).
         baseline: what improvement is measured over.
         watch: called with the number of episodes just played.
         executor: plays batches of episodes, see :mod:`chemlab.agents.executors`; None: this process.
@@ -209,9 +176,9 @@ def evaluate(
         ValueError: unknown policy or goal, or fewer than one episode.
     """
     chosen = tuple(goals or target.default_goals)
-    unknown = [goal for goal in chosen if goal not in target.goals]
-    if unknown or len(set(chosen)) < len(chosen):
-        raise ValueError(f"goals: known: {', '.join(target.goals)}, each once; given {', '.join(chosen)}")
+    known = dict.fromkeys((*target.goals, *target.default_goals))
+    if not set(chosen) <= set(known) or len(set(chosen)) < len(chosen):
+        raise ValueError(f"goals: known: {', '.join(known)}, each once; given {', '.join(chosen)}")
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, given {episodes}")
     baseline = current_name(baseline)

@@ -1,4 +1,4 @@
-"""What every command shares: the app, its options, and errors a user can read."""
+"""Parts of all commands: the app, shared options, and readable errors."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _RICH = Console.print.__code__.co_filename
 
 @contextmanager
 def readable_errors() -> Iterator[None]:
-    """What the user, a file or the disk got wrong is one line and an exit code (2 or its own), not a traceback."""
+    """Print mistakes of users, files and disks as one line, with exit code 2 or the error's own; no traceback."""
     try:
         yield
     except BrokenPipeError:  # whoever read our output has seen enough: click ends quietly
@@ -81,7 +81,7 @@ def _message(error: Exception) -> str:
 
 
 def _was_printing(error: BaseException) -> bool:
-    """Whether an error comes from printing something."""
+    """Return whether an error was raised while printing."""
     frames = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
     return any(code.co_name == "echo" or code.co_filename == _RICH for code in frames)
 
@@ -243,12 +243,12 @@ def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> li
         what: the option that it was asked with.
 
     Raises:
-        ValueError: nobody is called so.
+        ValueError: no agent has this name.
     """
     kinds = {agent: agent.rpartition("_")[0] for agent in agents}
     unknown = set(wanted) - set(kinds) - set(kinds.values()) - {"all"}
     if unknown:
-        raise ValueError(f"{what}: nobody is called {', '.join(sorted(unknown))}; known: {', '.join(kinds)}, all")
+        raise ValueError(f"{what}: no agent is called {', '.join(sorted(unknown))}; known: {', '.join(kinds)}, all")
     return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(wanted)]
 
 

@@ -56,7 +56,7 @@ def evaluate(
     goal: Annotated[
         list[str] | None,
         typer.Option(
-            help="A goal; repeat the option. Default: all goals of a bench; those that episodes of a laboratory draw."
+            help="A goal; repeat the option. Default: all of a bench; in a laboratory each episode draws its goals."
         ),
     ] = None,
     starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper, lab or both.")] = "paper",

@@ -13,7 +13,7 @@ from typing import Any
 import chemlab
 from chemlab import load_scenario
 from chemlab.agents.evaluate.laboratory import EPISODES
-from chemlab.agents.evaluate.play import BenchTarget, LaboratoryTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.statistics import number_text
 from chemlab.agents.evaluate.tables import markdown_table, number, read_table, write_table
 from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrained_names
@@ -64,10 +64,10 @@ def _means(scenario: str, bench: str, policy: str, episodes: int) -> dict[str, f
     loaded = load_scenario(scenario)
     means = {}
     for starts in _STARTS:
-        target = BenchTarget(loaded, bench, starts)
+        target = Target(loaded, bench, starts)
         played = [target.play(policy, goal, episodes, RESULT_SEED) for goal in target.goals]
         means[starts] = sum(float(one.returns.mean()) for one in played) / len(played)
-    laboratory = LaboratoryTarget(loaded)
+    laboratory = Target(loaded)
     both = [laboratory.play(f"{_SCRIPTED},{bench}={policy}", goal, episodes, RESULT_SEED) for goal in laboratory.goals]
     prefix = "reward "
     rewards = [n for n in both[0].measures if n.startswith(prefix) and role_of(n.removeprefix(prefix)) == bench]

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate import play as module
 from chemlab.agents.evaluate.play import (
-    BenchTarget,
-    LaboratoryTarget,
+    Target,
     bench_policy,
     evaluate,
     find_target,
@@ -36,7 +35,7 @@ DIT = "chemlab/WurtzDistillation-v0"
 @pytest.mark.parametrize(("bench", "goal"), [("rxn", "NaCl"), ("ext", "dodecane"), ("dit", "4-ethyldecane")])
 def test_a_batch_plays_what_single_environments_play(bench: str, goal: str) -> None:
     """Member i of a batch is a single environment reset with seed + i, step for step."""
-    target = BenchTarget(load_scenario("wurtz_dodecane"), bench)
+    target = Target(load_scenario("wurtz_dodecane"), bench)
     batch = target.environment(4)
     played = play_bench(batch, bench_policy("scripted", batch.bench), goal, 30, record=True)
     assert played.actions is not None
@@ -72,7 +71,7 @@ def test_only_first_episodes_count() -> None:
             self.seen.append(np.array(step))
             return np.where(members == 0, 30, 3)  # the last action ends, number 3 heats a little
 
-    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(2)
+    env = Target(load_scenario("wurtz_dodecane"), "dit").environment(2)
     policy = Enders()
     policy.seen = []
     played = play_bench(env, policy, "dodecane", 0)
@@ -89,7 +88,7 @@ def test_lost_turns_are_counted() -> None:
         def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
             return mask.argmin(axis=1)  # an illegal one, as long as there is one
 
-    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(2)
+    env = Target(load_scenario("wurtz_dodecane"), "dit").environment(2)
     assert (play_bench(env, Stubborn(), "dodecane", 0).illegal == 50).all()
     scripted = play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0)
     assert (scripted.illegal == 0).all()
@@ -97,7 +96,7 @@ def test_lost_turns_are_counted() -> None:
 
 def test_cases_are_what_is_in_the_vessel() -> None:
     """DiT begins with or without salt with equal chances, and with dodecane where salt is the goal."""
-    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(64)
+    env = Target(load_scenario("wurtz_dodecane"), "dit").environment(64)
     policy = bench_policy("scripted", env.bench)
     cases = play_bench(env, policy, "5-methylundecane", 5).cases
     assert set(cases) == {"with NaCl", "without NaCl"}
@@ -107,7 +106,7 @@ def test_cases_are_what_is_in_the_vessel() -> None:
         single.reset(seed=5 + member, options={"goal": "5-methylundecane"})
         assert cases[member].startswith("without") != ("Na+" in single.batch.shelf.vessel(0, 0).amounts(1e-6))
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
-    rxn = BenchTarget(load_scenario("wurtz_dodecane"), "rxn").environment(2)
+    rxn = Target(load_scenario("wurtz_dodecane"), "rxn").environment(2)
     assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", 0).cases == ["", ""]
 
 
@@ -125,7 +124,7 @@ def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_laboratories_play_what_episodes_play(policy: str) -> None:
     """Laboratory i of a batch is an episode with seed + i (random policies draw for the batch: one at a time)."""
     target = find_target("wurtz_dodecane")
-    assert isinstance(target, LaboratoryTarget)
+    assert target.bench is None
     count = 3 if policy == "scripted" else 1
     played = target.play(policy, "dodecane", count, 4)
     env = raw_env(target.scenario)
@@ -163,7 +162,7 @@ def test_targets() -> None:
     """Environment ids, benches of scenarios and laboratories."""
     for name, spec in gymnasium.registry.items():
         if name.startswith("chemlab/") and str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
-            assert isinstance(find_target(name), BenchTarget)
+            assert find_target(name).bench is not None
     ext = find_target("salt_from_oil", "ext", "lab")
     assert ext.as_dict() == {
         "kind": "bench",
@@ -273,7 +272,7 @@ def test_checkpoints_play_as_their_model(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     model.save(folder / "model.zip")
     (tmp_path / "config.json").write_text(CONFIG)
-    env = BenchTarget(load_scenario("wurtz_dodecane"), "dit").environment(3)
+    env = Target(load_scenario("wurtz_dodecane"), "dit").environment(3)
     seen = env.reset(seed=0)[0]
     expected = model.predict(seen, deterministic=True)[0]
     for path in (tmp_path, folder, folder / "model.zip"):

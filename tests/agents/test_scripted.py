@@ -231,9 +231,9 @@ def test_the_manager_does_the_same_in_every_process() -> None:
     Hash seeds 0 and 4 order a set of the two salts' names in two ways.
     """
     code = (
-        "from chemlab.agents.evaluate.play import LaboratoryTarget\n"
+        "from chemlab.agents.evaluate.play import Target\n"
         "from chemlab.config.scenario import load_scenario\n"
-        "target = LaboratoryTarget(load_scenario('wurtz_any'))\n"
+        "target = Target(load_scenario('wurtz_any'))\n"
         "played = target.play('pretrained,manager=scripted', '4,5-diethyloctane', 1, 2_000_023)\n"
         "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"
     )

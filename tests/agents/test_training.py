@@ -24,7 +24,7 @@ pytest.importorskip("stable_baselines3")
 
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
@@ -634,7 +634,7 @@ def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(
     assert Run(tmp_path / "run").config()["actions"] == "discrete"
     scenario = load_scenario("fictitious")
     ours, theirs = (
-        BenchTarget(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
+        Target(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
         for kind in ("native", "discrete")
     )
     np.testing.assert_array_equal(ours, theirs)

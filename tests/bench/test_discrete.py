@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.policies import RandomPolicy, make_policies
 from chemlab.config.datamodel import written
 from chemlab.config.loading import load_scenario
@@ -62,7 +62,7 @@ def test_a_scripted_agent_loses_nothing_where_its_actions_are_in_the_table() -> 
     scenario = load_scenario("wurtz_dodecane")
     for goal in scenario.goals:
         ours, theirs = (
-            BenchTarget(scenario.with_actions(kind), "rxn").play("scripted", goal, 4, 0).returns
+            Target(scenario.with_actions(kind), "rxn").play("scripted", goal, 4, 0).returns
             for kind in ("discrete", "native")
         )
         np.testing.assert_array_equal(ours, theirs)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
 from chemlab.agents.evaluate.tables import read_table
 from chemlab.agents.train.arguments import TrainArguments
@@ -69,7 +69,7 @@ class Experiment:
 
 @cache
 def _action_names(scenario: str, bench: str) -> list[str]:
-    env = BenchTarget(load_scenario(scenario), bench).environment(1)
+    env = Target(load_scenario(scenario), bench).environment(1)
     reagents = getattr(env.bench, "reagent_names", None)
     return list(env.action_meanings) if reagents is None else ["temperature", "volume", *(f"add {r}" for r in reagents)]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from chemlab import load_scenario
 from chemlab.agents.episodes import play_bench
-from chemlab.agents.evaluate.play import BenchTarget
+from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.tables import number, read_table, write_table
 from chemlab.agents.policies import bench_policy
 from chemlab.roles.bench import Bench
@@ -65,7 +65,7 @@ def collect_traces(
 
 def _played(experiment: Experiment, name: str, episodes: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield a policy's rows."""
-    env = BenchTarget(load_scenario(experiment.scenario), experiment.bench).environment(episodes)
+    env = Target(load_scenario(experiment.scenario), experiment.bench).environment(episodes)
     bench: Bench = env.bench
     policy = bench_policy(name, bench, seed)
     for goal in experiment.goals:
